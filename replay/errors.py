@@ -1,4 +1,4 @@
-"""Errors of opening and reading recordings; each says the problem, the place, and what to do."""
+"""Errors of opening and reading recordings; each message says what is wrong, where, and what to do."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class ReplayError(PortableError):
-    """Base of the errors of this package."""
+    """Base class of the errors of this package."""
 
 
 class NotALog(ReplayError):
@@ -39,7 +39,7 @@ class Damaged(ReplayError):
 
 
 class MissingModels(Damaged):
-    """The file of models that recordings of a sweep share is missing in the folder of a recording, or has changed."""
+    """Models are missing: the file that recordings of a sweep share isn't in the recording's folder, or has changed."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(path, "its models", cause)

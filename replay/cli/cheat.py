@@ -43,7 +43,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap task:pick-up@end", "why this task failed"),
         ),
         "check": (
-            ("run.mcap 'never contact(pr2, kitchen)'", "whether a property holds, and where it is violated"),
+            ("run.mcap 'never contact(pr2, kitchen)'", "whether a property holds; if not, where"),
             ("runs/ -f table.properties", "in how many runs each property holds"),
         ),
         "blame": (

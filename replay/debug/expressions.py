@@ -1,4 +1,4 @@
-"""Changes of expressions about recorded states, as ``milk.z``, ``holding(left)``, ``distance(pr2, cup) < 1``."""
+"""Changes of expressions about recorded states, such as ``milk.z``, ``holding(left)``, ``distance(pr2, cup) < 1``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class NoQuantity(ReplayError):
-    """An expression without a value in any recorded state, for example because of an unknown name."""
+    """An expression has no value in any recorded state, for example because of an unknown name."""
 
     def __init__(self, expression: str, cause: str) -> None:
         super().__init__(f"{expression}: {cause}")

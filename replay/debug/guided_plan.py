@@ -1,8 +1,8 @@
-"""A recorded plan that runs again and is stopped at a step; it moves from step to step, forwards and back.
+"""A recorded plan that runs again, and stops at a step. It can be moved from step to step, forwards and back.
 
-One of its processes is stopped or runs; the others are copies that wait at earlier steps. A waiting copy is the parent
-of the process that continued from it. So all are descendants of the first process and end with it, and the first one
-ends with this process.
+One of the plan's processes is stopped or runs; the others are copies that wait at earlier steps. A waiting copy is the
+parent of the process that continued from it. So all these processes descend from the first process, and end with it.
+The first process ends with this process.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 _MAX_WAITING: Final = 64  # largest number of waiting copies
 _SHOWN: Final = 2000  # number of shown characters from the end of an ended process's stderr
 _POLL: Final = 0.2  # seconds between checks for Ctrl-C and for a process that ended without a message
-_PARTS: Final = 40  # number of parts of a run; each part begins with a copy
+_PARTS: Final = 40  # number of parts into which copies divide a run
 _SHORTEST: Final = 50_000_000  # shortest duration of a part in ns
-_FINEST: Final = 4  # smallest number of steps between a copy and the target of going back
+_FINEST: Final = 4  # when the plan goes back, smallest number of steps between a new copy and the target
 
 
 class PlanEnded(ReplayError):
@@ -52,7 +52,7 @@ class EndedByInterrupt(Exception):
 
 
 class PlanInterrupted(ReplayError):
-    """Ctrl-C ended the plan's process; the plan is at its previous step, or at its start."""
+    """Ctrl-C ended the plan's process; the plan is at its previous step again, or hasn't started."""
 
     def __init__(self, step: int) -> None:
         where = f"it is at step {step} again" if step >= 0 else "it is at no step"
@@ -62,13 +62,13 @@ class PlanInterrupted(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """The step at which a plan has stopped, and the reason."""
+    """The step at which a plan has stopped, and the reason for stopping."""
 
     step: int  # the last recorded step that the plan has made
-    #: "step": this is the target; "watch": a watched value has changed; "interrupted": by Ctrl-C; "parted": the next
-    #: record differs from the recorded one.
+    #: "step": this is the target; "watch": a watched value has changed; "interrupted": the user pressed Ctrl-C;
+    #: "parted": the next record differs from the recorded one.
     reason: str = "step"
-    text: str = ""  # the difference, in words
+    text: str = ""  # the difference from the recording, in words
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, watch's index, values before, after
 
 
@@ -89,8 +89,8 @@ class GuidedPlan:
         self.notes = tuple(process.notes())  # differences from the recorded conditions
         self.step = -1  # the last recorded step that the plan has made; -1 before the first
         self.last = len(log) - 1  # the last step that the plan can reach
-        #: how the plan differs from the recording after that step, and possible causes outside of the plan; "" if
-        #: unknown
+        #: the first difference of the plan from its recording, after that step, and possible causes outside of the
+        #: plan; "" if unknown
         self.parted = ""
         self._log = log
         log.check_file()  # after this check, all losses of the recording are known
@@ -114,11 +114,11 @@ class GuidedPlan:
         self._copies.close()
 
     def pause(self, *, wanted: bool) -> None:
-        """Stop the plan as Ctrl-C does, from another thread, if it runs or goes on; until ``wanted`` is False."""
+        """Let another thread stop the plan as Ctrl-C does, now or later; ``wanted=False`` withdraws the request."""
         self._copies.pause_wanted = wanted
 
     def kill(self) -> None:
-        """End the plan from another thread: :meth:`go` raises `PlanEnded`, now and later."""
+        """Let another thread end the plan; :meth:`go` raises `PlanEnded` from then on."""
         self._copies.killed = True
 
     @property
@@ -128,17 +128,17 @@ class GuidedPlan:
 
     @property
     def runs(self) -> int:
-        """Number of runs from the plan's start."""
+        """How often the plan was run from its start."""
         return self._copies.runs
 
     def go(self, step: int, watched: Sequence[WatchedExpression] = (), *, through: bool = False) -> Arrival:
         """Move the plan to a step, forwards or back.
 
-        With watched expressions, the plan continues from its present step, and stops where one of their values changes;
-        with ``through``, changes are only noted, up to the step.
+        With watched expressions, the plan continues from its present step, and stops when one of their values changes.
+        With ``through``, it doesn't stop at such changes; they are noted until the plan reaches the step.
 
         Raises:
-            PlanEnded: its process ended before that step; now the plan is at no step.
+            PlanEnded: its process ended before that step, so the plan is at no step.
             PlanInterrupted: the user pressed Ctrl-C twice before the plan reached a step; the plan is at its previous
                 step.
             ReplayError: its first record differs, so this is another plan.
@@ -210,7 +210,7 @@ class GuidedPlan:
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
-    """Yield steps between two steps; each step halves the rest."""
+    """Yield steps between two steps; each yielded step halves the remaining distance."""
     while step - start >= _FINEST:
         start += (step - start) // 2
         yield start
@@ -233,11 +233,11 @@ class PlanCopy:
 
 
 class PlanCopies:
-    """The processes of a plan, with copies every ``spacing`` ns of the recording; None for no copies."""
+    """The processes of a plan, with a copy every ``spacing`` ns of the recording; None means no copies."""
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[PlanCopy] = []  # copies that wait, each after its parent
-        self.now: PlanCopy | None = None  # the stopped process, even if it is a waiting copy; None while a process runs
+        self.now: PlanCopy | None = None  # the stopped process, which may be a waiting copy; None while a process runs
         self.runs = 0  # number of starts of the first process
         self._process = process
         self._spacing = spacing
@@ -265,7 +265,7 @@ class PlanCopies:
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def start(self) -> Message:
-        """Run the plan from its start to its first record; return its message about the stop."""
+        """Run the plan from its start to its first record; return the process's message about the stop."""
         self.end_all()
         self.runs += 1
         folder = Path(self._folder) / f"run-{self.runs}"
@@ -284,7 +284,7 @@ class PlanCopies:
             return self._stopped(None)
 
     def go_on(self, origin: PlanCopy, conditions: Message) -> Message:
-        """Let a copy continue, or its child if the copy stays; return the message about the stop.
+        """Let a copy continue, or a child of the copy if the copy stays; return the message about the stop.
 
         Raises:
             PlanEnded: the process ended before a stop.
@@ -323,7 +323,7 @@ class PlanCopies:
 
     @contextmanager
     def _noting_interrupts(self) -> Iterator[None]:
-        """Count Ctrl-C in the ``with`` block instead of raising KeyboardInterrupt between a message and its answer."""
+        """In the ``with`` block, count Ctrl-C, so that no KeyboardInterrupt comes between a message and its answer."""
         self._interrupts = 0
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -339,7 +339,7 @@ class PlanCopies:
             signal.signal(signal.SIGINT, before)
 
     def _stopped(self, running: PlanCopy | None) -> Message:
-        """Wait until the running process, or the next one, has stopped; return its message."""
+        """Wait until the running process, or the process that continues from it, has stopped; return its message."""
         passed_on = False  # whether Ctrl-C was sent to the running process
         while True:
             sources: list[socket.socket | Channel] = [self._listener, *([running.channel] if running else [])]
@@ -373,7 +373,7 @@ class PlanCopies:
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
         """Accept the process that a copy has forked to continue."""
-        if running is not None:  # its message that it waits has arrived, or will arrive
+        if running is not None:  # the message that this process waits has arrived, or will arrive
             message = _received(running.channel)
             if message is None:
                 self._lost(running)

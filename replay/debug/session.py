@@ -1,7 +1,7 @@
 """A session of the debugger: a guided plan, its breakpoints, and the targets of commands.
 
-Breakpoints and watches are steps of the recording at which the plan stops, known when they are set. Only the steps of a
-watch on the plan's own variables are unknown: recordings don't contain variables, so the plan must run.
+A breakpoint or watch has steps at which the plan stops. They are read from the recording when the breakpoint is set.
+But a watch on the plan's own variables has no steps: recordings don't contain variables, so the plan must run.
 
 The level of a step is the innermost task that encloses it; the start and the end of a task are on the level around it.
 So ``next`` goes from the start of a task to its end, as other debuggers step over a call.
@@ -37,7 +37,7 @@ _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
 class NoFurther(ReplayError):
-    """There is no further step: the recording begins or ends there, or the plan differs from it."""
+    """There is no further step, because the recording begins or ends there, or the plan differs from the recording."""
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(cause)
@@ -92,7 +92,7 @@ class Session:
         """Return a watch on an expression about recorded states, or else about the variables of a frame's function.
 
         Raises:
-            NoQuantity: it has no value in a recorded state, nor in a frame.
+            NoQuantity: the expression has a value in no recorded state and no frame.
         """
         number, text = self._numbers + 1, f"watch {expression}"
         try:
@@ -189,9 +189,10 @@ class Session:
     def _last_change(
         self, watched: list[WatchedExpression], after: int, before: int
     ) -> tuple[int, dict[int, tuple[str, str]]]:
-        """Return the last step between two steps at which a watched value changed, and its changes by index.
+        """Return the last step between two steps at which a watched value changed, and the changes there by index.
 
-        The step is ``after`` if no value changed. The plan runs from the nearest waiting copy, then from earlier ones.
+        If no value changed, the step is ``after``. The plan runs from the nearest waiting copy, then from earlier
+        copies.
         """
         end = before - 1
         while end > max(after, 0):
@@ -245,7 +246,7 @@ class Timeline:
                 task_stacks[record.task] = stack
             self._stacks[record.seq] = stack
             before = latest.get(record.thread, ())
-            again = bool(own) and not isinstance(record, Output)  # the output of a line accompanies its other records
+            again = bool(own) and not isinstance(record, Output)  # output accompanies other records of its line
             for depth, site in enumerate(stack):
                 if before[: depth + 1] != stack[: depth + 1] or (again and depth == len(stack) - 1):
                     hits = self._lines[site]
@@ -273,21 +274,21 @@ class Timeline:
     # --- targets of commands ----------------------------------------------------------------------------------------
 
     def following(self, step: int) -> int:
-        """Return the next step on the same level or an outer one; the last step if there is no such step."""
+        """Return the next step on the same or an outer level; if there is none, the last step."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step + 1, self.steps) if self._levels[at] in around), self.steps - 1)
 
     def preceding(self, step: int) -> int:
-        """Return the previous step on the same level or an outer one; the first step if there is no such step."""
+        """Return the previous step on the same or an outer level; if there is none, the first step."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
 
     def end(self, step: int) -> int:
-        """Return the end of the task around a step; the last step without a task or an end."""
+        """Return the end of the task around a step; the last step if there is no such task, or it has no end."""
         return self._ends.get(self._levels[step], self.steps - 1)
 
     def onwards(self, step: int) -> int:
-        """Return the next step at a later line of the same file on the same level, or on an outer level."""
+        """Return the next step that is on this level at a later line of the same file, or on an outer level."""
         site, level = self.site(step), self._levels[step]
         around = {level, *self._around(level)}
         for at in range(step + 1, self.steps):
@@ -323,9 +324,9 @@ class Timeline:
         return {file for file, _ in self._lines}
 
     def line(self, file: str, number: int) -> tuple[int, list[int]]:
-        """Return a line, or the first later line, that led to a record, and the steps at which the plan reached it.
+        """Return the first line, from a given line on, that made a record, and the steps at which the plan reached it.
 
-        Each execution of the line counts once, with its first record. Repeated calls in one line count once if no other
+        Each execution of the line counts once, at its first record. Repeated calls in one line count once if no other
         line made a record between them.
         """
         numbers = sorted(line for named, line in self._lines if named == file)
@@ -334,13 +335,13 @@ class Timeline:
 
 
 def first_after(steps: Sequence[int], step: int) -> int | None:
-    """Return the first of some sorted steps after a step."""
+    """Return the first step after a given step; ``steps`` are sorted."""
     at = bisect_right(steps, step)
     return steps[at] if at < len(steps) else None
 
 
 def last_before(steps: Sequence[int], step: int) -> int | None:
-    """Return the last of some sorted steps before a step."""
+    """Return the last step before a given step; ``steps`` are sorted."""
     at = bisect_left(steps, step)
     return steps[at - 1] if at else None
 
@@ -429,12 +430,12 @@ def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoin
     files = [file for file in timeline.files if is_file(file, name)]
     if not files:
         known = ", ".join(sorted({name_of(file) for file in timeline.files})) or "none"
-        raise NoSuchPlace(f"{name}:{line}", f"no line of this file led to a record; the plan's files are {known}")
+        raise NoSuchPlace(f"{name}:{line}", f"no line of this file made a record; the plan's files are {known}")
     if len(files) > 1:
         known = ", ".join(sorted(files))
         raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files have that name: {known}")
     at, steps = timeline.line(files[0], line)
     if not at:
-        raise NoSuchPlace(f"{name}:{line}", "neither this line nor a later one of the file led to a record")
-    moved = "" if at == line else f" (line {line} leads to no record)"
+        raise NoSuchPlace(f"{name}:{line}", "neither this line nor a later line of the file made a record")
+    moved = "" if at == line else f" (line {line} made no record)"
     return Breakpoint(number, f"{name_of(files[0])}:{at}{moved}", steps, line=(files[0], at))

@@ -1,8 +1,8 @@
-"""The process of a debugged plan: it compares each record with the recorded one, and stops the plan at a step.
+"""The process of a debugged plan: it compares each record with the recorded record, and stops the plan at a step.
 
-While the plan is stopped, its process answers messages from the prompt: lines of JSON on a socket. Then either the
-process continues, or it stays, as at checkpoints, and a forked child continues. A process that stays can continue again
-later.
+While the plan is stopped, its process answers messages from the prompt, which are lines of JSON on a socket. When the
+plan continues, either the process continues, or it stays, as at checkpoints, and a forked child continues. A process
+that stays can continue later.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 Message: TypeAlias = "dict[str, Any]"
 
 PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have SIGURG
-"""Signal that stops a plan that makes no record, and so reads no message; processes without a handler ignore it."""
+"""Signal that stops a plan that makes no records, and thus reads no messages. Without a handler, it is ignored."""
 _BLOCK: Final = 1 << 16  # largest number of bytes in one read
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # types of a module's imports and definitions
 _MAX_NAMES: Final = 200  # largest number of completions of a text
@@ -100,7 +100,7 @@ class Channel:
 
     @property
     def has_read(self) -> bool:
-        """Whether a message is in the buffer; select doesn't see buffered messages."""
+        """Whether a message is in the buffer; select doesn't notice buffered messages."""
         return b"\n" in self._received
 
     def close(self) -> None:
@@ -118,7 +118,7 @@ class PlanFrame(NamedTuple):
     line: int
 
     def facts(self, moved: tuple[str, str] | None) -> dict[str, object]:
-        """Return file, line, function and its first line; the file is in the plan's own folder."""
+        """Return file, line, function and its first line; the file's path is in the plan's own folder."""
         code = self.frame.f_code
         return {
             "file": code.co_filename.replace(*moved or ("", "")),
@@ -131,7 +131,8 @@ class PlanFrame(NamedTuple):
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
     """Return the plan's frames, innermost first; after a branch come the frames that wait for it.
 
-    ``parents`` has the id of each task's parent. With ``failing``, the frames that an error has left come first.
+    ``parents`` has the id of each task's parent. With ``failing``, the frames through which an error has passed come
+    first.
     """
     own = [PlanFrame(each, each.f_lineno) for each in plan_frames(frame)]
     error = sys.exception() if failing else None
@@ -146,7 +147,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
         task = context.get(journal.current_task)
         waiting[task.id if task is not None else 0] = suspended
     number: int | None = journal.task_id()
-    while number is not None:  # the number 0 means outside of all tasks
+    while number is not None:  # number 0 means: outside of all tasks
         number = parents.get(number)
         if number in waiting:
             own += [PlanFrame(each, each.f_lineno) for each in plan_frames(waiting[number])]
@@ -154,7 +155,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
 
 
 def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, str | int]]:
-    """Return a frame's variables, without a module's definitions, or only its arguments."""
+    """Return a frame's variables without a module's definitions; with ``arguments``, only the arguments."""
     values = dict(frame.f_locals)
     if arguments:
         info = inspect.getargvalues(frame)
@@ -166,7 +167,7 @@ def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, st
 
 
 def parts(frame: FrameType, expression: str) -> list[dict[str, str | int]]:
-    """Return the entries of an expression's value: of a sequence or a mapping, or the attributes of an object."""
+    """Return the entries of an expression's value if it is a sequence or a mapping; otherwise its attributes."""
     value = value_of(frame, expression)
     if is_future(value):
         return []
@@ -194,7 +195,7 @@ def _attributes(value: object) -> dict[str, object]:
 
 
 def evaluate(frame: FrameType, expression: str, *, pretty: bool = False) -> dict[str, str]:
-    """Return an expression's value in a frame, or the error that it raised, and its output."""
+    """Return an expression's value in a frame, or the error that it raised, and the output that it printed."""
     printed = StringIO()
     answer: dict[str, str] = {}
     with redirect_stdout(printed), redirect_stderr(printed):
@@ -226,7 +227,7 @@ def _repr(value: object) -> str:
 
 
 class PausableClock:
-    """Python's clocks, which stand still while the plan is stopped, so that no deadline passes at the prompt."""
+    """Replaces Python's clocks. They stop while the plan is stopped, so that no deadline passes at the prompt."""
 
     def __init__(self) -> None:
         self._now_ns = time.monotonic_ns
@@ -240,7 +241,7 @@ class PausableClock:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Stop the clocks in the ``with`` block, also if a forked child leaves the block."""
+        """Stop the clocks in the ``with`` block, even if a forked child leaves the block."""
         since = self._now_ns()
         try:
             yield
@@ -261,7 +262,7 @@ def _refuse(error: Exception) -> NoReturn:
 
 
 def _can_be_copied() -> bool:
-    """Return whether a copy would behave the same: a copy has neither threads nor child processes."""
+    """Return whether a copy would behave like this process: a copy has neither threads nor child processes."""
     return not obstacle() and not has_children()
 
 
@@ -274,7 +275,7 @@ class WatchedExpression:
     first: int  # number of the function's first line
 
     def value(self, frames: list[PlanFrame]) -> str | None:
-        """Return its value as text; None if no call of the function runs, or the expression has no value."""
+        """Return the value as text; None if no call of the function runs, or if the expression has no value."""
         function = (self.file, self.first)
         codes = ((each.frame, each.frame.f_code) for each in frames)
         frame = next((one for one, code in codes if (code.co_filename, code.co_firstlineno) == function), None)
@@ -288,7 +289,7 @@ class StopConditions:
     until: int  # step at which the plan stops
     checkpoints: frozenset[int] = frozenset()  # steps at which a copy stays
     watched: tuple[WatchedExpression, ...] = ()  # a change of any value stops the plan
-    through: bool = False  # whether changes are only noted
+    through: bool = False  # whether changes are noted without stopping the plan
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, index in watched, before, after
 
     @classmethod
@@ -303,10 +304,11 @@ class StopConditions:
 
 
 class StoppingSink(NullSink):
-    """Stops a guided run; :attr:`guided` compares its records first.
+    """Stops a guided run; before that, :attr:`guided` compares its records.
 
-    Its messages go to the prompt's socket ``address``. The clock pauses while the plan is stopped. The plan first stops
-    at the step ``until``. ``spacing`` is the time between checkpoints, ns of the recording; None for no checkpoints.
+    Its messages go to the prompt's socket ``address``. The clock pauses while the plan is stopped. The plan stops for
+    the first time at the step ``until``. ``spacing`` is the time between checkpoints, in ns of the recording; None: no
+    checkpoints.
     """
 
     def __init__(
@@ -325,7 +327,7 @@ class StoppingSink(NullSink):
         self._values: list[str | None] = []
         self._failing = False
         self._step = -1
-        self._frame: FrameType | None = None  # frame that made the record, while the plan is stopped
+        self._frame: FrameType | None = None  # while the plan is stopped: the frame that made the record
         self._serving = False
         signal.signal(PAUSE, self._pause)
         self._channel = self._connected(parent=0)
@@ -346,7 +348,7 @@ class StoppingSink(NullSink):
             self._frame = None
 
     def close(self) -> None:
-        """Stop for the last time if the plan ended before its recording."""
+        """If the plan ended before its recording, stop for the last time."""
         if not self._over:
             self.guided.guide.close()
             self._end()
@@ -372,7 +374,7 @@ class StoppingSink(NullSink):
             self._check_point()
 
     def _pause(self, _: int, frame: FrameType | None) -> None:
-        """Stop between two records, because the plan may hang; during a record, :meth:`_pass` stops the plan."""
+        """Stop between two records, as the plan may hang there. During a record, :meth:`_pass` stops the plan."""
         if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
             self._frame = frame
             self._stop("interrupted", between=True)
@@ -488,7 +490,7 @@ class StoppingSink(NullSink):
         return self._in_copy(doing[message["do"]])
 
     def _in_copy(self, work: Callable[[], Any]) -> Message:
-        """Work in a forked copy, because it may call any code: the plan's process stays unchanged."""
+        """Work in a forked copy, so that the plan's process stays unchanged: the work may call any code."""
         if not hasattr(os, "fork"):
             return {"answer": work()}
         child = Child(lambda: json.dumps({"answer": work()}).encode())
@@ -508,7 +510,7 @@ class StoppingSink(NullSink):
 
 
 def main() -> None:
-    """Run a plan up to a step, by a request in JSON from :class:`replay.debug.guided_plan.PlanCopies`."""
+    """Run a plan up to a step, as requested in JSON by :class:`replay.debug.guided_plan.PlanCopies`."""
     request = json.loads(sys.argv[1])
     gc.freeze()  # garbage collection would write to all objects, so that copies would no longer share their memory
     os.setsid()  # Ctrl-C at the prompt must not reach the plan

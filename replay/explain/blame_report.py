@@ -60,7 +60,7 @@ def _(change: Blame) -> str:
 def _lines(change: Blame, printed: list[Sequence[Line]], *, is_earlier: bool = False) -> Iterator[str]:
     yield _headline(change)
     yield f"  step {change.record.seq}: {phrases.record_line(change.record)}"
-    if not getattr(change.record, "by_fork", False):  # its line names the fork
+    if not getattr(change.record, "by_fork", False):  # the line of a fork's change names the fork
         yield from because(change.causes, "  ", printed)
     for carried in change.carried:
         yield from _held(carried, printed)

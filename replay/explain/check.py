@@ -35,7 +35,7 @@ _UNITS: Final = {"m": phrases.length, "rad": phrases.degrees, "s": "{:.3f} s".fo
 class CheckedProperty:
     """The result of a property for a recording."""
 
-    path: str  # of the recording
+    path: str  # path of the recording
     verdict: Verdict
     record: Record | None = None  # record of the first violation
     causes: CausingTasks | None = None  # tasks and lines of the plan that led to it
@@ -52,7 +52,7 @@ class CheckedProperty:
 
 
 def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry | None = None) -> list[CheckedProperty]:
-    """Check properties of a recording, in one pass over its records.
+    """Check properties of a recording, reading its records once.
 
     Raises:
         BadProperty: a property has no value at any step, for example because of an unknown name.
@@ -70,14 +70,14 @@ def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry 
 
 
 def _cause(log: RecordReader, verdict: Verdict) -> Record:
-    """Return the record of the first violation; if something lacks at the end, that of the last change of an object.
+    """Return the record of the first violation. If its condition never held, return the last change of an object.
 
     A robot moves all the time, so its changes count only if the property names no other object.
     """
     first = verdict.violations[0]
     changes: list[tuple[bool, int]] = []
     for name in verdict.statement.body.names if first.cause else ():
-        with suppress(ReplayError):  # the name is that of an arm or a world
+        with suppress(ReplayError):  # the name belongs to an arm or a world
             world, step = first.moment.world, first.moment.step
             body = state_at(log, step).body(name, world)
             if not body.fixed_base or body.type == "robot":
@@ -117,7 +117,7 @@ def _moment_data(moment: Moment | None) -> dict[str, object]:
 
 
 def lines(checked: CheckedProperty) -> Iterator[str]:
-    """Yield the result as text; for a violation, with its cause and the commands that look closer."""
+    """Yield the result as text; after a violation, also its cause and commands that show details."""
     verdict = checked.verdict
     if verdict.holds:
         yield f"holds     {verdict.statement}{_how_close(verdict)}"
@@ -137,7 +137,7 @@ def lines(checked: CheckedProperty) -> Iterator[str]:
 
 
 def commands(checked: CheckedProperty) -> Iterator[str]:
-    """Yield the commands that look closer at the first violation."""
+    """Yield commands that show details of the first violation."""
     if not checked.verdict.violations:
         return
     log, step = shlex.quote(checked.path), step_of(checked)
@@ -146,7 +146,7 @@ def commands(checked: CheckedProperty) -> Iterator[str]:
 
 
 def step_of(checked: CheckedProperty) -> str:
-    """Return the step of the first violation, or its time within a simulation, as verbs take it."""
+    """Return the step of the first violation, or its time within a simulation, in the form that verbs accept."""
     moment = checked.verdict.violations[0].moment
     return f"{moment.seconds:.4f}s" if moment.sampled else str(moment.step)
 

@@ -1,4 +1,4 @@
-"""The scene of a failure: the robot, and the bodies of the failed task or the message, at the failure."""
+"""The scene at a failure: the robot, and the bodies that the failed task or the message names."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ _ENDS = (("mover", "link"), ("body", "body_link"))
 
 @dataclass(frozen=True, slots=True)
 class InvolvedBody:
-    """The robot, or a body of the failed task, at the failure."""
+    """The state, at a failure, of the robot or of a body of the failed task."""
 
     body: Body
     held: Attachment | None  # its attachment to a carrier
     holds: tuple[Attachment, ...]  # attachments of other bodies to this body
     is_robot: bool
-    distance: float | None  # distance on the ground from the robot's base in m; None for the robot, or without a robot
+    distance: float | None  # m, on the ground, from the robot's base; None for the robot itself, or without a robot
     #: Direction in rad relative to the robot's heading, positive to the left; None for the robot, or without a robot.
     bearing: float | None
-    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's holding arms, by the held bodies' names
+    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's arms, by the bodies that they hold
     links: Mapping[str, Pose] = field(default_factory=dict)  # poses of links that the failure names
     joints: Mapping[str, float] = field(default_factory=dict)  # positions of joints that the failure names, rad or m
 
     def lines(self) -> Iterator[str]:
-        """Yield the body in words; of a fixed body, whose base pose isn't informative, only named links and joints."""
+        """Yield the body in words. A fixed body's base isn't informative, so only named links and joints are given."""
         body = self.body
         if self.is_robot or not body.fixed_base or not (self.links or self.joints):
             yield self._line()
@@ -73,12 +73,12 @@ class InvolvedBody:
 
 @dataclass(frozen=True, slots=True)
 class FailedBranch:
-    """Another failed part of the failed block."""
+    """A failed part of the failed block, besides the explained part."""
 
     task: Node
-    line: Line | None  # the plan's line that requested it
-    bodies: tuple[InvolvedBody, ...]  # the robot and the bodies of that failure, at that failure
-    causes: tuple[Cause, ...]  # causes of that failure
+    line: Line | None  # the plan's line that requested the failed part
+    bodies: tuple[InvolvedBody, ...]  # the robot and the bodies of the failed part, at its failure
+    causes: tuple[Cause, ...]  # causes of the part's failure
 
     def lines(self) -> Iterator[str]:
         """Yield the failure in words."""
@@ -126,7 +126,7 @@ def bodies(case: FailureCase, names: Iterable[str] = ()) -> Iterator[InvolvedBod
 
 
 def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
-    """Yield the links (with poses) and joints (with None) that a failure names, with their bodies."""
+    """Yield what a failure names: bodies with links and their poses, or with joints and None."""
     if case.world is None:
         return
     ends = [(pair.get(body, ""), pair.get(link, "")) for pair in case.pairs for body, link in _ENDS]
@@ -158,7 +158,7 @@ def branches(case: FailureCase) -> Iterator[FailedBranch]:
 
 
 def _origins(task: Node) -> Iterator[Node]:
-    """Yield the tasks in which a failure began; a block has such a task for each failed part."""
+    """Yield the tasks in which a failure began; in a block, each failed part has such a task."""
     failed = [child for child in task.children if child.failed]
     if task.kind != "block":
         failed = [child for child in failed if any(each is child for each in task.origin.around())]

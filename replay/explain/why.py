@@ -1,7 +1,7 @@
-"""Explains a failure: the failed task, its place in the plan, attempts, queries that the plan relied on, and changes.
+"""Explains a failure: the failed task, its place in the plan, attempts, queries on which the plan relied, and changes.
 
-All facts are read from the recording. The answers to the plan's queries include the objects that have moved since. A
-failed action includes its choices, their projections and the considered places.
+All facts are read from the recording. For the answers to the plan's queries, the explanation lists objects that have
+moved since. For a failed action, it lists the choices, their projections and the considered places.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 
 
 _MAX_QUERIES: Final = 8
-_FIRST, _LAST = 5, 20  # numbers of first and last attempts for which the robot's state is given
+_FIRST, _LAST = 5, 20  # for this number of first and of last attempts, the robot's state is given
 _LISTED: Final = 3  # largest number of first choices, and of last choices, that are listed
 _MAX_IMAGINED: Final = 6
-_MAX_PLACES: Final = 5  # number of last queries for places that are listed
-_MOVED: Final = 0.001  # in m; smaller moves since a query are ignored
+_MAX_PLACES: Final = 5  # largest number of listed queries for places; the last are listed
+_MOVED: Final = 0.001  # in m; smaller moves after a query are ignored
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class FailedAttempt:
     """An attempt at the failed task."""
 
     task: Node  # the part in which its failure began
-    robot: Body | None  # the robot before the attempt; None without a robot, and in the middle of many attempts
+    robot: Body | None  # the robot before the attempt; None without a robot, or if the attempt is in the middle of many
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +120,12 @@ class Why:
 
     @property
     def is_python_error(self) -> bool:
-        """Whether the error is in the plan's code, not in the state of the world."""
+        """Whether the plan's code is wrong, rather than the state of the world."""
         return self.task is None and self.failure is not None and hasattr(builtins, self.failure.type)
 
     @property
     def warning(self) -> Query | None:
-        """The last query of the plan that was answered no, and whose bodies have not changed since."""
+        """The plan's last query with the answer no whose bodies have not changed since."""
         # id of the process module in which the failure began
         within = self.task.id if self.task is not None and self.task.kind == "process-module" else None
         still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
@@ -133,7 +133,7 @@ class Why:
 
 
 def why(log: RecordReader, step: int | None = None) -> Why:
-    """Explain the failed task around a step, or the last failed task before it; by default the root cause.
+    """Explain the failed task around a step, or the last failed task before it; by default, explain the root cause.
 
     Raises:
         NoSuchStep: there is no such step, or no task had failed.
@@ -178,7 +178,7 @@ def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
 
 
 def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
-    """Return the failed task that a step is part of; without one, the last task that failed before."""
+    """Return the failed task that contains a step; if no failed task does, the last task that failed before."""
     record = log[step]
     until = [task for task in failed.origins if task.finished is not None and task.finished.seq <= step]
     of_step = [task for task in failed.origins if any(each.id == record.task for each in task.around())]
@@ -260,7 +260,7 @@ def _explained(
 
 
 def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tuple[str, str]]) -> bool:
-    """Return whether a task is another attempt with a common body; bodies of a later world are other bodies."""
+    """Return whether a task is another attempt with a common body; a later world has different bodies."""
     if (task.kind, task.name) != (failed.kind, failed.name):
         return False
     own = set(bodies_in(task.parameters))
@@ -288,7 +288,7 @@ def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> 
 def _queries(
     log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """Return the last queries about some bodies or of some tasks, each question once, and the number left out.
+    """Return the last queries about some bodies or of some tasks, each question once, and how many were left out.
 
     The choices of process modules are left out, as plans don't rely on them.
     """
@@ -333,7 +333,7 @@ def _with_changes(log: RecordReader, query: Query, world: World | None) -> Relev
 
 
 def _world(state: State, objects: Iterable[tuple[str, str]], queries: Iterable[Query]) -> World | None:
-    """Return the world that a failure was about."""
+    """Return the world to which a failure belongs."""
     opened = {name: world for name, world in state.worlds.items() if world.open}
     for name in (*(world for _, world in objects), *(query.world for query in queries)):
         if name in opened:
@@ -359,7 +359,7 @@ class TriedAction:
     attempts: tuple[Node, ...]  # attempts at its choices, in order; the chosen values are their parameters
     imagined: tuple[Node, ...]  # projections of choices, in order
     places: tuple[Query, ...]  # queries for places, also queries of the action's parts
-    spent: bool  # whether its budget of attempts was spent
+    spent: bool  # whether the action has used up its budget of attempts
     last: str  # why the last choice failed; "" if all choices were tried
 
     def lines(self) -> Iterator[str]:
@@ -417,7 +417,7 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
 
 
 def _choice(task: Node) -> str:
-    """Return the chosen slots with their values; of a place its position."""
+    """Return the chosen slots with their values; a place is given by its position."""
     chosen = []
     for slot, value in task.parameters.items():
         if isinstance(value, dict) and isinstance(value.get("position"), list):

@@ -29,7 +29,7 @@ _FIRST, _LAST = 2, 5  # number of first and last attempts that are listed
 _MAX_ROWS: Final = 3  # largest number of rows of local variables
 _WIDTH: Final = 100  # largest number of characters of a row of variables
 _MAX_LINES: Final = 12  # largest number of lines of a difference
-_NEARER: Final = 0.35  # distance in m from the robot to which the suggested ``ask --move`` moves the object
+_NEARER: Final = 0.35  # the suggested ``ask --move`` moves the object to this distance in m from the robot
 
 
 # --- as JSON data ----------------------------------------------------------------------------------------------------
@@ -126,7 +126,7 @@ def _(tried: TriedAction) -> dict[str, object]:
 
 
 def lines(why: Why, path: str = "") -> Iterator[str]:
-    """Yield the explanation as text; ``path`` is the recording's, for commands, which are left out without it."""
+    """Yield the explanation as text, with commands for the recording at ``path``; without a path, no commands."""
     causes = [line for cause in why.causes for line in cause.lines()]
     yield from _headline(why)
     yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))
@@ -168,7 +168,7 @@ def _headline(why: Why) -> Iterator[str]:
     if run.outcome == "failed":
         message, failure = run.failure, why.failure
         if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            message = failure.message  # PyCRAM's messages are clear without a type, unlike messages of Python's errors
+            message = failure.message  # PyCRAM's messages are clear without the error's type; Python's aren't
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
         failed = "a task failed."
@@ -294,7 +294,7 @@ def _attempts(why: Why) -> Iterator[str]:
         for robot in (attempt.robot for attempt in why.attempts)
     ]
     differ = len({pose for pose in poses if pose}) > 1
-    groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of consecutive equal attempts
+    groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of equal attempts in succession
     for attempt, pose in zip(why.attempts, poses, strict=True):
         how = [f"{key}={phrases.value(attempt.task.motion.parameters.get(key))}" for key in varying]
         how += [pose] if pose and differ else []
@@ -393,7 +393,7 @@ def _movable(why: Why) -> list[InvolvedBody]:
 
 
 def _nearer(why: Why) -> str:
-    """Return the option that moves the object nearer to the robot; "" without a robot."""
+    """Return the option that moves the object nearer to the robot; "" if there is no robot."""
     if not why.bodies:  # a damaged recording may have lost the bodies
         return ""
     robot = next((involved.body for involved in why.bodies if involved.is_robot), None)

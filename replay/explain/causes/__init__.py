@@ -1,4 +1,4 @@
-"""The kinds of causes of a failure, and their order. A new kind is a class in a file, and an entry in this list."""
+"""The kinds of causes of a failure, and their order. A new kind is a class in a file, and an entry in the list."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A failure with the facts from which causes are found, and the base class of all kinds of causes.
+"""A failure, with the facts for finding its causes, and the base class of all kinds of causes.
 
-A kind has its data, finder and text in one file. Its ``kind`` and its field names are keys of ``why --json``
+Data, finder and text of a kind are in one file. The ``kind`` and the field names are keys of ``why --json``
 (docs/why.md), so they don't change.
 """
 
@@ -45,7 +45,7 @@ class Cause:
     """A cause of a failure."""
 
     kind: ClassVar[str]
-    steps: tuple[int, ...]  # steps of the records from which the cause follows, sorted
+    steps: tuple[int, ...]  # sorted steps of the records that show the cause
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Self]:
@@ -56,7 +56,7 @@ class Cause:
         raise NotImplementedError
 
     def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds ignore it
-        """Return whether another found cause explains this cause."""
+        """Return whether another cause among ``found`` explains this cause."""
         return False
 
     def lines(self) -> Iterator[str]:
@@ -73,11 +73,11 @@ class CausingChange:
     step: int
     body: str
     joint: str = ""  # name of the joint; "": the body's pose changed
-    #: As in :class:`replay.history.blame.Blame`, or "attached", "detached", "joints", "gravity", or "in-hand" (it was
-    #: moved by a command while a hand held it, and is still attached to the hand).
+    #: As in :class:`replay.history.blame.Blame`, or "attached", "detached", "joints", "gravity", or "in-hand": a
+    #: command moved it while a hand held it, and it is still attached to the hand.
     how: str = ""
     task: Task | None = (
-        None  # the start of its innermost motion or handler; without one, of its task; None: outside of tasks
+        None  # the start of its innermost motion or handler, or else of its task; None: outside of tasks
     )
     line: Line | None = None  # the plan's line that requested the change
     mover: str = ""  # the moved body, or ``JOINT of BODY``, if the command moved something else
@@ -208,7 +208,7 @@ class FailureCase:
 
     @cached_property
     def before(self) -> World | None:
-        """The world when the failed motion began; None if it wasn't open."""
+        """The world when the failed motion began; None if the world wasn't open."""
         if self.motion is None or self.world is None:
             return self.world
         return state_at(self.log, self.began).worlds.get(self.world.name)
@@ -256,7 +256,7 @@ class FailureCase:
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
-        """Yield this world's motions with some names that ended before the failed motion began, last first."""
+        """Yield this world's motions that have certain names and ended before the failed motion began, last first."""
         for motion in reversed(self.failed.motions):
             earlier = motion.last_step < self.began and motion is not self.motion
             if earlier and motion.name in names and self.is_here(motion.started):
@@ -277,7 +277,7 @@ class FailureCase:
             return None
 
     def changed(self, target: str) -> CausingChange | None:
-        """Return the last change of a body or joint; None if it hasn't changed since before the first motion."""
+        """Return the last change of a body or joint; None if its last change was before the first motion."""
         last = self.blame(target)
         if last is None:
             return None
@@ -305,7 +305,7 @@ class FailureCase:
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
         handler = next((each for each in tasks if each.kind == HANDLER), None)
         if task is not None and task is handler:
-            stack = because.call_stack or stack  # the line in the handler, not the line that fired the event
+            stack = because.call_stack or stack  # the handler's line, not the line that fired the event
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork
@@ -322,7 +322,7 @@ class FailureCase:
         """Return the innermost informative line of a call stack.
 
         A line is informative if it requested a single motion, or only motions with one name. Lines of general helper
-        functions request many motions.
+        functions aren't informative, because they request many motions.
         """
         performed = [(line, self._motions_by_line[line.file, line.number]) for line in reversed(stack)]
         one = [line for line, motions in performed if len(motions) <= 1]
@@ -339,9 +339,9 @@ class FailureCase:
         return found
 
     def names_in(self, lines: Sequence[Line], context: type[ast.expr_context]) -> set[tuple[str, str]]:
-        """Return the variables that the statements at some lines read (``ast.Load``), or set or fill (``ast.Store``).
+        """Return the variables that statements at the given lines read (``ast.Load``), or set or fill (``ast.Store``).
 
-        A variable is a pair of its function's name and its own name.
+        A variable is a pair: the name of its function, and its own name.
         """
         found: set[tuple[str, str]] = set()
         for line in lines:
@@ -437,7 +437,7 @@ def _arms(description: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def about(task: Node, *, body: str = "", arm: str = "") -> bool:
-    """Return whether a motion has an object, and an arm, as its parameters."""
+    """Return whether a motion's parameters contain a given object and a given arm."""
     given = values(task)
     own = str(given.get("arm") or given.get("gripper") or "")
     return (not body or body in objects_in(list(given.values()))) and (not arm or not own or own == arm)

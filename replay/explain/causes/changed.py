@@ -1,4 +1,4 @@
-"""The world had changed: an object was removed, a hand was in a wrong state, an answer or a belief no longer held.
+"""The world had changed: an object was removed, a hand was in a wrong state, an answer or a belief was no longer true.
 
 If an answer or a perception contradicts the later failure, a fact on which it depends has changed. Changes by physics
 are explained in :mod:`replay.explain.causes.physics`.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
-#: Queries that contradict a failure: in this table by the answer yes, in ``_NOTHING`` by finding nothing.
+#: Queries that contradict a failure: those in this table by the answer yes, those in ``_NOTHING`` by finding nothing.
 _YES: Final = {
     "Unreachable": _REACH,
     "HandleUnreachable": _REACH,
@@ -42,7 +42,7 @@ _SEARCHED: Final = 5_000  # number of records before the failure that are search
 _BELIEVED: Final = frozenset(
     ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
 )
-_AWAY: Final = 0.02  # in m; within a smaller distance, an object only settles
+_AWAY: Final = 0.02  # in m; if an object moves less, it only settles
 #: Matches messages of WorldClosed, also from other releases.
 _GONE: Final = re.compile(r": object (.+) (?:is gone|was removed|has been removed|no longer exists)$")
 
@@ -57,7 +57,7 @@ class NoLonger(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoLonger]:
-        """Yield the last outdated answer or perception, or the pick-up of an object that was moved in the hand."""
+        """Yield the last outdated answer or perception, or the pick-up of an object that then moved in the hand."""
         yield from _moved_in_hand(case)
         asked: Query | Node | None = _contradicted_query(case)
         if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
@@ -89,7 +89,7 @@ class Misbelief(Cause):
 
     kind = "misbelief"
     body: str
-    source: str  # "seen", "told" by the world's state, or "placed", where the robot released it
+    source: str  # "seen", "told" (read from the world's state), or "placed" (the robot released it there)
     learned: int  # the step at which the robot learned it; -1: before the recording
     position: tuple[float, ...]  # position in the belief, in m
     distance: float  # distance in m between the belief and the object
@@ -200,7 +200,7 @@ class HandState(Cause):
 
 
 def _contradicted_query(case: FailureCase) -> Query | None:
-    """Return the last query whose answer contradicts the failure, or the answer for which the plan raised it."""
+    """Return the last query whose answer contradicts the failure, or made the plan raise it."""
     judged = [each for each in answers(case) if isinstance(each, Query)] if case.motion is None else []
     no = next((query for query in reversed(judged) if from_json(query.answer_json) is False), None)
     question = _question(no) if no is not None else None
@@ -263,7 +263,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
     if named and isinstance(asked, Query) and before is not None and after is not None:
-        # other queries choose postures of the head themselves
+        # other queries choose a posture of the head on their own
         head = joints_of(after, "head") if asked.name in ("visible", "occluding") else ()
         for joint in (*joints_of(after, "torso"), *head):
             if abs(before.joints.get(joint, 0.0) - after.joints.get(joint, 0.0)) > _MOVED[1]:
@@ -275,7 +275,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
 def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingChange]:
     change = case.blame(name)
     if change is not None and change.how == "physics" and change.earlier is not None:
-        change = change.earlier  # changes by physics are another kind of cause
+        change = change.earlier  # changes by physics are a different kind of cause
     if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
         yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
 
@@ -311,7 +311,7 @@ def _commanded_moves(case: FailureCase, name: str, start: int) -> Iterator[Causi
 def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
     """Return the name of the failure's object, and the record that removed the object.
 
-    If a hand should hold the object, its removal counts only if a hand held it then.
+    If a hand should have held the object, the removal counts only if a hand held the object at that time.
     """
     kind, sought = case.failure.type, case.data.get("name")
     for lack in lacking(case):

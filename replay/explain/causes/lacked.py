@@ -1,9 +1,9 @@
 """A failed motion lacked a precondition: an earlier motion failed, or a request was refused, and the plan continued.
 
 The last motion of the same object, arm or joint that should have established the precondition failed, was cancelled, or
-was skipped because a perception had found nothing. This isn't a cause if a later motion succeeded, or if the object or
-joint changed in another way. A refused request is a cause until it is fulfilled, or the object or joint changes
-otherwise.
+was skipped because a perception had found nothing. It isn't a cause if a later motion succeeded, or if the object or
+joint changed in another way. A refused request is a cause until it is fulfilled, or until the object or joint changes
+in another way.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
 _NEARER: Final = 0.05  # in m
-_IN: Final = 0.03  # in m; tolerance around the boxes of a drawer for the base of an object
+_IN: Final = 0.03  # in m; an object is in a drawer if its base is within this distance of the drawer's boxes
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = (
     "DesignatorError",
     "BadArgument",
-)  # errors due to a None of the plan, in addition to Python's errors
+)  # errors that a None in the plan causes, in addition to Python's errors
 _EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing value in a container causes
 _MAX_ALSO: Final = 3
 _MAX_SETTING: Final = 100  # largest number of motions that may have filled a list
@@ -53,7 +53,7 @@ _JOINTS: Final = ("set_joint_position", "set_joint_positions")
 _SEEN: Final = ("PerceptionError", "LookingFailed")
 _HANDS: Final = ("held", "hand-free")
 _REFUSALS: Final = 200  # number of refusals before the failure that are searched
-#: Phrases for lacking preconditions.
+#: Phrases for missing preconditions.
 _LACKED: Final = {
     "held": "so the {arm} gripper didn't hold {subject}",
     "hand-free": "so the {arm} gripper still held {subject}",
@@ -74,10 +74,10 @@ _REFUSED: Final = _LACKED | {
 
 @dataclass(frozen=True, slots=True)
 class Swallowed(Cause):
-    """An earlier task failed or was cancelled, the plan continued, and a later task lacked its effect."""
+    """An earlier task failed or was cancelled, the plan continued, and a later task failed without its effect."""
 
     kind = "swallowed-failure"
-    #: The lacking precondition: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the
+    #: The missing precondition: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the
     #: object isn't in the way), "joint-moved", "at-pose" (the robot stands at its target), "posture" (of the arm),
     #: "camera-directed", "result" (of a task, in a variable)
     precondition: str
@@ -120,11 +120,11 @@ class Swallowed(Cause):
 
 @dataclass(frozen=True, slots=True)
 class RefusedRequest(Cause):
-    """A request of the plan was refused, the plan continued, and a later motion lacked its effect."""
+    """A request of the plan was refused, the plan continued, and a later motion failed without its effect."""
 
     kind = "refused"
-    #: The lacking precondition: "held", "hand-free", "clear", "joint-moved" and "result" as of :class:`Swallowed`;
-    #: "moved" (the object or robot is elsewhere), "loaded" (the object exists)
+    #: The missing precondition: "held", "hand-free", "clear", "joint-moved" and "result" as in :class:`Swallowed`,
+    #: "moved" (the object or robot is in another place) or "loaded" (the object exists)
     precondition: str
     subject: str  # the object, joint or variable
     asked: Refusal
@@ -134,7 +134,7 @@ class RefusedRequest(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
-        """Yield the refusals whose missing effects made the motion or line fail; the last refusal for each subject."""
+        """Yield refusals whose missing effects made the motion or line fail; for each subject, only the last one."""
         if not case.log.counts().get("refusal"):
             return
         found: set[tuple[str, str]] = set()
@@ -178,8 +178,8 @@ class Lacking:
     subject: str  # the object or joint, or ""
     arm: str  # name of the arm, or ""
     motions: tuple[str, ...]  # names of motions that establish the precondition
-    fits: Callable[[Node], bool]  # whether such a motion is about the same object, joint and arm
-    owner: str = ""  # the body with the joints, or the robot at the wrong place, or ""
+    fits: Callable[[Node], bool]  # whether a motion with such a name is about the same object, joint and arm
+    owner: str = ""  # the body with the joints, or the robot if it is at the wrong place, or ""
     joints: tuple[str, ...] = ()  # the joints that should have been moved
 
     def done_by(self, record: Mutation) -> bool:
@@ -273,7 +273,7 @@ def _closed(case: FailureCase) -> Iterator[Lacking]:
 
 
 def _accessed_joint(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
-    """Return the furniture and joint of an accessing motion; for an unknown joint, the joint of the handle."""
+    """Return the furniture and joint of an accessing motion; if the joint is unknown, the joint of the handle."""
     owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
     body = case.world.bodies.get(owner) if case.world is not None else None
     if body is not None and joint not in body.joints:
@@ -339,7 +339,7 @@ def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
 
 
 def _at_pose(case: FailureCase) -> Iterator[Lacking]:
-    """Yield a precondition that the robot should have been at another place, if that place is nearer to the target."""
+    """Yield that the robot should have been at another place, if that place is nearer to the target."""
     target = case.data.get("target")
     if isinstance(target, list) and len(target) == 3:
         goal = [float(str(part)) for part in target[:2]]
@@ -390,7 +390,7 @@ def _swallowing(
 
 
 def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
-    """Return the failed attempts with any arm since the last success."""
+    """Return the attempts that failed since the last success, with any arm."""
     found: list[Node] = []
     for motion in case.motions(*lack.motions) if lack.arm else ():
         if not about(motion, body=lack.subject):
@@ -405,7 +405,7 @@ def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tupl
 def _next_step(
     case: FailureCase, end: int, around: Collection[int], thread: str, stack: Sequence[Line]
 ) -> tuple[int, Line | None]:
-    """Return the plan's first step after a step, and its line; 0 and None if there is no such step.
+    """Return the plan's first own step after a given step, and its line; 0 and None if there is none.
 
     ``around`` are the ids of the tasks around that step, 0 for the plan itself. ``stack`` is its call stack.
     """
@@ -439,7 +439,7 @@ def _results(case: FailureCase) -> Iterator[Swallowed]:
 
 
 def _motions_setting_variables(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
-    """Yield earlier motions, last first, with the variables that they set and the failed line reads."""
+    """Yield earlier motions, last first, with the variables that these motions set and the failed line reads."""
     for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
             names = _variables_from(case, case.source.call_stack(motion.started))
@@ -458,7 +458,7 @@ def _lacks_value(case: FailureCase) -> bool:
 
 
 def _variables_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
-    """Return the variables that some lines set and the failed lines read."""
+    """Return the variables that the given lines set and the failed lines read."""
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
@@ -471,7 +471,7 @@ def _variables_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
 
 
 def _skipped_use(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | None:
-    """Return the failed perception of a lacking object, its variable, and the line that skipped the variable's use."""
+    """Return the failed perception of a missing object, its variable, and the line that skipped the variable's use."""
     body = case.world.bodies.get(lack.subject) if case.world is not None else None
     if body is None:
         return None
@@ -488,7 +488,7 @@ def _skipped_use(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | N
 
 
 def _heads(case: FailureCase, line: Line, function: str, name: str) -> Iterator[tuple[Line, int]]:
-    """Yield later ``for``, ``while`` and ``if`` lines that read a variable, with the last line of each body."""
+    """Yield later ``for``, ``while`` and ``if`` lines that read a variable, each with the last line of its body."""
     for node in syntax_nodes(case.source.text(line.file)):
         if not isinstance(node, ast.For | ast.While | ast.If) or node.lineno <= line.number:
             continue
@@ -507,7 +507,7 @@ def _names_below(node: ast.AST) -> set[str]:
 
 
 def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
-    """Return whether the body of a head line ran after a motion; True if there are too many records to tell."""
+    """Return whether the body of a head line ran after a motion; True if there are too many records to check."""
     records = list(islice(case.log.records((Task, Mutation, Query), motion.last_step + 1, case.began), _GOES_ON))
     if len(records) == _GOES_ON:
         return True
@@ -530,7 +530,7 @@ def _refusal(case: FailureCase, refusal: Refusal, precondition: str, subject: st
 
 
 def _missing_effects(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:
-    """Yield the lacking preconditions, with their subjects, that a refused request would have established."""
+    """Yield the missing preconditions that a refused request would have established, with their subjects."""
     given = argument_values(refusal.arguments)
     subject = next(objects_in(given.get("object")), "")
     lacks = {(each.precondition, each.subject) for each in lacking(case)}
@@ -574,7 +574,7 @@ def _refused_joints(
 
 
 def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]:
-    """Yield the joints of a refused request; for a misspelt name, the first suggestion."""
+    """Yield the joints of a refused request; a misspelt name stands for the first suggestion."""
     positions = given.get("positions")
     error = argument_values(refusal.failure.data) if refusal.failure.type == "UnknownName" else {}
     near = error.get("nearest")
@@ -584,7 +584,7 @@ def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]
 
 
 def _was_fulfilled_later(case: FailureCase, refusal: Refusal) -> bool:
-    """Return whether the request was fulfilled after its refusal, or the object was moved in another way."""
+    """Return whether the request was fulfilled after its refusal, or whether the object was moved in another way."""
     given = argument_values(refusal.arguments)
     subject, joints = next(objects_in(given.get("object")), ""), set(_joints_meant(refusal, given))
     for record in case.log.records(Mutation, refusal.seq + 1, case.began) if subject else ():

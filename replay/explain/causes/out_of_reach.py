@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from recorder.records import Query
 
 
-_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain the causes here
+_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain the causes in this module
 
 
 @dataclass(frozen=True, slots=True)
 class ObstructingBody(Cause):
-    """A body was in the way, or hid the wanted object."""
+    """A body was in the way, or hid the object."""
 
     kind = "in-the-way"
     body: str
     link: str  # name of the link; "" for a body with a single link, or an unknown link
-    mover: str  # the link or the held object that would have touched it; "" for the camera's view
+    mover: str  # the link or held object that would have touched the body; "" if the body hid an object from the camera
     change: CausingChange | None  # the change that put the body there; None without a change
 
     @classmethod
@@ -42,7 +42,7 @@ class ObstructingBody(Cause):
             body, link = pair.get("body", ""), pair.get("body_link", "")
             if body in case.world.bodies and body != case.world.robot:
                 yield _obstacle(case, body, link, pair.get("link") or pair.get("mover", ""))
-        touching = case.data.get("touching")  # the bodies at its resting place
+        touching = case.data.get("touching")  # the bodies at the place where the object would rest
         for met in touching if isinstance(touching, list) else []:
             body = str(met.get("body", "")) if isinstance(met, dict) else ""
             if case.free_body(body) is not None:

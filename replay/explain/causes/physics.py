@@ -33,11 +33,11 @@ _FELL: Final = 0.05  # in m, downwards
 _PART: Final = 0.3  # fraction of the whole move after which the motion counts as begun
 _NEAR: Final = 0.6  # largest distance in m between the bases of an object and its possible support
 _ABOVE: Final = 0.15  # largest distance in m on the ground between the bases of stacked objects
-_PUSHED: Final = 0.35  # largest distance in m from the frame of a link that may push an object
+_PUSHED: Final = 0.35  # largest distance in m between an object and the frame of a link that may push it
 _QUIET: Final = STEPS_PER_SECOND // 10  # number of steps without motion after which an object is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
-#: Verbs for changes of the object by commands; all other commands move the object.
+#: Verbs for the effects of commands on the object; all other commands move it.
 _HOW: Final = {
     "load_body": "load",
     "detach_body": "detached",
@@ -62,8 +62,8 @@ class Physics(Cause):
     moved_at: int  # the step of the simulation in which the motion began
     line: Line | None  # the plan's line that simulated
     since: int  # the step of the plan's success or change before the motion
-    stood_on: str = ""  # its support, if the support was moved; "" otherwise, or if unknown
-    lets: tuple[CausingChange, ...] = ()  # changes that may have let it move; empty if only time passed
+    stood_on: str = ""  # its support, if that was moved; "" if it wasn't moved, or is unknown
+    lets: tuple[CausingChange, ...] = ()  # changes after which it may have begun to move; empty if only time passed
     speed: float | None = None  # speed in m/s at its release; None without a release
     spin: float | None = None  # angular speed in rad/s at its release; None without a release
     hand: str = ""  # the arm that released it; "" without a release
@@ -139,7 +139,7 @@ class _Fate:
         self.moves = [record for record in self.moves if record.seq > self.since]
 
     def explained(self) -> Iterator[Physics]:
-        """Yield the motion with the changes that let the object move, if it is more than settling."""
+        """If the motion is more than settling, yield it with the changes that let the object move."""
         before, after = self._pose(self.since), self._pose(self._case.step)
         if before is None or after is None or not self.moves:
             return
@@ -202,7 +202,7 @@ class _Fate:
         return tuple(candidates[:_MAX_LETS][::-1])
 
     def _support(self, first: Mutation) -> str:
-        """Return the support that was moved or removed since the object's rest; "" if there was none."""
+        """Return the support that was moved or removed after the object was at rest; "" if there is none."""
         own = self._pose(self.since)
         world = state_at(self._case.log, self.since).worlds.get(self._world)
         if own is None or world is None:
@@ -222,7 +222,7 @@ class _Fate:
         return state is not None and math.hypot(*state.velocity) > _MOVED
 
     def _change_near(self, record: Mutation) -> CausingChange | None:
-        """Return a change of a body near the object, which may have supported or pushed the object."""
+        """Return a change of a nearby body that may have supported or pushed the object."""
         case, command = self._case, record.WhichOneof("command")
         if command == "set_gravity":
             return case.change(record, "", "gravity")

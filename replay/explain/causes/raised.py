@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # number of changes of fluents that are searched
-#: The keyword may also follow the head of a compound statement.
+#: A ``raise`` or ``assert`` of a line; it may also follow the head of a compound statement.
 _RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")
 #: PyCRAM's usage errors. They mean that the plan's line has a mistake, even if the error is raised inside a motion.
 USAGE_ERRORS: Final = frozenset(
@@ -48,13 +48,13 @@ class Raised(Cause):
     line: Line  # the plan's line
     own: bool  # whether the line is a ``raise`` or ``assert``; otherwise it has a mistake
     task: Node | None  # the branch or other task around the line; None outside of tasks
-    #: The answers on which the line may depend: the last queries and waits of the task. Before them the end of its last
-    #: motion, if that failed. For a ``whenever``, the last change of its fluents.
+    #: The answers on which the line may depend: the last queries and waits of the task. If the task's last motion
+    #: before them failed, its end comes first. For a ``whenever``, the last change of its fluents.
     answers: tuple[Query | Task | Fluent, ...] = ()
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Raised]:
-        """Yield the plan's line that raised the failure, or raised it as another exception."""
+        """Yield the plan's line that raised the failure, or raised another exception because of it."""
         yield from _raised_while_handling(case)
         error = next(reversed(case.traced), None)
         asked = case.source.call_stack(case.motion.started) if case.motion is not None else ()
@@ -111,7 +111,7 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
 
 
 def is_mistake(case: FailureCase) -> bool:
-    """Return whether Python or PyCRAM rejected the code, independently of the world."""
+    """Return whether Python or PyCRAM rejected the code, whatever the state of the world."""
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 
@@ -123,7 +123,7 @@ def _refusal_of(case: FailureCase) -> Iterator[int]:
 
 
 def _failed_before(case: FailureCase) -> Iterator[Task]:
-    """Yield the end of the same task's last motion, if that motion failed."""
+    """Yield the end of the last motion in the same task, if that motion failed."""
     scope = None if case.task is None else case.task.id
     ended = [
         motion

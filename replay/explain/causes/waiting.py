@@ -1,4 +1,4 @@
-"""A deadline was missed, or the plan was interrupted: the pending tasks, and possible ends of the waits."""
+"""A deadline was missed, or the plan was interrupted: the pending tasks, and what could have ended the waits."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 
-_NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't a fluent
+_NO_LEAF: Final = "timeout"  # the only parameter of a wait that doesn't name a fluent
 _MAX_CHANGES: Final = 5
 _MAX_TASKS: Final = 10_000
 _SETTERS: Final = ("set_value", "pulse")
-_SIMULATED_TIME: Final = "simulated"  # the clock of a limit in simulated time
+_SIMULATED_TIME: Final = "simulated"  # value of a timeout's ``clock`` if the limit is in simulated time
 _MAX_TOOK: Final = 3
 _NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the signal
 _MAX_NAMED: Final = 3  # largest number of pending tasks that are named
@@ -68,10 +68,10 @@ class Fulfiller:
 
 @dataclass(frozen=True, slots=True)
 class PendingTask:
-    """A task that was pending when its part of the plan was stopped."""
+    """A task that hadn't ended when its part of the plan was stopped."""
 
     task: Node  # a wait for a fluent, a motion, or another task
-    began: bool  # whether the task began; if not, it waited for its turn or for parts of the robot
+    began: bool  # whether the task began; a task that hadn't begun waited for its turn or for parts of the robot
     line: Line | None  # the plan's line
     values: Mapping[str, Plain] = field(default_factory=dict)  # for a wait: values of its fluents at the stop, by name
     changed: tuple[int, ...] = ()  # for a wait: the last steps that set its fluents
@@ -141,12 +141,12 @@ class Timeout(Cause):
     clock: str  # "wall" or "simulated"
     pending: tuple[PendingTask, ...]  # the pending tasks at the deadline
     line: Line | None  # the plan's line at the stop
-    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first by the limit's clock
-    simulated: tuple[SimulatedLine, ...] = ()  # for a limit in simulated time: the lines that took most of the time
+    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first (by the limit's clock)
+    simulated: tuple[SimulatedLine, ...] = ()  # for a limit in simulated time: the lines that simulated longest
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
-        """Yield the missed deadline of a timeout, or of a wait after which the plan raised the failure."""
+        """Yield the missed deadline of a timeout, or of a wait, if the plan raised the failure after it."""
         if case.task is not None and case.task.kind == "timeout" and case.failure.type == "TimedOut":
             tree = _tree(case, case.task.last_step + 1)
             scope = tree.nodes[case.task.id]
@@ -194,7 +194,7 @@ class Interruption(Cause):
         """Yield the interrupt of a plan, and the pending tasks."""
         end = case.log[-1]
         closed = isinstance(end, Run) and end.phase == Run.FINISHED
-        if case.failure.type != (INTERRUPT if closed else ""):  # earlier failures have other causes
+        if case.failure.type != (INTERRUPT if closed else ""):  # earlier failures aren't interrupts
             return
         by = _NAMES.get(end.interrupted_by, end.interrupted_by) if isinstance(end, Run) and closed else ""
         tree = _tree(case, len(case.log))
@@ -215,7 +215,7 @@ class Interruption(Cause):
 
 
 def _interrupted(tree: Tree) -> list[Node]:
-    """Return the innermost tasks that were interrupted, or cancelled by the interrupt."""
+    """Return the innermost tasks that the interrupt ended or cancelled."""
     hit = [node for _, node in tree.walk() if node.error is not None and node.error[0] == INTERRUPT]
     found: list[Node] = []
     for node in hit:
@@ -226,7 +226,7 @@ def _interrupted(tree: Tree) -> list[Node]:
 
 
 def _tree(case: FailureCase, stop: int) -> Tree:
-    """Return the tasks before a step; if there are very many, only the last tasks."""
+    """Return the tasks before a step; if there are too many, only the last tasks."""
     tree = Tree(limit=_MAX_TASKS)
     for record in case.log.records(Task, stop=stop):
         tree.apply(record)
@@ -244,7 +244,7 @@ def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
 
 
 def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTask:
-    """Return a task as it was at a step; ``tree`` has the concurrent tasks."""
+    """Return a pending task as it was at a step; ``tree`` contains the concurrent tasks."""
     line = case.line_of(node.asked or node.started)
     motion = node.motion if node.motion.kind == "motion" else node
     if node.kind == "wait":
@@ -266,7 +266,7 @@ def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTas
 def _values(
     case: FailureCase, leaves: Mapping[str, Plain], start: int, step: int
 ) -> tuple[dict[str, Plain], tuple[int, ...]]:
-    """Return the values of fluents at a step, and the last steps since ``start`` that set the fluents."""
+    """Return the values of fluents at a step, and the last steps at or after ``start`` that set the fluents."""
     values, changed = dict(leaves), []
     for record in case.log.records(Fluent, start, step + 1):
         if record.name in leaves:
@@ -276,7 +276,7 @@ def _values(
 
 
 def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
-    """Yield the setters of the fluents in the plan's source; if it has no setters, yield the setters on record."""
+    """Yield the setters of the fluents in the plan's source; if there are none, yield the recorded setters."""
     found = False
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
@@ -366,7 +366,7 @@ def _is_in(number: int, task: Node) -> bool:
 
 
 def _ended(scope: Node) -> Iterator[Node]:
-    """Yield the tasks that ended within a scope, also inside blocks that didn't end."""
+    """Yield the tasks that ended within a scope, including tasks inside blocks that didn't end."""
     for node in scope.children:
         if node.status in (State.SUCCEEDED, State.FAILED):
             yield node

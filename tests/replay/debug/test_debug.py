@@ -174,7 +174,7 @@ def test_breakpoints_stop_on_the_way_and_back(plan_log: Path, debug: Debug) -> N
     assert "did you mean" in back[7] or "there are rung" in back[7]
     assert "there is no step 4711" in back[8]
     assert f"plan.py:{move}" in back[9]
-    assert f"line {move - 1} leads to no record" in back[9]
+    assert f"line {move - 1} made no record" in back[9]
 
 
 def test_watches_find_where_a_state_or_a_variable_changed(plan_log: Path, debug: Debug) -> None:
