@@ -1,6 +1,6 @@
 """The facade over :mod:`replay.file`, :mod:`replay.state`, :mod:`replay.explain` and :mod:`replay.restore`.
 
-It turns names of steps into numbers: the functions in these packages take only numbers.
+It turns names of steps into numbers, because functions in these packages take only numbers.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class _Moment:
         return replace(state_at(self.log, step), source=_Moment(self.log, step, None))
 
     def png(self, world: str) -> bytes | None:
-        """Return a small picture of a world; None without the packages that draw, or if models are missing."""
+        """Return a small picture of a world; None if packages for drawing or models are missing."""
         try:
             from replay.restore.render import DrawnWorld  # noqa: PLC0415  as in render()
 
@@ -94,9 +94,9 @@ class Recording(RecordReader):
     def state_at(self, step: int | str) -> State:
         """Return the state after a step; see :func:`replay.state.fold.state_at`.
 
-        For a time within a stretch of simulation, such as "0.25s", it is the state of the last sample until then; its
-        time is in ``state.sampled``. The same holds for pictures, questions and restored worlds; exactly restored
-        worlds are simulated up to that time.
+        For a time within a stretch of simulation, such as "0.25s", it is the state of the last sample until then, whose
+        time is ``state.sampled``. The same holds for pictures, questions and restored worlds, but exactly restored
+        worlds are simulated up to the requested time.
         """
         number, moment = self.step(step), moment_of(step)
         return replace(state_at(self, number, moment), source=_Moment(self, number, moment))
@@ -104,9 +104,9 @@ class Recording(RecordReader):
     def believed(
         self, step: int | str, what: str, *, robot: str | None = None, world: str | None = None
     ) -> RecordedBelief | None:
-        """Return a robot's latest belief after a step about an object, or about objects of a type; None without one.
+        """Return a robot's latest belief after a step about an object or a type of object; None if it has no belief.
 
-        By default of any robot, in the last opened world.
+        By default, the belief is of any robot, in the last opened world.
         """
         return next(iter(self.state_at(step).world(world).believed(what, robot)), None)
 
@@ -124,7 +124,7 @@ class Recording(RecordReader):
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
         """Return the last change of a body or joint; see :func:`replay.history.blame.blame`."""
-        from replay.explain import blame_report  # noqa: F401, PLC0415  how notebooks show it
+        from replay.explain import blame_report  # noqa: F401, PLC0415  it registers how notebooks show the change
         from replay.history.blame import blame  # noqa: PLC0415  as above
 
         return blame(self, target, None if step is None else self.step(step), world)
@@ -132,7 +132,7 @@ class Recording(RecordReader):
     def check(self, *properties: str | Property) -> list[CheckedProperty]:
         """Check properties, such as ``never contact(pr2, kitchen)`` (docs/properties.md).
 
-        The results are true where a property holds. Only contacts need the executor.
+        A result is true if its property holds. Only contacts need the executor.
 
         Raises:
             BadProperty: a text isn't in the language, or has an unknown name.
@@ -148,7 +148,7 @@ class Recording(RecordReader):
             geometry = contacts_of(self)
         return check(self, parsed, geometry)
 
-    # --- these import their modules late: they need more than reading does -----------------------------------------
+    # --- methods that need more than reading does import their modules late -----------------------------------------
 
     def render(
         self,
@@ -162,7 +162,7 @@ class Recording(RecordReader):
     ) -> Image.Image:
         """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.DrawnWorld.picture`.
 
-        If no world is open any more, it shows the last step with an open world: ``picture.info["step"]``.
+        If no world is open any more, it shows the last step with an open world, which is ``picture.info["step"]``.
         """
         from replay.restore.render import DrawnWorld  # noqa: PLC0415
 
@@ -180,7 +180,7 @@ class Recording(RecordReader):
     ) -> QueryAnswer:
         """Ask a reasoning query at a past step, which needs the executor; see :func:`replay.restore.ask.ask`.
 
-        If no world is open any more, it is asked at the last step with an open world: ``answer.step``.
+        If no world is open any more, it is asked at the last step with an open world, which is ``answer.step``.
         """
         from replay.restore.ask import ask  # noqa: PLC0415
 

@@ -1,8 +1,8 @@
-"""The files of a recording: models, meshes, the plan's source. They are attached to it, or in a shared file.
+"""The files of a recording: models, meshes, the plan's source. They are attached to the recording or in a shared file.
 
 The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). A recording may come from anyone. So the
-file that it names is opened only if it is in the recording's folder, is a regular file and no link, and has the hash
-that is on record.
+shared file is opened only if it is in the recording's folder, is a regular file and no link, and has the hash that the
+recording contains.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Assets(Mapping[str, bytes]):
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
-        self.damaged: dict[str, str] = {}  # causes of damage that was found so far, by name
+        self.damaged: dict[str, str] = {}  # causes of the damage found so far, by name
         # the file of models that the recording names; None if the recording contains all its files
         self.shared = shared_by(path, index)
         self._looked = False  # whether the shared file was needed
@@ -52,7 +52,7 @@ class Assets(Mapping[str, bytes]):
         Raises:
             KeyError: there is no file of that name.
             Damaged: its content is damaged.
-            MissingModels: it is in no readable file.
+            MissingModels: no readable file contains it.
         """
         data: bytes = self.attachment(name).data
         return data
@@ -90,12 +90,12 @@ class Assets(Mapping[str, bytes]):
                 self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
-        """Return why shared files are missing; "" if no file is missing, or if the shared file was never needed."""
+        """Return why shared files are missing; "" if no file is missing, or the shared file wasn't needed yet."""
         self._looked = self._looked or look
         return self.shared.cause if self.shared is not None and self._looked else ""
 
     def close(self) -> None:
-        """Close the shared file; it is opened again on demand, so that a fork opens its own."""
+        """Close the shared file; it is opened again on demand, so a forked child opens the file itself."""
         if self.shared is not None:
             self.shared.close()
 
@@ -113,7 +113,7 @@ class Assets(Mapping[str, bytes]):
         return sum(1 for _ in self)
 
     def urdf(self, name: str) -> Urdf:
-        """Return an attached model, ``<sha256>/<file name>``, parsed once.
+        """Return an attached model, named ``<sha256>/<file name>``; each model is parsed once.
 
         Raises:
             NoSuchName: the recording doesn't contain the model.
@@ -135,7 +135,7 @@ _FLAGS: Final = os.O_RDONLY | system.OPENED | system.NO_LINK | getattr(os, "O_NO
 
 
 class SharedFile:
-    """The file of models that a recording names in its metadata ``stated``; opened on demand."""
+    """The file of models that a recording names in its metadata ``stated``; the file is opened on demand."""
 
     def __init__(self, recording: Path, stated: Mapping[str, str]) -> None:
         self._folder = Path(os.path.realpath(recording)).parent
@@ -160,7 +160,7 @@ class SharedFile:
 
     @property
     def files(self) -> Mapping[str, Extent]:
-        """Its attachments by name; none if the file can't be read."""
+        """Its attachments by name; empty if the file can't be read."""
         return {} if self.cause or self._index is None else self._index.attachments
 
     def read(self, name: str) -> bytes:
@@ -193,6 +193,6 @@ class SharedFile:
 
 
 def shared_by(recording: Path, index: Index) -> SharedFile | None:
-    """Return the file of models that a recording names; None if the recording has all its files."""
+    """Return the file of models that a recording names; None if the recording contains all its files."""
     stated = index.metadata.get(MODELS_METADATA)
     return None if stated is None else SharedFile(recording, stated)

@@ -1,11 +1,11 @@
-"""The records in a recording's chunks: decompressed on demand, found by interpolation search.
+"""The records in a recording's chunks: they are decompressed on demand, and found by interpolation search.
 
 A chunk has about 50 records. Damaged parts are noted and left out.
 
-A file of another program may have other chunks or none, and its messages in any order. It is read once, to find the
+Files of other programs may have other chunks or none, and messages in any order. Such a file is read once, to find the
 position of each record. Then its records are yielded in the order of their steps, in chunks like the recorder's.
-Meanwhile a temporary file holds the inflated contents of its own chunks: inflating a large chunk for each record could
-take hours.
+Meanwhile a temporary file holds the inflated contents of the file's own chunks, because inflating a large chunk for
+each record could take hours.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for ki
 MAX_STEP: Final = 1 << 40
 """All step numbers are below this number; larger numbers are damage."""
 _CACHED: Final = 64  # largest number of cached chunks
-#: Largest number of cached bytes, besides the last chunk; decoded chunks may take fifty times the memory.
+#: Largest number of cached bytes without the last chunk; decoded chunks may take fifty times as much memory.
 _CACHED_BYTES: Final = 2 << 20
 _MAX_DIGITS: Final = 9  # largest number of digits of the number of a world's lifetime
 _PACKAGE: Final = f"{PACKAGE}."
@@ -57,12 +57,12 @@ _PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before a message's payload
 _MESSAGES: Final = 100  # number of messages in a chunk of sorted messages
 _IN_MEMORY: Final = 16 << 20  # largest number of bytes of inflated chunks that are kept in memory
 _LOOSE: Final = -1  # chunk number of a message outside of chunks
-_NUMBER: Final = 40  # number of low bits of a sort key that contain a message's number; its step is above
+_NUMBER: Final = 40  # number of a sort key's low bits, which are the message's number; the high bits are its step
 
 
 @dataclass(slots=True)
 class _Entries:
-    """The records of a chunk: channels, payloads, decoded records by index; bytes of the chunk."""
+    """The records of a chunk: their channels, their payloads, decoded records by index, and the chunk's bytes."""
 
     channels: list[int] = field(default_factory=list)
     payloads: list[bytes] = field(default_factory=list)
@@ -78,7 +78,7 @@ class Chunks:
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._cached = 0  # number of bytes of the cached chunks
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of each chunk that was read
-        self.damaged: dict[int, str] = {}  # causes of known damage, by the number of the chunk
+        self.damaged: dict[int, str] = {}  # causes of known damage, by number of the chunk
         self._sorted = None if index.ours else SortedMessages.of(index, kinds_of(index))
         if self._sorted is not None:
             index.chunks.arrange(self._sorted.chunks)
@@ -126,7 +126,7 @@ class Chunks:
     # --- contents of a chunk ----------------------------------------------------------------------------------------
 
     def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
-        """Return type of record and lifetime of each channel of a chunk; None for channels of several worlds."""
+        """Return record type and lifetime for each channel of a chunk; None for channels of several worlds."""
         chunk = self._index.chunks[number]
         ids = self._kinds if chunk.channels is None else chunk.ids()
         return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
@@ -140,7 +140,7 @@ class Chunks:
         backwards: bool = False,
         naming: str = "",
     ) -> Iterator[Record]:
-        """Yield a chunk's records of given types, of a world, and with a text in one of their fields.
+        """Yield a chunk's records that have given types, belong to a world, and contain a text in a field.
 
         No other records are decoded.
         """
@@ -163,7 +163,7 @@ class Chunks:
                 yield record
 
     def whole(self, number: int) -> Iterable[Record]:
-        """Return all records of a chunk, uncached: for a pass over the whole recording."""
+        """Return all records of a chunk without caching them, for a pass over the whole recording."""
         entries, decoders = self._load(number), self._decoders
         if entries.size > _CACHED_BYTES:
             return self.records(number)
@@ -179,7 +179,7 @@ class Chunks:
         self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
 
     def share_worlds(self) -> bool:
-        """Return whether worlds share channels, so that only the records themselves name their worlds."""
+        """Return whether worlds share channels; then only the records themselves name their worlds."""
         return any(self._owners[at] is None for at, kind in self._kinds.items() if kind in (Mutation, Keyframe))
 
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
@@ -212,7 +212,7 @@ class Chunks:
         low, first, high, end = 0, 0, len(self) - 1, steps
         probes = 0
         while low < high:
-            # steps increase almost evenly, so interpolation is fast; halving every third time bounds the search
+            # steps increase almost evenly, so interpolation is fast; halving at every third probe bounds the search
             probes += 1
             guess = low + (high + 1 - low) * (step - first) // max(1, end - first)
             middle = min(max(guess, low + 1), high) if probes % 3 else (low + high + 1) // 2
@@ -228,7 +228,7 @@ class Chunks:
     # --- decoding --------------------------------------------------------------------------------------------------
 
     def _load(self, number: int, text: bytes = b"") -> _Entries:
-        """Return the entries of a chunk; no entries if it doesn't contain a text."""
+        """Return the entries of a chunk; without entries if the chunk doesn't contain ``text``."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
@@ -289,7 +289,7 @@ class Chunks:
 
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
-    """Return the types of record by channel, without other programs' channels."""
+    """Return the type of records by channel; channels of other programs are left out."""
     kinds, ours = {}, known_definitions()
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
@@ -302,7 +302,7 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
 
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
-    """Return the world of a channel and the number of its lifetime; None if the channel isn't for one lifetime."""
+    """Return the world of a channel and the number of its lifetime; None if the channel isn't for a single lifetime."""
     lifetime = metadata.get("life", "")
     known = "world" in metadata and lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
     return (metadata["world"], int(lifetime)) if known else None
@@ -312,13 +312,13 @@ def _owner(metadata: Mapping[str, str]) -> Owner | None:
 
 
 class _MessagePlaces:
-    """Positions of the messages of a file, compact enough for millions."""
+    """Positions of the messages of a file, stored compactly, because there may be millions."""
 
     def __init__(self) -> None:
-        self.keys: list[int] = []  # the step of each message, and its number in the file
+        self.keys: list[int] = []  # for each message: its step and its number in the file
         self.channels = array("H")
-        self.chunks = array("l")  # number of the chunk of each message, or -1
-        # in bytes; offsets are in the chunk, or in the file for a loose message
+        self.chunks = array("l")  # for each message: the number of its chunk, or -1
+        # for each message, in bytes; an offset is in the message's chunk, or in the file for a loose message
         self.offsets, self.lengths = array("Q"), array("Q")
         self.sorted = True  # whether the records are in the order of their steps
         self._last = -1
@@ -360,9 +360,9 @@ class SortedMessages:
 
     @classmethod
     def of(cls, index: Index, kinds: Mapping[int, type[Record]]) -> SortedMessages | None:
-        """Return the sorted messages of a file, given the types of record by channel; damage is added to the index.
+        """Return the sorted messages of a file, given the types of records by channel; add damage to the index.
 
-        Returns None if the file's chunks have all records in order.
+        Return None if all records in the file's chunks are in order.
         """
         damage: list[str] = []
         places = _places(index, kinds, damage)
@@ -395,7 +395,7 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
             # messages for other tools have the number of their record
             channel, step = _CHANNEL.unpack_from(message, HEADER)
             is_record = channel in kinds
-            if is_record:  # a record contains its number; some programs don't keep the number of its message
+            if is_record:  # a record contains its number, but some programs don't keep the message's number
                 step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
             places.add(step, channel, chunk, Extent(offset, len(message)), is_record=is_record)
         except (DecodeError, struct.error) as error:
@@ -405,7 +405,7 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
 
 
 def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield chunk number, offset in the chunk and bytes of each message; outside of chunks, -1 and its offset."""
+    """Yield chunk number, offset in the chunk and bytes of each message; outside of chunks, -1 and the file offset."""
     for number in range(len(index.chunks)):
         contents = _contents(index, number, damage) or b""
         try:

@@ -1,7 +1,7 @@
 """The index of a recording's file: its chunks, channels, attached files and metadata.
 
-A closed file has its index at the end. Any other file is scanned once, header by header, and past damage to the next
-intact chunk: its process was killed or still runs, or it is damaged. No record is decoded.
+A closed file has its index at the end. Any other file is scanned once, header by header: its process was killed or
+still runs, or the file is damaged. After damage, the scan continues at the next intact chunk. No record is decoded.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ if TYPE_CHECKING:
 
 _BLOCK: Final = 1 << 20  # number of bytes in one read
 _MAX_LENGTH: Final = 1 << 32  # number of bytes; a longer record is damaged
-#: Part of the head of each compressed chunk, to find the next chunk after damage.
+#: Matches a part of the head of each compressed chunk, to find the next chunk after damage.
 _MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 
 class _Budget:
-    """A limit for the bytes of all chunks: a hostile index may name the same chunk many times."""
+    """A limit for the bytes of all chunks: a hostile index may name the same chunk very often."""
 
     def __init__(self) -> None:
         self._taken = 0
@@ -71,7 +71,7 @@ class _Budget:
 
 
 class Index:
-    """The index of a file, read from its end, or else by scanning it."""
+    """The index of a file. It is read from the file's end, or else by scanning the file."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -118,7 +118,7 @@ class Index:
 
     @property
     def ours(self) -> bool:
-        """Whether PyCRAM wrote the file, by its header; then the file has all checksums, and its steps are in order."""
+        """Whether PyCRAM wrote the file, by its header. Then it has all checksums, and its steps are in order."""
         return not self.library or self.library.startswith("pycram")
 
     def check_open(self) -> None:
@@ -141,9 +141,9 @@ class Index:
         return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
-        """Return a chunk's decompressed messages, its difference from the index, and the index' number of messages.
+        """Return a chunk's decompressed messages, how it differs from the index, and the index' number of messages.
 
-        An error in its head is corrected by the index. The number of messages is None if the index doesn't contain it.
+        The index corrects an error in the chunk's head. The number is None if the index doesn't contain it.
 
         Raises:
             CHUNK_DAMAGE: the chunk is damaged.
@@ -173,7 +173,7 @@ class Index:
         return self._decompressor.contents(chunk)
 
     def check(self) -> None:
-        """Compare the checksum of all bytes with the stored one, and add a difference to ``damage``.
+        """Compare the checksum of all bytes with the stored checksum; if they differ, add that to ``damage``.
 
         This also finds wrong bytes in parts that aren't read.
         """
@@ -190,7 +190,7 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the stored one"]
 
     def refresh(self) -> bool:
-        """Scan the new part of a growing file; return whether there is a new part. A closed file has no new part."""
+        """Scan the new part of a growing file; return whether there was a new part. Closed files have no new part."""
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:
@@ -219,7 +219,7 @@ class Index:
             raise EOFError
         self._read_summary_records(summary[: len(summary) - FOOTER + 4], checked=footer.summary_crc != 0)
         if (not self.chunks and self.counts) or not self.channels:
-            raise EOFError  # written without an index of chunks
+            raise EOFError  # the file was written without an index of chunks
         self.data_end = footer.summary_start - DATA_END
         self.closed = self.whole = True
 
@@ -227,7 +227,7 @@ class Index:
         starts = []
         stop = 0
         for opcode, start, stop in framed(summary):
-            if opcode == Opcode.CHUNK_INDEX:  # most records of the summary; their chunks read them
+            if opcode == Opcode.CHUNK_INDEX:  # most records of the summary; they are read with their chunks
                 if stop - start < CHUNK_INDEX.size:
                     raise EOFError
                 starts.append(start)
@@ -255,7 +255,7 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
-        """Reject a summary whose files and metadata have more bytes than the file: it repeats some of them."""
+        """Reject a summary whose files and metadata have more bytes than the file: it must repeat some of them."""
         self._claimed += length
         if self._claimed > self.size:
             raise EOFError
@@ -296,10 +296,10 @@ class FileScan:
         self._next = len(MAGIC)
         # number of messages of the last chunk, by channel, as far as its index is read
         self._counted: defaultdict[int, int] = defaultdict(int)
-        self._decoded = -1  # the chunk whose messages were counted by decoding it
+        self._decoded = -1  # number of the chunk whose messages were counted by decoding
 
     def resume(self) -> bool:
-        """Continue the scan from its end; return whether there is anything new."""
+        """Continue the scan from its end; return whether there was anything new."""
         index = self._index
         before = self._next
         size = index.size = self._file.seek(0, io.SEEK_END)
@@ -333,7 +333,7 @@ class FileScan:
         return at > before
 
     def _is_summary_intact(self, data_end: int, size: int) -> bool:
-        """Return whether the summary is intact, or absent because the recorder wrote none."""
+        """Return whether the summary is intact; True if the recorder wrote no summary."""
         behind = data_end + DATA_END
         self._file.seek(behind)
         end = self._file.read(size - behind)
@@ -347,7 +347,7 @@ class FileScan:
         return intact and footer.summary_start == behind
 
     def _define_from_summary(self, at: int, size: int) -> None:
-        """Read from the summary the definitions of channels that are lost in the data; its offsets may be wrong."""
+        """Read definitions of channels that are lost in the data from the summary, whose offsets may be wrong."""
         while at + HEADER <= size:
             opcode, extent = self._head(at)
             at = extent.stop
@@ -362,7 +362,7 @@ class FileScan:
                 self._index.define(definition)
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
-        """Return whether a record that ends after the end of the file is damaged, not cut off."""
+        """Return whether a record that ends after the end of the file is damaged, rather than cut off."""
         if not Opcode.HEADER <= opcode <= Opcode.DATA_END or extent.length > _MAX_LENGTH:
             return True
         if opcode == Opcode.CHUNK and extent.offset + CHUNK_HEAD.size + 32 <= size:
@@ -433,7 +433,7 @@ class FileScan:
         return True
 
     def _define_from(self, number: int) -> dict[int, int] | None:
-        """Read the channels that a chunk defines; return its messages by channel, or None if it is damaged."""
+        """Read the channels that a chunk defines; return its numbers of messages by channel; None if it is damaged."""
         counted: defaultdict[int, int] = defaultdict(int)
         try:
             contents = self._index.contents(number)[0]

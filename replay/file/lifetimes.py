@@ -1,7 +1,7 @@
-"""The lifetimes of worlds: after the end of a world, another world can have its name.
+"""The lifetimes of worlds: after a world has ended, another world can have the same name.
 
 The recorder gives each lifetime its own channels, so the index has the chunks of each lifetime. If a file has more
-worlds than channels, or is from an early release, the changes themselves are read.
+worlds than channels, or is from an early release, the changes themselves are read instead.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from replay.file.chunks import Chunks
 
 Owner: TypeAlias = "tuple[str, int]"  # a world's name, and the number of its lifetime, from 1
-#: Numbers of the chunks with changes, with keyframes, and with looks.
+#: Three lists with the numbers of chunks: those with changes, with keyframes, and with looks.
 _Lists: TypeAlias = "tuple[list[int], list[int], list[int]]"
-_Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record of a world that a chunk contains
+_Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record, and the world of such records in a chunk
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,11 +66,11 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
 
 
 def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
-    """Return for each lifetime the numbers of the chunks with its changes, its keyframes, and its perceptions."""
+    """Return, for each lifetime, the numbers of the chunks with its changes, with its keyframes, and with its looks."""
     chunks_of: dict[Owner, _Lists] = {}
     shared = chunks.share_worlds()
     last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world
-    lists_by_channels: dict[bytes, list[list[int]]] = {}  # lists to which a chunk belongs, by the ids of its channels
+    lists_by_channels: dict[bytes, list[list[int]]] = {}  # lists for a chunk's number, by its channels' ids
     for number, channels in enumerate(chunks.channel_maps()):
         # the low bytes of all ids, then the high bytes
         ids = b"" if channels is None else channels[::10] + channels[1::10]
@@ -88,11 +88,11 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
                 lists_by_channels[ids] = lists
         for numbers in lists:
             numbers.append(number)
-    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # all changes of the other worlds are lost
+    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # the other worlds' changes are lost
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
-    """Return the lifetime of a record: its channel's lifetime if known; otherwise the openings are counted."""
+    """Return the lifetime of a record: its channel's lifetime; if that is unknown, openings are counted."""
     lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
     if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1
@@ -126,7 +126,7 @@ def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[
 
 
 def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
-    """Return the first steps of lifetimes; 0 if the step isn't needed, to avoid reading."""
+    """Return the first steps of lifetimes; 0 where the step isn't needed, which avoids reading."""
     beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # lifetimes that begin in each chunk
     for owner, (changes, *_) in chunks_of.items():
         beginning[changes[0]].append(owner)
@@ -138,7 +138,7 @@ def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
 
 
 def _first_steps(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
-    """Yield the first steps of the lifetimes that begin in a chunk, as far as the chunk is readable."""
+    """Yield the first steps of the lifetimes that begin in a chunk, up to the point where the chunk is damaged."""
     waiting = sorted(owners)
     for record in chunks.records(number, (Mutation, Keyframe)):
         owner = next((each for each in waiting if each[0] == record.world), None)

@@ -1,10 +1,11 @@
 """The MCAP format: its framing, the positions of a file's chunks, their decompression, and decoding of payloads.
 
-A recording of a million records has 20,000 chunks, and a question needs few of them: the file's summary is decoded
-chunk by chunk, on demand.
+A recording of a million records has 20,000 chunks, and a question needs only a few of them. So the file's summary is
+decoded chunk by chunk, on demand.
 
-A payload with more parts than any recorder writes is rejected: an empty part has two bytes in a file, and about fifty
-times as many in memory. Small payloads, which are nearly all, can't have too many parts and aren't counted.
+A payload with more parts than any recorder writes is rejected, because an empty part takes two bytes in a file, and
+about fifty times as many in memory. Nearly all payloads are too small to have too many parts; their parts aren't
+counted.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
 FOOTER: Final = HEADER + 20  # bytes of the last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
 CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # the fields start, end, offset, length, and bytes of the following map
-#: Sizes in bytes of the message indexes, and of the name of the compression, which follows them.
+#: Sizes in bytes of the message indexes, and of the following name of the compression.
 _INDEX_LENGTH: Final = struct.Struct("<QI")
 _CHUNK: Final = int(Opcode.CHUNK)
 _MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries
@@ -43,7 +44,7 @@ CHUNK_HEAD: Final = struct.Struct("<QQQII")
 MAX_INFLATED: Final = 64 << 20  # largest number of bytes of a decompressed chunk; recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
-#: Errors of a damaged chunk, including Zstandard's errors, and LZ4's, which are RuntimeErrors.
+#: Errors of a damaged chunk, including errors of Zstandard and LZ4; those of LZ4 are RuntimeErrors.
 CHUNK_DAMAGE: Final = (*DAMAGE, ZstdError, RuntimeError)
 
 
@@ -91,7 +92,7 @@ class ChunkTable:
 
     def __init__(self) -> None:
         self._summary = b""
-        self._items: list[int | ChunkExtent] = []  # the chunks; an int is the offset of an entry in the summary
+        self._items: list[int | ChunkExtent] = []  # the chunks, or offsets of their entries in the summary (int)
 
     def take_summary(self, summary: bytes, starts: Iterable[int]) -> None:
         """Set the chunks of a file's summary."""
@@ -123,7 +124,7 @@ class ChunkTable:
         _, _, offset, length, channels = CHUNK_INDEX.unpack_from(summary, at)
         sizes = at + CHUNK_INDEX.size + channels
         indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
-        end = sizes + _INDEX_LENGTH.size + name + 8  # of the compressed size; the uncompressed one follows
+        end = sizes + _INDEX_LENGTH.size + name + 8  # end of the compressed size; the uncompressed size follows
         head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
         entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
         return StatedChunk(offset, length, head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
@@ -171,10 +172,10 @@ def describe(error: Exception) -> str:
 
 
 class Decompressor:
-    """Decompresses chunks, one after another; only for a single thread.
+    """Decompresses chunks, one after another; not thread-safe.
 
-    A chunk never takes more memory than its header states, and the stated size is bounded: a few kB could inflate to
-    GB.
+    A chunk never takes more memory than its header states, and the stated size is limited, because a few kB could
+    inflate to GB.
     """
 
     def __init__(self) -> None:
@@ -214,7 +215,7 @@ class Decompressor:
 
 
 MAX_PARTS: Final = 1 << 19
-"""Maximum number of messages within a record; eight texts count as one."""
+"""Maximum number of messages within a record; eight texts count as one message."""
 UNCOUNTED: Final = 2 * MAX_PARTS
 """A payload with at most this number of bytes can't have too many parts."""
 _TEXTS: Final = 8  # number of texts that take as much memory as an empty message

@@ -1,7 +1,7 @@
-"""A recording: its records by step, also of a file whose process was killed, or that a recorder is writing.
+"""A recording: its records by step. The file's process may have been killed, or may still write the file.
 
-Every question reads only a few chunks, however long the recording is; see :mod:`replay.file.index` and
-:mod:`replay.file.chunks`. In a recording of a newer release, unknown fields are ignored. If the kind of a record is
+A question reads only a few chunks, even of a long recording; see :mod:`replay.file.index` and
+:mod:`replay.file.chunks`. If a newer release made the recording, unknown fields are ignored. If the kind of a record is
 unknown, only the record's envelope is read.
 """
 
@@ -58,15 +58,15 @@ __all__ = ["KINDS", "RecordReader"]
 R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output, Check)
 
 _MIN_MAGIC: Final = len(MAGIC) - 2  # smallest number of correct bytes: a few bytes of a damaged file may be wrong
-_NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # a pipe would wait for a writer
+_NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # without this flag, opening a pipe would wait for a writer
 _MAX_NAMES: Final = 4  # largest number of names in a message
-_FIRST: Final = [0, 1, 0]  # the first release, whose recordings are never newer
+_FIRST: Final = [0, 1, 0]  # the first release; its recordings are never newer than this release
 _MAX_DIGITS: Final = 9  # largest number of digits of a valid number
 _RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
 
 
 class RecordReader:
-    """The records of a recording; only for a single thread."""
+    """The records of a recording. This class isn't thread-safe."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -82,7 +82,7 @@ class RecordReader:
             undoing.pop_all()
         self.assets = Assets(self.path, self._index)  # the attached files by ``<sha256>/<file name>``
         self.lost_before = lost_before(self._index)  # steps that were lost before the file was repaired
-        # the lost steps; and the numbers of damaged chunks and of steps when the lost steps were searched
+        # the lost steps, and the numbers of damaged chunks and of steps at the time when they were searched
         self._gaps: list[range] = []
         self._gaps_of = (-1, -1)
 
@@ -127,7 +127,7 @@ class RecordReader:
 
     @property
     def closed(self) -> bool:
-        """Whether the recorder closed the file, so that it won't grow."""
+        """Whether the recorder closed the file; then the file no longer grows."""
         return self._index.closed
 
     @property
@@ -153,7 +153,7 @@ class RecordReader:
 
     @property
     def incomplete(self) -> str:
-        """Why the recording is incomplete, in words: it wasn't closed, or lost records before a repair; else empty."""
+        """Why the recording is incomplete, in words: it wasn't closed, or lost records before a repair; else ""."""
         if self.closed:
             lost = ", ".join(map(range_text, self.lost_before))
             return f"steps {lost} were lost before it was repaired" if lost else ""
@@ -177,7 +177,7 @@ class RecordReader:
 
     @cached_property
     def newer(self) -> Newer | None:
-        """The newer release that wrote the recording; None if it isn't newer than this one."""
+        """The newer release that wrote the recording; None if that release isn't newer than this release."""
         return newer_of(self._index)
 
     @property
@@ -191,7 +191,7 @@ class RecordReader:
         return lifetimes_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
-        """Return the number of records of each kind, from the file's own index; nothing is decoded."""
+        """Return the number of records of each kind, according to the file's index; no record is decoded."""
         counts: dict[str, int] = {}
         for channel, kind in kinds_of(self._index).items():
             count = self._index.counts.get(channel, 0)
@@ -228,7 +228,7 @@ class RecordReader:
     @overload
     def records(self, kind: Kinds | str | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
-        """Stream the records of one or several types from ``start`` to before ``stop``; other records aren't decoded.
+        """Stream the records of one or several types from ``start`` to ``stop`` (excluded); others aren't decoded.
 
         A type may also be a name, such as "query".
 
@@ -259,7 +259,7 @@ class RecordReader:
     def backwards(self, start: int = -1, kind: Any = None, *, naming: str = "") -> Iterator[Any]:
         """Stream records from a step (negative steps count from the end) down to the first record.
 
-        Only records of one or several types with a text in one of their fields are decoded.
+        Only records of the given types that contain the text ``naming`` in a field are decoded.
         """
         first = start + self._steps if start < 0 else start
         for number in range(self.chunk_of(first), -1, -1):
@@ -268,7 +268,7 @@ class RecordReader:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """Return the world with a name at a step, else the first later world with that name; None without any."""
+        """Return the world with a name at a step, else the first later world with that name; None if there is none."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
     @overload
@@ -320,11 +320,11 @@ class RecordReader:
         return self.problems
 
     def lost(self) -> list[range]:
-        """Return the ranges of steps that are missing before the last one; only a damaged recording is read."""
+        """Return the ranges of steps that are missing before the last step; this reads only damaged recordings."""
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state of a damaged recording asks for them
+        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # cached: each state needs them
             self._gaps.clear()
             expected = 0
             for record in self.records():
@@ -340,7 +340,7 @@ class RecordReader:
         return write_sound(file, self._index, self._chunks, self.assets, self.problems, self.missing())
 
     def write_packed(self, file: BinaryIO) -> None:
-        """Write a copy with its own models.
+        """Write a copy that contains its models.
 
         Raises:
             MissingModels: the models are missing.
@@ -355,7 +355,7 @@ class RecordReader:
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
-        """Return all ranges of missing steps, also after the last one and from before a repair."""
+        """Return all ranges of missing steps, also after the last record, and those that were lost before a repair."""
         gaps = self.lost()
         after = self._lost - sum(map(len, gaps))
         gaps += [range(self._steps, self._steps + after)] if after > 0 else []
@@ -380,7 +380,7 @@ class RecordReader:
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a file that is an MCAP file by its first bytes, even if a few are damaged.
+    """Open a file whose first bytes are those of an MCAP file; a few of them may be damaged.
 
     Raises:
         NotALog: the file doesn't exist, or isn't an MCAP file.
@@ -448,7 +448,7 @@ class Newer:
 
     release: str  # version of the release
     format: int  # its format; see :mod:`recorder.records.definition_new`
-    fields: tuple[str, ...]  # unknown fields of known messages, and values of enums, such as ``Mutation.force``
+    fields: tuple[str, ...]  # names of unknown fields and enum values of known messages, such as ``Mutation.force``
     kinds: tuple[str, ...]  # unknown kinds of records
 
     def __str__(self) -> str:
@@ -471,7 +471,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def format_of(index: Index) -> int:
-    """Return the format of a recording; 0 for old recordings without it."""
+    """Return the format of a recording; 0 for old recordings, which don't state it."""
     text = index.metadata.get("pycram", {}).get("format", "")
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else 0
 

@@ -1,4 +1,4 @@
-"""Writes a sound copy of the readable part of a recording: indexed, closed, with all checksums.
+"""Writes a sound copy of the readable part of a recording: the copy has an index and all checksums, and is closed.
 
 Messages, attached files and metadata are copied unchanged, so fields of newer releases are kept. Steps keep their
 numbers; the copy's metadata lists the missing steps, and readers report them.
@@ -50,7 +50,7 @@ class Losses:
 def write_sound(
     file: BinaryIO, index: Index, chunks: Chunks, assets: Assets, problems: str | None, missing: list[range]
 ) -> Losses:
-    """Write a sound copy of the readable part into an empty file, with the models that the original shares with others.
+    """Write a sound copy of the readable part into an empty file, with models that the original shares with others.
 
     The copy lists the original's problems and missing steps. If the problems are None, the recording is only packed.
     """

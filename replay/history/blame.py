@@ -1,6 +1,7 @@
 """Finds the last change of a body or a joint, with its tasks and lines of the plan.
 
-A carried body moves with its carrier. Then the record is the carrier's, and the attaching record is returned, too.
+A carried body moves with its carrier. Then the change is a record of the carrier, and the record of the attachment is
+returned, too.
 """
 
 from __future__ import annotations
@@ -24,16 +25,17 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, State, World
 
 
-#: Smaller changes in simulation, in m (or rad of a joint) and in rad, mean that an object settles.
+#: Smaller changes in simulation (in m, or rad for joints; and in rad for turns) mean that an object settles.
 SETTLING: Final = 5e-3, math.radians(5)
 """m and rad."""
-#: Smaller changes, in m and rad, are rounding: a turn of the head moves an object in a resting hand by this amount.
+#: Smaller changes, in m and rad, are rounding: when the head turns, an object in a resting hand moves by such an
+#: amount.
 _ROUNDING: Final = 1e-6, 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """An attachment by which a body moved."""
+    """An attachment that moved a body."""
 
     held: Attachment  # the attachment before the move
     #: Step of the record that attached the body; None: the body was attached before the recording began.
@@ -60,7 +62,7 @@ class Blame:
     angle: float  # size of the turn in rad; 0 for joints
     record: Mutation | Keyframe  # the change; a keyframe if nothing has changed since the recording began
     causes: CausingTasks  # causes of the record
-    carried: tuple[Carried, ...]  # the attachments from the body to the commanded body, the body's own attachment first
+    carried: tuple[Carried, ...]  # attachments from the body to the commanded body, the body's own first
     #: For a change in simulation, the previous change that was more than settling; for a removal, the previous change.
     earlier: Blame | None = None
 
@@ -73,14 +75,14 @@ class Blame:
 
 
 def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:
-    """Return the last change of a body, or a joint (``BODY.JOINT``), up to a step.
+    """Return the last change, up to a step, of a body or a joint (``BODY.JOINT``).
 
     The default step is the last step before worlds were closed; the default world is the last opened world with the
     body.
 
     Raises:
         NoSuchStep: there is no such step.
-        NoSuchName: the body or joint didn't exist at the step or before.
+        NoSuchName: the body or joint never existed up to that step.
     """
     step = log.final_step() if at is None else at
     state = state_at(log, step)
@@ -114,14 +116,14 @@ def _default_world(state: State, world: str, requested: str | None) -> str:
 
 
 def _removal(log: RecordReader, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
-    """Return the record that removed a body, or the body with the joint, from a world that is still open.
+    """Return the record that removed a body, or the body of a joint, from a world that is still open.
 
     Raises:
         NoSuchName: there is no such record. If a closed world had the body, the error has a hint.
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # if no world is open, the error has this hint
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # if no world is open, the error has the hint
     removals: list[Mutation] = []
     closed: NoSuchName | None = None
     for body in _possible_bodies(target) if candidates or some_closed else ():
@@ -142,7 +144,7 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
 
 
 def _possible_bodies(target: str) -> list[str]:
-    """Return the names of bodies with which a target can begin, longest first; names may contain dots."""
+    """Return the possible names of a target's body, longest first; names may contain dots."""
     return [target, *(target[:at] for at in range(len(target) - 1, 0, -1) if target[at] == ".")]
 
 
@@ -176,7 +178,7 @@ class _Search:
         self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 
     def run(self, step: int) -> Blame:
-        """Return the last change; for a change by physics, with the previous change."""
+        """Return the last change; a change by physics comes with the previous change."""
         records = self._changes(step)
         for last in records:
             change = self._explained(last)
@@ -188,7 +190,7 @@ class _Search:
         raise Damaged(self._log.path, f"the last change of {self._body}", "its record was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """Return the last earlier record with more than settling; states aren't folded."""
+        """Return the last earlier record that changed more than settling does; states aren't folded."""
         newer: dict[str, Mutation | Keyframe] = {}
         values: dict[str, Sequence[float]] = {}
         record = last
@@ -201,7 +203,7 @@ class _Search:
         return record
 
     def _counts(self, record: Mutation | Keyframe, part: str, after: Sequence[float], before: Sequence[float]) -> bool:
-        """Return whether a change is more than settling, or than rounding."""
+        """Return whether a change is larger than settling or rounding."""
         if commanded(record) == self._body:
             return True
         limits = SETTLING if is_physics(record) else _ROUNDING
@@ -222,7 +224,7 @@ class _Search:
         return {part: list(values) for part, values in pose.items() if values}
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
-        """Yield the records that changed the body, last first, back to its loading or its first keyframe."""
+        """Yield the records that changed the body, from the last back to its loading or its first keyframe."""
         lifetime = self._log.lifetime_at(self._world, step)
         if lifetime is None:
             return
@@ -308,7 +310,7 @@ def _in_simulation(record: Mutation, world: World, body: str, joint: str) -> str
 
 
 def _how(record: Mutation, world: World, body: str, joint: str) -> tuple[str, list[Attachment]]:
-    """Return how a command moved a body or joint, and the attachments that carried it; ``world`` is before it."""
+    """Return how a command moved a body or joint, and the attachments that carried it; ``world`` is as before."""
     if is_physics(record):
         return _in_simulation(record, world, body, joint), []
     if record.HasField("reset"):

@@ -1,4 +1,4 @@
-"""The plan's source in a recording, and the exceptions of a traceback with their lines of the plan."""
+"""The plan's source in a recording, and the exceptions in a traceback, with the plan's lines that raised them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Line:
 
 
 class PlanSource:
-    """The attached source files of a recording, without files of ambiguous names."""
+    """The attached source files of a recording; files whose names are ambiguous are left out."""
 
     def __init__(self, log: RecordReader) -> None:
         self._assets = log.assets
@@ -42,7 +42,7 @@ class PlanSource:
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
-        """Return a line by its number and the path of its file at run time; None for number 0."""
+        """Return a line, given its number and the file's path when the plan ran; None for number 0."""
         if not file or number < 1:
             return None
         text = self.text(file)
@@ -78,7 +78,7 @@ class PlanSource:
 
     @property
     def files(self) -> dict[str, str]:
-        """The names of attachments by names of files."""
+        """The names of attachments, by the names of their files."""
         return dict(self._keys)
 
     def has(self, file: str) -> bool:
@@ -112,7 +112,7 @@ _NEXT: Final = re.compile(
 )
 _START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
 _TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
-#: The executor's folder; its modules are the entry points of plans.
+#: The executor's folder; plans call its modules.
 _ROOT: Final = re.compile(
     r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
     r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"

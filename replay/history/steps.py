@@ -23,9 +23,9 @@ _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>sta
 def step_of(log: RecordReader, name: int | str) -> int:
     """Return the number of a step.
 
-    Names are numbers (negative numbers count from the end), ``last``, ``failure`` (the step that ``why`` explains),
-    simulated seconds with an ``s`` (the last step before a world's clock passes that time, of the first world that
-    reaches it), and tasks, see :func:`task_step`.
+    A name is a number (negative numbers count from the end), ``last``, ``failure`` (the step that ``why`` explains), a
+    time or a task. A time is simulated seconds with an ``s``: the last step before the clock of a world passes that
+    time, for the first world that does. For tasks, see :func:`task_step`.
 
     Raises:
         NoSuchStep: there is no such step.
@@ -69,8 +69,8 @@ def task_step(log: RecordReader, text: str) -> int:
     """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
 
     A path is the task's id, or names from the outermost task inwards, such as ``par/moving``; outer names may be left
-    out. If several tasks match, ``task:pick-up@end`` is the first, ``task:pick-up#2@end`` the second, and ``#-1`` the
-    last.
+    out. If several tasks match, ``task:pick-up@end`` is the end of the first, ``task:pick-up#2@end`` of the second, and
+    ``#-1`` of the last.
 
     Raises:
         NoSuchStep: there is no such task, or the task hasn't ended.
@@ -93,7 +93,7 @@ def task_step(log: RecordReader, text: str) -> int:
 
 
 def _executions(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
-    """Return start and end of the tasks that match a path, up to the given number of tasks."""
+    """Return the start and end of tasks that match a path; at most ``number`` tasks."""
     searched = tuple(path.strip("/").casefold().split("/"))
     paths: dict[int, tuple[str, ...]] = {}  # names of the tasks on the path, outermost first, by id of the running task
     executions: list[list[int | None]] = []
@@ -124,7 +124,7 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
         end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, lifetime, limit) - 1)
-        # the last step at which the world is open, because a closed world is empty
+        # the last step at which the world is open is taken, because a closed world is empty
         if end is not None and end.sim_step == limit:
             return end.seq - 1 if closes_world(end) else (lifetime.stop or len(log)) - 1
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0

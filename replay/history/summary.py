@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from replay.file.record_reader import RecordReader
 
-#: Recordings up to this size (bytes) are read completely; of larger recordings, only the two ends are read.
+#: Recordings up to this size (bytes) are read completely; only the two ends of larger recordings are read.
 MAX_CHECKED: Final = 16 << 20
 
 
@@ -51,7 +51,7 @@ class Summary:
 
 
 def summary(log: RecordReader) -> Summary:
-    """Sum up a recording.
+    """Summarise a recording.
 
     Raises:
         Unreadable: all records are damaged.

@@ -1,14 +1,14 @@
 """The tasks of a recording: its failures and their root cause, the tasks around a record, and the task tree.
 
-Failures are collected in one pass. To bound memory, only motions and the last task of each kind are kept among
-successful tasks; if there are very many tasks, only the last tasks are kept.
+Failures are collected in one pass. To limit memory, only motions and the last task of each kind are kept among the
+successful tasks. If there are very many tasks, only the last tasks are kept.
 
 The root cause is the failure that explains how a plan ended. ``why``, the step ``failure`` and trees use it:
 
-- If the plan failed: the task that raised the exception, or its nearest cause; without one, the plan's own code.
-- If the plan was interrupted: the point of the interrupt.
-- If the plan succeeded, but one of its threads failed: as if the plan had failed with that exception.
-- Otherwise: the last failure from which no outer task recovered; without one, the last failure.
+- If the plan failed, it is the task that raised the exception, or its nearest cause, or else the plan's own code.
+- If the plan was interrupted, it is the point of the interrupt.
+- If the plan succeeded, but one of its threads failed, the exception of the thread counts as that of the plan.
+- Otherwise, it is the last failure from which no outer task recovered, or else the last failure.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 _RUN_RECORDS: Final = 2  # the records of start and end in a run without failed threads
 #: The exception of an interrupted plan.
 INTERRUPT: Final = "KeyboardInterrupt"
-#: Number of tasks of a tree that are kept unpacked; each takes about 3 kB, a packed task less than 1 kB.
+#: Number of a tree's tasks that stay unpacked; an unpacked task takes about 3 kB, a packed task less than 1 kB.
 _UNPACKED: Final = 20_000
 _MAX_KEPT: Final = 5_000  # largest number of failures or motions; a node with its records takes about 3 kB
 
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Failed, unfinished and successful tasks; successful parts of tasks are dropped."""
+    """Failed, unfinished and successful tasks; successful parts of other tasks are dropped."""
 
     origins: tuple[Node, ...]  # the last tasks in which failures began, in the order of their ends
     running: tuple[Node, ...]  # unfinished tasks, in the order of their starts
@@ -107,13 +107,13 @@ def failed_threads(log: RecordReader) -> tuple[Run, ...]:
 class RootCause:
     """The root cause of a failure."""
 
-    #: The end of the task in which it began. If the plan's own code failed, the last step before worlds were closed, or
-    #: the end of the plan's thread.
+    #: The step at which that task ended. If the plan's own code failed, the last step before worlds were closed, or the
+    #: end of the plan's thread.
     step: int
     task: Node | None  # the task in which it began; None for the plan's own code
     failure: Failure | None = None  # failure of the plan or its thread; None if neither failed
     thread: str = ""  # name of the failed thread; "" if the plan failed
-    exceptions: tuple[ParsedException, ...] = ()  # exceptions from that task to the plan's failure, causes first
+    exceptions: tuple[ParsedException, ...] = ()  # exceptions from that task up to the plan's failure, causes first
 
 
 def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
@@ -127,9 +127,9 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
     from replay.history.source import ParsedException, PlanSource, parse_traceback  # noqa: PLC0415  slow to import
 
     parsed = parse_traceback(end.failure.traceback, PlanSource(log))
-    last = parsed.pop() if parsed else ParsedException("", "", ())  # the failure itself, whose message is in the record
+    last = parsed.pop() if parsed else ParsedException("", "", ())  # the failure itself; the record has its message
     exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
-    earlier = [task for task in failed.origins if task.last_step < end.seq]  # a later failure may have the same error
+    earlier = [task for task in failed.origins if task.last_step < end.seq]  # a later failure could have the same error
     if end.failure.type == INTERRUPT:  # earlier failures didn't end the plan
         exceptions = exceptions[-1:]
         earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
@@ -151,7 +151,7 @@ def uncaught_failure(log: RecordReader) -> Run | None:
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
     """Return the task that raised the failure, or its nearest cause, and the index of that exception.
 
-    Earlier exceptions were handled, even if they are in Python's traceback. Of several failed tasks in a block, the
+    Earlier exceptions were handled, even if Python's traceback contains them. If several tasks of a block failed, the
     origin is the task whose error became the block's error.
     """
     for number in range(len(exceptions) - 1, -1, -1):
@@ -177,13 +177,13 @@ class CausingTasks:
 
     #: The tasks around the record, innermost first; empty if the plan acted outside of any task.
     tasks: tuple[CausingTask, ...]
-    #: The plan's lines that led to the record, outermost first: the lines of the record, or of the innermost task that
-    #: has lines.
+    #: The plan's lines that led to the record, outermost first. They are those of the record, or else those of the
+    #: innermost task that has lines.
     call_stack: tuple[Line, ...]
 
 
 def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
-    """Return the tasks around a record; a record of a task is inside that task."""
+    """Return the tasks around a record; the record of a task counts as inside that task."""
     from replay.history.source import PlanSource  # noqa: PLC0415  as above
 
     source = PlanSource(log)
@@ -227,7 +227,7 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
                 raise Damaged(log.path, f"step {record.seq}", too_deep)
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
-        cause = root_cause(log)  # the plan's failure is more specific than failures of its tasks
+        cause = root_cause(log)  # the plan's failure says more than failures of tasks
         folded.began = cause.task.id if cause is not None and cause.task is not None else 0
     failed = folded.failure_path()
     if failed:

@@ -1,4 +1,4 @@
-"""Phrases of all texts: values, numbers, lines of the plan, tasks, changes, records, answers and their evidence."""
+"""Phrases for all texts: values, numbers, lines of the plan, tasks, changes, records, answers and their evidence."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def path(file: str) -> str:
 
 
 def place(line: Line) -> str:
-    """Return the place of a line of the plan as file:line; of a notebook as "In [3], line 1"."""
+    """Return the place of a line of the plan as "file:line", or in a notebook as "In [3], line 1"."""
     return notebook.place(path(line.file), line.number)
 
 
@@ -152,7 +152,7 @@ def location(line: Line) -> str:
 
 
 def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield a call stack, innermost line first, without outer lines that were printed with another stack."""
+    """Yield a call stack, innermost line first; leave out outer lines that were printed with another stack."""
     common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
     shared = max((len(list(pairs)) for pairs in common), default=0)
     printed.append(stack)
@@ -231,7 +231,7 @@ _CHANGES: Final[Mapping[str, str]] = {
 
 
 def change(name: str, how: str, mover: str = "") -> str:
-    """Return the change of a body or joint; ``mover`` carried the body, or moved the body along."""
+    """Return the change of a body or joint; ``mover`` is the body that carried it or moved it along."""
     if how in ("gravity", "joints"):
         return "gravity was set" if how == "gravity" else f"joints of {name} moved"
     word = {"carried": "by", "along": "with"}.get(how) if mover else None
@@ -239,7 +239,7 @@ def change(name: str, how: str, mover: str = "") -> str:
 
 
 def carrier(held: Attachment) -> str:
-    """Return a carrier with its holding link."""
+    """Return a carrier, with the link that holds the body."""
     return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
 
 
@@ -251,7 +251,7 @@ def learned(source: str, step: int) -> str:
 
 
 def sampled(moment: Sampled, *, exact: bool = False) -> str:
-    """Return the time of a moment within a stretch of simulation, and the source of its state."""
+    """Return the time of a moment within a stretch of simulation, and how its state is known."""
     stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
     if exact:
         return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to that time"
@@ -285,7 +285,7 @@ def question(query: Query) -> str:
 
 
 def answer(query: Query) -> str:
-    """Return the answer of a query: yes, no, objects, or the failure; and its override by a fork."""
+    """Return the answer of a query: yes, no, objects, or the failure; with the note that a fork overrides it."""
     if query.HasField("failure"):
         return failure(query.failure)
     if query.by_fork:
@@ -391,5 +391,5 @@ _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
         f"in {steps / STEPS_PER_SECOND:.2f} s of simulation" if isinstance(steps, int) else ""
     ),
 }
-#: Parts that are included in phrases of other parts.
+#: Parts of the evidence that phrases for other parts include.
 _INCLUDED: Final = frozenset({"hiding_links", "pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """An identifier without quotes; of a dotted name, only the last part counts: ``BulletWorld.robot`` is the robot."""
+    """An identifier without quotes; only the last part of a dotted name counts: ``BulletWorld.robot`` is the robot."""
 
     text: str
 
@@ -51,7 +51,7 @@ class QueryCall:
 
 
 class BadQuestion(ReplayError):
-    """A question that is malformed, or that the world of that step can't answer."""
+    """A question is malformed, or the world of that step can't answer it."""
 
     def __init__(self, question: str, cause: str) -> None:
         super().__init__(f"{question}: {cause}")
@@ -140,7 +140,7 @@ def _identifier(node: ast.expr) -> str:
 
 
 def written(name: str) -> str:
-    """Return a name as commands take it: in quotes, as in Python, if it isn't an identifier."""
+    """Return a name in the form that commands accept: if it isn't an identifier, in quotes as in Python."""
     return name if name.isidentifier() and not iskeyword(name) and name not in _LITERALS else repr(name)
 
 

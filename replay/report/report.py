@@ -69,7 +69,7 @@ def call_stack(stack: Sequence[Line]) -> dict[str, object]:
 
 
 def section(title: str, body: Iterable[str]) -> Iterator[str]:
-    """Yield an empty line, a title and indented lines; nothing if there are no lines."""
+    """Yield an empty line, a title and indented lines; yield nothing if there are no lines."""
     for number, line in enumerate(body):
         if not number:
             yield from ("", title)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from replay.state.state import State
 
 BELIEVED: Final = "believed"
-"""Asks for a robot's belief, which is on record; ``away`` is the object's distance in m from the believed position."""
+"""Asks for a robot's recorded belief; ``away`` is the object's distance in m from the believed position."""
 _BELIEVED_TAKES: Final = ("what", "robot")
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
 """Names of the queries that can be asked."""
@@ -61,7 +61,7 @@ class QueryAnswer:
     question: QueryCall  # the query with its arguments
     answer: bool | list[str | bool]  # true or false, names of objects, or true or false for each target
     evidence: Mapping[str, Plain]  # the basis of the answer
-    moves: tuple[Move, ...] = ()  # made before the query
+    moves: tuple[Move, ...] = ()  # moves that were made before the query
 
     def __repr__(self) -> str:
         return f"<QueryAnswer after step {self.step}: {next(self.lines())}>"
@@ -85,15 +85,15 @@ def ask(
     moves: Sequence[Move] = (),
     moment: float | None = None,
 ) -> QueryAnswer:
-    """Ask a query at a past step, unrecorded; objects are moved first, with all objects that they carry.
+    """Ask a query at a past step, without recording it. Objects are moved first, with all objects that they carry.
 
     A question is any of :data:`QUERIES` with the arguments of :mod:`pycram.bullet_world_reasoning`, such as
     ``visible(milk, wide_stereo_optical_frame)``; or ``believed(milk)``, with an object or a type. Without a question,
-    the query that is recorded at this step is asked again, in its world. By default the world is the last opened one
+    the query that is recorded at this step is asked again, in its world. By default, the world is the last opened world
     that is open. For ``moment`` see :func:`replay.restore.world.world_at`.
 
     Raises:
-        BadQuestion: the question is invalid, the world has no answer, or the step's record is no query.
+        BadQuestion: the question is invalid, the world has no answer, or the step's record isn't a query.
         NotRestored: no world was open at that step.
     """
     if question is None:
@@ -139,7 +139,7 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCal
     """Return the query of a step's record, and its world.
 
     Raises:
-        BadQuestion: the record is no query that can be asked again, or it was asked in another world.
+        BadQuestion: the record isn't a query that can be asked again, or the query was asked in another world.
     """
     record = log[step]
     if not isinstance(record, Query):

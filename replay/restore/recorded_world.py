@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def world_state(log: RecordReader, step: int, name: str | None = None, moment: float | None = None) -> World:
-    """Return the state of a world that is open after a step; without a name, of the last opened world.
+    """Return the state of a world that is open after a step; without a name, the state of the last opened world.
 
     For a moment within the next record, in s of simulated time, see :func:`replay.state.fold.state_at`.
 
@@ -77,5 +77,5 @@ def contacts_of(log: RecordReader) -> ContactClient:
 
 @cache
 def description_of(text: str) -> RobotDescription | None:
-    """Return a robot's description from its recorded TOML text; None for "", the text of other bodies."""
+    """Return a robot's description from its recorded TOML text; None for "", which bodies other than robots have."""
     return RobotDescription.parse(text, "the recording's robot description") if text else None

@@ -1,9 +1,9 @@
 """Pictures of any step, without a viewer and without the physics engine: the folded state, drawn by our rasterizer.
 
-A picture is taken by a camera of the robot; from a point; or from a viewpoint with a clear view of an object, of a
-link, or by default of the robot and the movable objects. Viewpoints are rated by rendering: by the share of an object's
-pixels that remain when everything else is drawn, too. Each object is drawn in a window just around it, so small objects
-count like large ones. If no viewpoint has a clear view, furniture and walls in front are cut away.
+A picture is taken from a camera of the robot, from a point, or from a viewpoint with a clear view of its target. The
+target is an object or a link, by default the robot and the movable objects. Viewpoints are rated by rendering: by the
+share of an object's pixels that remain when everything else is drawn, too. Each object is drawn in a window just around
+it, so small objects count like large ones. If no viewpoint has a clear view, furniture and walls in front are cut away.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ SIDES: Final[dict[str, tuple[Vector, ...]]] = {
     "front": ((0.85, 0.0, 0.5), (0.95, 0.0, 0.2), (0.6, 0.0, 0.8)),
     "above": ((-0.02, 0.0, 1.0),),
 }
-#: Directions that are tried first without a requested side: over the robot's shoulders, then from its front.
+#: If no side is requested, these directions come first: over the robot's shoulders, then from its front.
 _PREFERRED: Final = (
     (-0.55, -0.65, 0.55),
     (-0.55, 0.65, 0.55),
@@ -61,14 +61,14 @@ _PREFERRED: Final = (
     (0.55, 0.65, 0.55),
     (-0.4, 0.0, 0.9),
 )
-_CLOSER: Final = 0.6  # fraction of the distance, for viewpoints within the walls of a room
-_ENOUGH: Final = 0.7  # share of the pixels; the first viewpoint that shows at least this share is taken
-#: Share of the pixels; if the best viewpoint shows less, the links that hide the target are cut away.
+_CLOSER: Final = 0.6  # this fraction of the distance is also tried, for viewpoints within the walls of a room
+_ENOUGH: Final = 0.7  # the first viewpoint that shows at least this share of the pixels is taken
+#: If the best viewpoint shows less than this share of the pixels, the links that hide the target are cut away.
 _TOO_LITTLE: Final = 0.3
-_ROBOT_SHARE: Final = 0.4  # share of a robot's pixels that is enough, because its work hides the rest
+_ROBOT_SHARE: Final = 0.4  # this share of a robot's pixels is enough, because objects of its work hide it
 _GLANCE: Final = (40, 40)  # pixels of the window around an object
 _MAX_CUTS: Final = 6  # largest number of layers of furniture and walls that are cut away
-_ROOM: Final = 1.5  # in m; fixed links that are smaller in one direction are furniture, which has no viewpoints inside
+_ROOM: Final = 1.5  # in m; a fixed link that is smaller in any direction is furniture; no viewpoint may be inside it
 _CUT_GAP: Final = 0.02  # in m between a cut and the visible object
 _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for number in range(8)])
 
@@ -79,11 +79,11 @@ class _DrawnBody:
 
     body: Body  # state of the body
     frames: Mapping[str, Pose]  # poses of all links by name
-    parts: Mapping[str, int]  # numbers, in the scene, of the links with shapes, by name
+    parts: Mapping[str, int]  # numbers in the scene of the links that have shapes, by name of the link
 
 
 class DrawnWorld:
-    """The bodies of a world after a step, or at a moment (see :func:`world_state`), ready to be drawn.
+    """The bodies of a world after a step, or at a moment (see :func:`world_state`), which can be drawn.
 
     Raises:
         NotRestored: no world was open then.
@@ -135,11 +135,11 @@ class DrawnWorld:
         the "step", and the names of the cut links as "cut".
 
         Args:
-            camera: a frame of the robot, such as "wide_stereo_optical_frame"; the frame of the robot's camera has its
-                field of view and range.
-            eye: viewpoint, xyz in m; or a side of the robot: one of :data:`SIDES`; by default one with a clear view.
-            target: the middle of the picture: a point, xyz in m; an object, or a link as "kitchen.sink_area"; several
-                of these; by default the robot and movable objects.
+            camera: a frame of the robot, such as "wide_stereo_optical_frame"; if it is the robot's camera, the picture
+                has the camera's field of view and range.
+            eye: viewpoint, xyz in m, or a side of the robot (one of :data:`SIDES`); by default, it has a clear view.
+            target: the middle of the picture: a point, xyz in m; an object; a link such as "kitchen.sink_area"; or
+                several of these. By default, it is the robot and the movable objects.
             size: width and height in pixels, up to 4096 each.
 
         Raises:
@@ -171,9 +171,9 @@ class DrawnWorld:
         return self._draw(free_view(cameras, self._parts, subject), size)
 
     def subjects(self, why: Why) -> list[str] | None:
-        """Return the robot and the objects of a failed task, as targets of a picture; None if there are none.
+        """Return the robot and the objects of a failed task as targets of a picture; None if there are none.
 
-        For furniture, the targets are the links that the task names, as a drawer's handle.
+        For furniture, the targets are the links that the task names, such as a drawer's handle.
         """
         named = why.task.motion.parameters.values() if why.task is not None else ()
         targets: list[str] = []
@@ -212,7 +212,7 @@ class DrawnWorld:
         return PictureSubject(tuple(group for group in groups if group), every=False), point
 
     def _parts_of(self, name: str) -> tuple[int, ...]:
-        """Return the numbers of the drawn links of a body or of a link ``BODY.LINK``; without a shape, of its body."""
+        """Return the numbers of a body's drawn links, or of a link ``BODY.LINK``; the body's if the link has none."""
         drawn = self._bodies.get(name)
         if drawn is not None:
             return tuple(drawn.parts.values())
@@ -254,7 +254,7 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         about = scene.subjects(why)
         files.append(folder / f"step_{why.step}_side.png")
         scene.picture(target=about).save(files[-1])
-        if about and len(about) > 1:  # the whole picture is farther away, because the robot is large
+        if about and len(about) > 1:  # the whole picture shows everything from farther away, because the robot is large
             for name in about[1:]:
                 part = re.sub(r"[^\w.-]", "_", name)  # valid in names of files on any system
                 files.append(folder / f"step_{why.step}_{part}.png")
@@ -283,7 +283,7 @@ def _vector(values: Sequence[float] | NDArray[np.float64]) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class DrawnLink:
-    """A link of a body, ready to be drawn."""
+    """A link of a body, which can be drawn."""
 
     drawable: Drawable  # the link alone
     fixed: bool  # whether it belongs to furniture or a wall, and may be cut away
@@ -302,7 +302,7 @@ class PictureSubject:
     """The objects and links that a picture shows."""
 
     groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each object
-    every: bool  # whether every object must be visible; otherwise most objects
+    every: bool  # whether every object must be visible; if not, most of them must be
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +314,7 @@ class CutawayView:
     depth: float = 0.0  # depth of the cut, m along the camera's axis
 
     def draw(self, parts: Sequence[DrawnLink], window: Window, size: tuple[int, int]) -> Rendering:
-        """Draw parts; the rendering's bodies are their numbers."""
+        """Draw parts; the bodies of the rendering are numbers of parts."""
         whole = [number for number in range(len(parts)) if number not in self.cut]
         shown = _draw(self.camera, parts, whole, window, size)
         if not self.cut:
@@ -339,9 +339,9 @@ def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray
 
 
 def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | None = None) -> Iterator[Vector]:
-    """Yield viewpoints in the world, m, at a distance from the target ``aim``, the preferred ones first.
+    """Yield viewpoints in the world, m, at a distance from the target ``aim``, the preferred viewpoints first.
 
-    Sides are those of a robot with the orientation ``heading``, xyzw; with a ``side``, only its points are yielded.
+    ``heading`` (xyzw) is the orientation of the robot that has the sides. With a ``side``, only its points are yielded.
     """
     if side is not None:
         directions: Sequence[Sequence[float]] = SIDES[side]
@@ -357,7 +357,7 @@ def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | No
 
 
 def free_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Return the first camera that sees enough of a subject, else the best one; with a cut if it sees too little."""
+    """Return the first camera that sees enough of a subject, else the best; if that sees too little, cut links away."""
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras
     best, most = cameras[0], -1.0
     for camera in cameras:
@@ -381,9 +381,9 @@ def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:
 
 
 def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject, most: float = -1.0) -> float:
-    """Return the visible share of a subject, 0 to 1; shares up to ``most`` may be inexact."""
+    """Return the visible share of a subject, 0 to 1; a share that is at most ``most`` may be inexact."""
     shares = []
-    for group in sorted(subject.groups, key=lambda group: parts[group[0]].drawable.is_robot):  # robots last: slow
+    for group in sorted(subject.groups, key=lambda group: parts[group[0]].drawable.is_robot):  # drawing robots is slow
         share = _Glance(view, parts, group).share
         shares.append(min(1.0, share / _ROBOT_SHARE) if parts[group[0]].drawable.is_robot else share)
         if subject.every and shares[-1] <= most:
@@ -392,7 +392,7 @@ def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject
 
 
 class _Glance:
-    """The visible share of an object: the share of its pixels that remain when all other objects are drawn, too."""
+    """The visible share of an object: the share of its pixels that remains when all other objects are drawn, too."""
 
     def __init__(self, view: CutawayView, parts: Sequence[DrawnLink], group: tuple[int, ...]) -> None:
         window = _window(view.camera, np.concatenate([parts[number].corners for number in group]))
@@ -402,7 +402,7 @@ class _Glance:
         hidden = there & ~np.isin(among, group)
         # visible share of the object's pixels
         self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0
-        # numbers of the parts of furniture and walls that hide its other pixels
+        # numbers of the parts of furniture and walls that hide the object's other pixels
         self.hiding = frozenset(
             int(number) for number in np.unique(among[hidden]) if number >= 0 and parts[number].fixed
         )
@@ -422,7 +422,7 @@ def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
 
 
 def _cut_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Cut fixed links in front of the subject; return the first view that shows enough of it, or the best view."""
+    """Cut fixed links in front of the subject; return the first view that shows enough of it, else the best."""
     best, most = CutawayView(cameras[0]), -1.0
     for camera in cameras:
         view = CutawayView(camera)

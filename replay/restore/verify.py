@@ -1,8 +1,8 @@
-"""Verifies a recording: that it is consistent, and that its changes, made again, have the recorded effects.
+"""Verifies a recording: checks that it is consistent, and that repeating its changes has the recorded effects.
 
-The changes are executed in new worlds, in order, and each mutation is compared with the recorded one to the last bit:
-every pose, joint, velocity, attachment and simulated sample. They are equal for one build of the physics engine on one
-kind of computer; elsewhere the last bits may differ, and contacts amplify that. Then the result has the largest
+The changes are executed in new worlds, in order, and each mutation is compared with the recorded mutation to the last
+bit: every pose, joint, velocity, attachment and simulated sample. They are equal with one build of the physics engine
+on one kind of computer. Elsewhere the last bits may differ, and contacts amplify that. Then the result has the largest
 deviation. In a world that began before its recording, changes without physics are compared to a micrometre.
 
 Messages for other tools (``/tf``, ``/log``) follow from the records and aren't compared.
@@ -85,7 +85,7 @@ class _Verifier(Verifier):
         if self.log.newer is not None:
             record = Mutation.FromString(record.SerializeToString())
             record.DiscardUnknownFields()
-        if record.drags:  # they can't be repeated: the world continues from the recorded state
+        if record.drags:  # drags can't be repeated, so the world continues from the recorded state
             self.dragged[record.world] = None
             self._reexecution.late.add(record.world)
         if record.world in self._reexecution.late:
@@ -114,7 +114,7 @@ class _Verifier(Verifier):
         return None
 
     def _follow(self, record: Mutation) -> None:
-        """Set a world to the state after the record; from then on it isn't compared to the last bit."""
+        """Set a world to the state after the record; from then on, the world isn't compared to the last bit."""
         world, state = self._reexecution.worlds.get(record.world), self.integrity.world(record.world)
         self._reexecution.late.add(record.world)
         with unrecorded():
@@ -139,7 +139,7 @@ class _Verifier(Verifier):
 
 
 def _worst(world: BulletWorld, state: World) -> Deviation | None:
-    """Return the largest deviation of a world from its recorded state; None if they are equal bit for bit."""
+    """Return the largest deviation of a world from its recorded state; None if all values are equal bit for bit."""
     bodies = [body.name for body in world.objects]
     pairs = [(body.name, held.body.name) for body in world.objects for held in body.carried]
     if sorted(bodies) != sorted(state.bodies):

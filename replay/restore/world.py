@@ -1,13 +1,13 @@
-"""Live worlds as they were after any step, from the recording alone.
+"""Rebuilds live worlds as they were after any step, from the recording alone.
 
-There are two methods. From the *state*: bodies are loaded from the recorded models and placed at their recorded poses.
-Poses, joints, velocities, attachments, gravity, colours and the robot are exact. The solver's contacts and the targets
-of sagging motors are unknown, so the future may differ from the original. By *re-execution* (``exact``): each change is
-made again from the start, so the future equals the original, bit for bit. A world that began before its recording
-continues from its first keyframe: it is near to the original, but differs in the last bits once time runs.
+There are two methods. The first loads bodies from the recorded models and places them in the recorded *state*. Poses,
+joints, velocities, attachments, gravity, colours and the robot are exact. The solver's contacts and the targets of
+sagging motors are unknown, so the future may differ from the original. The second is *re-execution* (``exact``): each
+change is made again from the start, so the future equals the original, bit for bit. A world that began before its
+recording continues from its first keyframe: it is close to the original, but differs in the last bits once time runs.
 
-A world is unrecorded while it is rebuilt. Then running recordings get the whole state of a world for a user; a world
-for a question never appears in a recording.
+A world is unrecorded while it is rebuilt. After that, running recordings get the whole state of a world that is for a
+user; a world that is for a question never appears in a recording.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ def world_at(
 ) -> BulletWorld:
     """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current world, and its time stops.
 
-    By default it is the last opened world. With ``exact``, every change is executed again, so that its future equals
-    the original. For a moment within the next record, in s of simulated time, it has the state of the last sample until
-    then; with ``exact`` it is simulated, up to the last step of 1/240 s.
+    By default it is the last opened world. With ``exact``, every change is executed again, so that the world's future
+    equals the original. A ``moment`` (s of simulated time) within the next record gives the state of the last sample
+    until then; with ``exact``, the world is simulated up to the last step of 1/240 s before the moment.
 
     Raises:
-        NotRestored: no world was open at that step, or an exact one is impossible.
+        NotRestored: no world was open at that step, or an exact world is impossible.
         Damaged: records or files are lost or invalid.
         DisplayError: no window can open.
     """
@@ -101,7 +101,7 @@ def temporary_world(
 
 @contextmanager
 def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
-    """Raise the executor's errors as damage of the recording, except that a window can't open."""
+    """Raise the executor's errors as damage of the recording, except the error that a window can't open."""
     try:
         yield
     except DisplayError:
@@ -149,7 +149,7 @@ def load_body(
 ) -> Object:
     """Load a body from its recorded model.
 
-    Its color is RGBA 0..1, empty for the model's color; by default the color with which it was loaded.
+    ``color`` is RGBA 0..1, or empty for the model's color. By default, it is the color with which the body was loaded.
 
     Raises:
         Damaged: a file is missing or damaged.
@@ -169,7 +169,7 @@ def load_body(
 
 
 def _recorded(belief: RecordedBelief) -> records.Belief:
-    """Return a belief in the form of records; an object that is held has the hand's pose."""
+    """Return a belief in the form of records; the pose of a held object is left out, as the hand has it."""
     held = belief.source == "held"
     return records.Belief(
         robot=belief.robot,
@@ -198,7 +198,7 @@ class _LastMutation(NullSink):
 
 
 class Reexecution:
-    """Worlds ``NAME@SUFFIX`` in which recorded changes are made again; a context manager that closes them."""
+    """Worlds ``NAME@SUFFIX`` in which recorded changes are made again. As a context manager, it closes them."""
 
     def __init__(self, log: RecordReader, suffix: str, mode: str = "DIRECT") -> None:
         self._log = log
@@ -233,9 +233,9 @@ class Reexecution:
             self.late.add(frame.world)
 
     def repeat(self, record: Mutation, *, observed: bool = True) -> Mutation | None:
-        """Make a recorded change again, and return the new mutation in the old one's envelope.
+        """Make a recorded change again, and return the new mutation with the envelope of the recorded mutation.
 
-        Returns None if the change isn't observed, or unknown to this release.
+        Return None if the change isn't observed, or if this release doesn't know it.
 
         Raises:
             PycramError: the change can't be made.
@@ -243,7 +243,7 @@ class Reexecution:
             Damaged: the change contradicts the world's clock.
         """
         command = record.WhichOneof("command") or ""
-        if command == "set_realtime":  # its simulation is recorded as simulate commands
+        if command == "set_realtime":  # the simulation in real time is recorded as simulate commands
             return record
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
@@ -276,7 +276,7 @@ class Reexecution:
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
-    """Copy the fields that don't depend on how the change is made; overlaps only if the recording has them."""
+    """Copy the fields that don't depend on how the change is made; copy overlaps only if the recording has them."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # a window has no effect
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
@@ -294,7 +294,7 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
     """
     lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
     chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
-    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # losses are known only after reading
+    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # losses are known only after reading the records
         pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
