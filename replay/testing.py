@@ -1,4 +1,4 @@
-"""The pytest plugin: tests of plans, with their recordings (docs/testing.md). Nothing of it acts unless a test uses it.
+"""The pytest plugin: tests of plans, with their recordings (docs/testing.md). It does nothing unless a test uses it.
 
 Packages that run plans are imported by the fixtures, as pytest loads this module in every session.
 """
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PlanRun", "PropertyFailed", "assert_holds", "seeds"]
 
-_KEPT: Final = "pycram recording"  # user property of a failed test: its recording, and the step to look at
+_KEPT: Final = "pycram recording"  # user property of a failed test: its recording, and the step at which to open it
 _FOLDER: Final = "pycram-recordings"
 _files: Final = pytest.StashKey[list[Path]]()  # where the recordings of a test are kept if it fails
 _kept_as: Final[dict[Path, Path]] = {}  # where recordings of this process are kept if their tests fail
@@ -40,7 +40,7 @@ class PropertyFailed(AssertionError):
 
     def __init__(self, text: str, step: str) -> None:
         super().__init__(text)
-        self.step = step  # the step or the time at which it is violated, as verbs take it
+        self.step = step  # the step or the time at which it is violated, in the form that verbs accept
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,8 @@ def assert_holds(recording: Recorded, *properties: str) -> None:
         recording: a file, an open or a running recording, or the result of ``run_plan``.
 
     Raises:
-        PropertyFailed: a property is violated; with the first violation of each, its task and line, and commands.
+        PropertyFailed: a property is violated. The message has the first violation of each, its task and line, and
+        commands.
         BadProperty: a text isn't in the language, or has an unknown name.
     """
     __tracebackhide__ = True
@@ -95,7 +96,7 @@ def seeds(count: int) -> pytest.MarkDecorator:
 
 @pytest.fixture
 def pycram_record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Record the test; its recording is kept if the test fails, and named after the test."""
+    """Record the test. If the test fails, the recording is kept under the name of the test."""
     import pycram  # noqa: PLC0415  see above
     import recorder  # noqa: PLC0415
 
@@ -121,7 +122,7 @@ def pycram_record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
 
 @pytest.fixture
 def pycram_world(pycram_record: object) -> Iterator[BulletWorld]:  # noqa: ARG001  it records
-    """A new headless world, which is current and recorded; it ends with the test."""
+    """A new headless world, which is the current world and is recorded; it ends with the test."""
     from pycram.bullet_world import BulletWorld  # noqa: PLC0415  see above
 
     with BulletWorld() as world:
@@ -134,8 +135,8 @@ def run_plan(
 ) -> Iterator[Callable[..., PlanRun]]:
     """Run a plan in a process of its own: ``run_plan("plan.py", seed=3, x=0.4)``.
 
-    The file is relative to the test's folder. ``seed`` is by default that of the test, or 0; ``motion``, ``check`` (a
-    file of properties) and ``arguments`` are those of ``pycram run``. All others are parameters of the plan.
+    The file is relative to the test's folder. ``seed`` is by default the seed of the test, or 0; ``motion``, ``check``
+    (a file of properties) and ``arguments`` are as for ``pycram run``. All other arguments are parameters of the plan.
     """
     files: list[tuple[Path, Path]] = []
     params = getattr(getattr(request.node, "callspec", None), "params", {})
@@ -202,7 +203,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
-    """Remember whether a test failed, and name its recordings in the report."""
+    """Remember whether a test failed, and list its recordings in the report."""
     report: pytest.TestReport = yield  # type: ignore[assignment]  # a wrapper gets the report
     if report.failed and _files in item.stash:
         error = call.excinfo.value if call.excinfo is not None else AssertionError(str(report.longrepr))

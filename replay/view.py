@@ -1,9 +1,9 @@
-"""Recordings in the Rerun viewer: translated into an ``.rrd`` file next to the recording, and opened.
+"""Recordings in the Rerun viewer: they are translated into an ``.rrd`` file next to the recording, which is opened.
 
-The same code translates as while the plan runs (:mod:`recorder.viewer`), so both show the same. Invalid records are
-reported as damage. An ``.rrd`` is a cache, in a folder where others may write. So it is used only if this user made it
-from this recording with this software: a folder of the user holds the hash of each ``.rrd``, under the hash of its
-inputs.
+The same code translates records while a plan runs (:mod:`recorder.viewer`), so both views are the same. Invalid records
+are reported as damage. An ``.rrd`` file is a cache, but other users may be able to write in its folder. So it is used
+only if this user made it from this recording with this software: one of the user's own folders has the hash of each
+``.rrd``, under the hash of its inputs.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 
-_LOAD_TIMEOUT: Final = 20.0  # s for the viewer to load a file
-_POLL_PERIOD: Final = 0.1  # s
+_LOAD_TIMEOUT: Final = 20.0  # seconds for the viewer to load a file
+_POLL_PERIOD: Final = 0.1  # seconds between checks
 
 
 def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> None:
@@ -83,7 +83,7 @@ def _without_garbage_collection() -> Iterator[None]:
 def cached(log: RecordReader, at: int | None = None) -> Path:
     """Return a recording's file for the viewer, cached next to it as ``NAME.mcap.rrd``.
 
-    It is a temporary file if the folder isn't writable, or if the first step shows another world than the beginning.
+    A temporary file is returned if the folder isn't writable, or if step ``at`` shows another world than the beginning.
 
     Raises:
         ReplayError: it can't be written.
@@ -146,7 +146,7 @@ def temporary_file(name: str) -> Path:
 
 
 def check(url: str | None) -> None:
-    """Check the address of a viewer; None stands for any.
+    """Check the address of a viewer; None means any viewer.
 
     Raises:
         ReplayError: it isn't an address, or no viewer answers there.
@@ -162,7 +162,7 @@ def check(url: str | None) -> None:
 
 
 def _go_to(client: ViewerClient, step: int) -> None:
-    """Set the viewer's time to a step, once it has loaded something."""
+    """Set the viewer's time to a step, after the viewer has loaded something."""
     pause, until = threading.Event(), time.monotonic() + _LOAD_TIMEOUT
     while True:
         try:
@@ -178,10 +178,10 @@ def _go_to(client: ViewerClient, step: int) -> None:
 def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, Callable[[int], None]]:
     """Open a recording at a step like :func:`show`; return the viewer's address, and a function that goes to a step.
 
-    If the viewer was closed since, the function does nothing.
+    If the viewer has been closed since then, the function does nothing.
 
     Raises:
-        ReplayError: no viewer answers there, or none can be started.
+        ReplayError: no viewer answers at ``url``, or no viewer can be started.
     """
     viewer = show(cached(log, step), step, url)
     client = ViewerClient.connect(viewer)
@@ -196,10 +196,10 @@ def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, C
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """Open an ``.rrd`` file at a step in a viewer, and return the viewer's address.
 
-    The viewer is the one at ``url``, else one that is open on this machine, else a new one, which stays open.
+    The viewer at ``url`` is used, else a viewer that is open on this machine, else a new viewer, which stays open.
 
     Raises:
-        ReplayError: no viewer answers there, or none can be started.
+        ReplayError: no viewer answers at ``url``, or no viewer can be started.
     """
     check(url)
     try:
@@ -234,12 +234,12 @@ _NONSENSE: Final = (
 
 
 def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int | None = None) -> None:
-    """Send recordings to a viewer, several side by side, which opens at the step ``at``.
+    """Send recordings to a viewer, which shows several side by side and opens at the step ``at``.
 
     Raises:
         Damaged: a record makes no sense.
     """
-    if len(logs) == 1:  # the plan's name, as while it ran
+    if len(logs) == 1:  # the plan's name is used, as while it ran
         stream.send_recording_name(logs[0].metadata.get("plan", logs[0].path.name))
     else:
         stream.send_recording_name(" and ".join(log.path.name for log in logs))
@@ -250,7 +250,7 @@ def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int 
 
 
 def front_world(log: RecordReader, at: int | None = None) -> str:
-    """Return the world in front: the world of a step or the step before it, else the first in which the plan acts."""
+    """Return the world in front: the world of a step or of a step before, else the first in which the plan acts."""
     if at is not None:
         world = next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "")
         if world:
@@ -279,16 +279,16 @@ def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Map
     """Send a recording, and return the centres of its worlds in m."""
     translator = Translator(stream, root)
     for name in log.assets:
-        with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording remembers it
+        with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording notes the damage
             translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
     for record in log.records():
         try:  # quicker than a context manager for each record
             translator.show(record)
         except _NONSENSE as error:
             raise _nonsense(log, f"step {record.seq}", error) from error
-    with _damage(log, "a record"):  # a time that is longer than any recording
+    with _damage(log, "a record"):  # a time may be longer than any recording
         translator.finish()
-    for name in translator.scene.absent:  # filters of other tools leave attachments out
+    for name in translator.scene.absent:  # other tools' filters may leave out attachments
         log.assets.damaged.setdefault(name, "it isn't there")
     return translator.worlds.centres
 

@@ -309,9 +309,7 @@ class Expression:
     def __init__(self, text: str, source: str = "") -> None:
         self.text = " ".join(text.split())
         self.source = source
-        self.quantities: dict[
-            str, Function
-        ] = {}  # functions by their texts; only parts and calls that contain no others
+        self.quantities: dict[str, Function] = {}  # functions by texts of parts and calls; these contain no others
         self.units: set[str] = set()  # units of its comparisons
         self.names: dict[str, None] = {}  # names of objects, arms and worlds
         self.needs_geometry = False

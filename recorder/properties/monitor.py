@@ -172,9 +172,7 @@ class _Episode:
     bad: bool = False  # whether the property is violated now
     held: Truth = _BEST  # for "until": the smallest margin of the body so far
     done: bool = False  # for "until" and "eventually": whether the condition was fulfilled
-    past: deque[tuple[float, Truth]] = field(
-        default_factory=deque
-    )  # for "stays": the ends of periods, and the values in them
+    past: deque[tuple[float, Truth]] = field(default_factory=deque)  # for "stays": values, and until when they held
     latest: Truth | None = None
 
 

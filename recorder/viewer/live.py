@@ -182,10 +182,7 @@ class RerunSink:
                     self._taken += self._connection.recv()
                     self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # use at most half a core
             self._connection.recv()
-        except (
-            EOFError,
-            OSError,
-        ):  # the process ended and printed the reason, or has received all records
+        except (EOFError, OSError):  # the process ended and printed the reason, or has received all records
             self._queue.take_rest()
         finally:
             self._settled.set()

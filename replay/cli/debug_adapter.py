@@ -399,8 +399,7 @@ class Adapter:
             if shown:
                 self._event("progressEnd", progressId=number)
 
-    # --- variables, frames and sources at a step
-    # ------------------------------------------------------------------------------------
+    # --- variables, frames and sources at a step ------------------------------------------------------------------
 
     def _on_threads(self, _: Message) -> Message:
         step = self._session.step if self._prompt is not None else -1

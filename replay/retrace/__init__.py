@@ -1,1 +1,1 @@
-"""Runs a plan again, guided by its recording: to compare the records, or to leave the recording at a step."""
+"""Runs a plan again, guided by its recording: either to compare all records, or to continue live after a step."""

@@ -1,13 +1,13 @@
-"""Changes of a forked run after a step: settings of objects and fluents, answers of queries, the seed.
+"""Changes of a forked run after a step: new values of objects and fluents, answers of queries, or the seed.
 
-Each change is a line of text, both in the command and in the fork's recording: ``milk.position=1,2,0.9``,
+Each change is a line of text, in the command and in the fork's recording: ``milk.position=1,2,0.9``,
 ``reachable_object(milk)=false``. So a fork can run again like any other run. Before the plan runs, changes are checked
 as far as the recording allows; the setters check the rest.
 
 Queries draw no random numbers and change nothing in a world. So a run that takes the recorded answers continues like a
-run that asks. An answer is taken only if the next recorded query is the same: with the same arguments, at the same
-moment, and without records in between. Three kinds of queries are always asked: failed queries, queries about many
-targets (the evidence of their single answers isn't on record) and the plan's own queries.
+run that asks. A recorded answer is taken only if the next recorded query is the same: with the same arguments, at the
+same moment, and without records in between. Three kinds of queries are always asked: failed queries, queries about many
+targets (the evidence of their single answers isn't recorded) and the plan's own queries.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ _EXPECTED: Final = (
     "OBJECT.position=X,Y,Z (m, or these and a quaternion x,y,z,w), OBJECT.orientation=X,Y,Z,W, OBJECT.color=R,G,B,A, "
     "OBJECT.JOINT=VALUE (rad or m) or FLUENT=VALUE"
 )
-_FLUENT: Final = "fluent:"  # prefix of a fluent's name that looks like an object's part
-#: Matches an ellipsis, which stands for the rest of a query's arguments.
+_FLUENT: Final = "fluent:"  # prefix for a fluent whose name looks like an object's part
+#: Matches an ellipsis, which stands for all further arguments of a query.
 _ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")
 _OF_MANY: Final = "Found[Verdict]"
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose")  # arguments that are names of objects
@@ -64,7 +64,7 @@ _PARTS: Final = ("gripper", "camera")  # arguments that are names of arms or lin
 _OURS: Final = "pycram.reasoning.queries."
 
 ANSWERABLE: Final = tuple(name for name in btr.__all__ if hasattr(getattr(btr, name), "__wrapped__"))
-"""Names of the queries, as records have them."""
+"""Names of the queries, as in records."""
 
 _ANSWERS: Final = {
     "Verdict": "true or false",
@@ -74,11 +74,11 @@ _ANSWERS: Final = {
 
 
 class BadChange(ReplayError):
-    """A change that a fork can't make."""
+    """A fork can't make a change."""
 
     def __init__(self, change: str, cause: str) -> None:
         super().__init__(f"{change}: {cause}")
-        self.change = change  # as given
+        self.change = change  # the change, as the user gave it
         self.cause = cause
 
 
@@ -95,7 +95,7 @@ class Setting:
     value: Any  # list of numbers for an object; any value for a fluent
 
     def make(self, world: str) -> None:
-        """Set the value, in a world of this process.
+        """Set the value in a world of this process.
 
         Raises:
             BadChange: there is no such world or fluent.
@@ -118,7 +118,7 @@ class Setting:
             body.set_joint_position(self.quantity, *self.value)
 
     def _fluent(self) -> Fluent:
-        """Return the fluent of that name, found among all Python objects: only the plan refers to it."""
+        """Return the fluent of that name, searched among all Python objects, because only the plan refers to it."""
         named: dict[Variable, Fluent] = {}
         for each in gc.get_objects():
             if issubclass(type(each), Fluent):  # isinstance() would call proxies
@@ -136,7 +136,7 @@ class Setting:
 
 
 def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | None = None) -> list[Change]:
-    """Return settings, such as ``milk.position=1,2,0.9``, as changes after a step; by default in the last opened world.
+    """Return settings, such as ``milk.position=1,2,0.9``, as changes after a step; the default world was opened last.
 
     Raises:
         BadChange: a setting has another form.
@@ -144,7 +144,7 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
     """
     changes = []
     if world is not None:
-        state_at(log, step).world(world)  # raises an error for unknown names, also without settings
+        state_at(log, step).world(world)  # raises an error for unknown names, even if there are no settings
     for text in texts:
         setting = parse_setting(text, fluent=_is_of_fluent(log, text))
         name = ""
@@ -177,8 +177,8 @@ def _is_of_fluent(log: RecordReader, text: str) -> bool:
 def parse_setting(text: str, *, fluent: bool) -> Setting:
     """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or, for a fluent, ``battery=20``.
 
-    A fluent whose name has a dot, and isn't on record yet, is written ``fluent:left.battery=20``. Any name can be in
-    quotes: ``'milk carton'.position=1,2,0.9``.
+    If a fluent's name has a dot, and isn't recorded up to that step, write ``fluent:left.battery=20``. Any name can be
+    in quotes: ``'milk carton'.position=1,2,0.9``.
 
     Raises:
         BadChange: the text has another form.
@@ -267,7 +267,7 @@ class GivenAnswer:
 
 
 def parse_answer(text: str) -> GivenAnswer:
-    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``; only given arguments must match.
+    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``; only the given arguments must match.
 
     Raises:
         BadChange: the text has another form, or the query can't have this answer.
@@ -362,13 +362,13 @@ def _name(term: Term) -> str:
 class PendingChanges:
     """Makes changes after their steps, in the process of the plan.
 
-    A step's record is made within the operation that it describes. So a change waits for the end of the operation:
-    until the main thread has no uninterruptible section open and holds no lock, and deferred calls of a world's lock
-    are made. Between operation and change, the plan can't read the world. Changes are made outside of the plan's tasks,
-    blocks and branches, by the setters that plans call; their records say that they aren't the plan's.
+    The record of a step is made within the operation that it describes. So a change waits for the end of the operation:
+    until the main thread has no uninterruptible section open, holds no lock, and has made the deferred calls of a
+    world's lock. The plan can't read the world between the operation and the change. Changes are made outside of the
+    plan's tasks, blocks and branches, by the setters that plans call; their records say that the fork made them.
 
-    ``answers`` receives the answer overrides; ``make`` makes any other change. ``refuse`` is called with the error of
-    an impossible change; it doesn't return.
+    ``answers`` receives the answer overrides; ``make`` makes any other change. If a change is impossible, ``refuse`` is
+    called with the error; it doesn't return.
     """
 
     def __init__(
@@ -401,15 +401,15 @@ class PendingChanges:
         interrupts.call_soon(self._try)
 
     def complete(self, record: Record) -> None:
-        """Mark a record that is due to a change instead of the plan."""
+        """Mark a record that was caused by a change, not by the plan."""
         if isinstance(record, Query):
             self._answers.complete(record)
         elif self._making and isinstance(record, Mutation | records.Fluent) and not record.task and not record.cause:
-            is_set = isinstance(record, Mutation) or not record.source  # other fluents follow the world
+            is_set = isinstance(record, Mutation) or not record.source  # other fluents change with the world
             record.by_fork = is_set and threading.current_thread() is threading.main_thread()
 
     def _try(self) -> bool:
-        """Make the due changes, if possible; return whether no other attempt is needed."""
+        """Make the due changes, if possible; return whether no further attempt is needed."""
         if process() != self._process:  # a projection ends before the change
             return True
         if is_held():
@@ -424,7 +424,7 @@ class PendingChanges:
         try:
             for change in due:
                 Context().run(self._make, change)
-        except Exception as error:  # noqa: BLE001  of the setter, or of the plan's event handlers
+        except Exception as error:  # noqa: BLE001  the setter or the plan's event handlers may raise any error
             self._refuse(error)
         finally:
             self._making = False
@@ -440,7 +440,7 @@ class PendingChanges:
 class AnswerOracle:
     """Answers queries with the given answers of a fork, or with the recorded answers (``taken``).
 
-    ``refuse`` is called with the error of an impossible answer; it doesn't return.
+    If an answer is impossible, ``refuse`` is called with the error; it doesn't return.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
@@ -448,7 +448,7 @@ class AnswerOracle:
         self._takes = taken
         self._refuse = refuse
         self._process = process()
-        self._beside: dict[int, Query] = {}  # further fields for the record of a thread's query, by thread
+        self._beside: dict[int, Query] = {}  # fields to add to the record of a thread's query, by thread
         self.taken = 0  # number of recorded answers that were used
         self.given: list[GivenAnswer] = []  # answers for the next matching queries, in order
 
@@ -478,7 +478,7 @@ class AnswerOracle:
         return own
 
     def complete(self, record: Query) -> None:
-        """Complete the record of a query that wasn't asked, or whose answer was given."""
+        """Complete the record of a query whose answer was taken or given instead of being asked."""
         beside = self._beside.pop(threading.get_ident(), None)
         if beside is None:
             return
@@ -491,7 +491,7 @@ class AnswerOracle:
 
 
 def _answers(recorded: Query, question: Asked, world: BulletWorld) -> bool:
-    """Return whether a record has the complete own answer of the same question at the same moment."""
+    """Return whether a recorded query asks the same question at the same moment, and has its complete own answer."""
     known = recorded.name in ANSWERABLE and _kind(recorded.name) != _OF_MANY
     if not known or recorded.HasField("failure") or recorded.by_fork:
         return False

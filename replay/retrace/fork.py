@@ -1,7 +1,7 @@
-"""Forks a run: the plan runs again, guided by the recording up to a step, and continues live from there.
+"""Forks a run: the plan runs again, guided by the recording up to a step, and continues live after that step.
 
 So the plan has its variables, blocks and branches again, not only its world. The fork may have an edited plan whose
-records up to the step are the same, changes of the world after the step, other answers of queries, or another seed.
+records up to the step are the same. It may also change the world after the step, answers of queries, or the seed.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ class Fork:
     step: int  # the last step that both recordings have
     records: int  # number of records
     succeeded: bool  # whether the plan succeeded
-    notes: tuple[str, ...]  # other differences from the recorded conditions
-    control: Retracing | None = None  # the unchanged plan, compared to the end of the recording; None without control
+    notes: tuple[str, ...]  # differences from the recorded conditions
+    control: Retracing | None = None  # comparison of the unchanged plan with the whole recording; None if not requested
 
 
 def fork(
@@ -78,24 +78,24 @@ def fork(
 
     Args:
         log: the recording.
-        step: the last step that both runs have.
+        step: the last step that both runs have in common.
         file: the new recording; an existing file is replaced.
         plan: an edited plan, instead of the recorded one.
         arguments: the plan's arguments, instead of the recorded arguments.
         settings: values to set after that step, such as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
         world: the world of these settings; by default the open world that was opened last.
-        answers: for the next matching queries after that step, such as ``reachable_object(milk)=false``.
+        answers: answers for the next matching queries after that step, such as ``reachable_object(milk)=false``.
         seed: the seed of random numbers and of the order of branches after that step.
-        control: whether the plan also runs again unchanged to its end. If it repeats the recording, all differences of
-            the fork are due to the change.
+        control: whether the plan also runs again to its end without the changes. If this run repeats the recording, all
+            differences of the fork are due to the changes.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
         begun: called after all checks, before the plan runs.
 
     Raises:
         CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated.
         BadChange, NoSuchName: a setting or an answer is impossible.
-        NotForked: the plan differs before that step; there is no new recording. After all other errors, nothing has
-            run.
+        NotForked: the plan differs before that step; there is no new recording. If another error is raised, the plan
+            hasn't run.
         Damaged: steps up to that step are lost.
         ReplayError: the folder of the new recording doesn't exist.
     """

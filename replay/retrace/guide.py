@@ -1,6 +1,6 @@
-"""Guides a run by its recording: each new record is compared with the recorded one as soon as it is made.
+"""Guides a run by its recording: each new record is immediately compared with the recorded record.
 
-The order of records is compared, but not clocks, durations, ids of tasks and source lines, which differ from run to run
+The order of records is compared. Clocks, durations, ids of tasks and source lines aren't: they differ between runs
 (see :func:`replay.compare.differing`).
 """
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
 
-#: Fields with an object's files. If another file matters, a pose, a contact or an answer differs, too.
+#: Fields with an object's files. If a different file matters, then a pose, a contact or an answer differs, too.
 _FILES: Final = re.compile(r"(?:load_body|loaded\[(\d+)\])\.(?:assets|robot_description)\b")
 
 _Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one another, outermost first
@@ -37,8 +37,8 @@ _Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one anothe
 class Guide(NullSink):
     """Compares the records of a run with a recording, up to the first difference or the step ``until``.
 
-    Then ``report`` is called with the number of equal records and the first difference or None; it need not return.
-    Recordings of the run's projections are written into the folder of ``path``.
+    Then ``report`` is called with the number of equal records and the first difference or None; ``report`` need not
+    return. Recordings of the run's projections are written into the folder of ``path``.
     """
 
     def __init__(
@@ -58,11 +58,11 @@ class Guide(NullSink):
         self._ended = False
         # call stacks of running tasks, recorded and new
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}
-        # the recorded interruptions by the number of the poll; None until they are needed
+        # the recorded interruptions, by number of the poll; None until they are needed
         self._strikes: dict[int, Collection[int]] | None = None
         self.equal = 0  # number of equal records so far
         self.recorded_ns = 0  # time of the last equal record, by the recording's clock
-        self._other_files: dict[str, str] = {}  # file names by object, where the files differ from the recorded ones
+        self._other_files: dict[str, str] = {}  # names of files, by object, that differ from the recorded files
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
         """Compare a record."""
@@ -92,7 +92,7 @@ class Guide(NullSink):
             self._end(None)
 
     def notes(self) -> tuple[str, ...]:
-        """Return a note in words if objects have other files than in the recording."""
+        """Return a note if files of objects differ from the recorded files; otherwise nothing."""
         files = ", ".join(f"{file} of {body}" for body, file in self._other_files.items())
         return (f"other files than recorded: {files}",) if files else ()
 
@@ -106,9 +106,9 @@ class Guide(NullSink):
             return self._ahead if self._ahead is not None and self._ahead.seq == self.equal else None
 
     def foreseen(self, look: int) -> Collection[int] | None:
-        """Return the interruptions of the recorded run at a poll for them; None after the end of the comparison.
+        """Return the interruptions that the recorded run found at a poll; None after the end of the comparison.
 
-        All are read in advance: the record of an interruption follows it.
+        All of them are read in advance, because the record of an interruption comes after the interruption.
         """
         if self._ended:
             return None
@@ -141,7 +141,7 @@ class Guide(NullSink):
 
 
 def _other_files(record: Record, fields: Iterable[str]) -> Iterator[tuple[str, LoadBody]]:
-    """Yield the fields that differ because an object has other files, each with the object's load record."""
+    """Yield the fields that differ because an object's files differ, each with the record that loaded the object."""
     for path in fields:
         found = _FILES.match(path)
         if found and isinstance(record, Mutation):
@@ -177,7 +177,7 @@ def _words(record: Record) -> str:
 
 
 def _stack(record: Record, tasks: dict[int, _Stack]) -> _Stack:
-    """Return the plan's lines that led to a record, or else to its task; note the lines of a starting task."""
+    """Return the plan's lines that led to a record, or else to its task; remember the lines of a starting task."""
     file, line = getattr(record, "source_file", ""), getattr(record, "source_line", 0)
     stack = tasks.get(record.task, ())
     if file and line:

@@ -1,9 +1,9 @@
 """Runs a plan again in this process, guided by its recording; :mod:`.plan_process` starts the process.
 
-A run without a file ends when the comparison ends. A fork then continues into a recording of its own. The result is one
-line of JSON on a file descriptor: stdout and stderr are the plan's.
+A run without a file ends when the comparison ends. With a file, a fork continues into its own recording. The result is
+one line of JSON on a file descriptor of its own, because stdout and stderr belong to the plan.
 
-The plan's call stacks end at the frames of this module. So sinks, which are called by the plan, are in :mod:`.guide`.
+The plan's call stacks end at the frames of this module. So sinks are in :mod:`.guide`, because the plan calls them.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def make_change(change: Change) -> None:
 
 
 class GuidedRun:
-    """A run of a plan in this process: its records are compared, queries answered, and changes made after their steps.
+    """A run of a plan in this process: records are compared, queries answered, and changes made after their steps.
 
     The folder is for recordings of projections. For ``report`` see :class:`replay.retrace.guide.Guide`; for ``refuse``
     see :class:`replay.retrace.changes.PendingChanges`.
@@ -94,7 +94,7 @@ class GuidedRun:
     def run(
         self, plan: str, arguments: Sequence[str], sink_of: Callable[[Run], Sink], file: Path = Path(os.devnull)
     ) -> None:
-        """Run a plan as a program; return even if it raises an exception.
+        """Run a plan as a program; return even if the plan raises an exception.
 
         When the plan starts the recording again, ``sink_of`` returns its sink, instead of the file.
         """
@@ -117,7 +117,7 @@ class GuidedRun:
             if by_program:
                 sys.argv = [began.called_as or plan, *arguments]
                 sys.path.insert(0, str(Path(plan).parent.resolve()))
-                with contextlib.suppress(BaseException):  # the recording has any exception that this raises
+                with contextlib.suppress(BaseException):  # the recording contains any exception that this raises
                     _run_program(plan)
             else:
                 seed = int(began.seed) if began.seed.isdecimal() else None
@@ -137,7 +137,7 @@ class GuidedRun:
 
 
 def _run_program(plan: str) -> None:
-    """Run a file as Python does: runpy would name the module by its path."""
+    """Run a file as Python does. runpy isn't used, because it would name the module by its path."""
     module = ModuleType("__main__")
     module.__file__ = plan
     sys.modules["__main__"] = module
@@ -145,7 +145,7 @@ def _run_program(plan: str) -> None:
 
 
 def main() -> None:
-    """Run a plan again by a request in JSON, the only argument of the process; see :meth:`.PlanProcess.run`."""
+    """Run a plan again as requested in JSON by the only argument of the process; see :meth:`.PlanProcess.run`."""
     request = json.loads(sys.argv[1])
     die_with(request.pop("parent"))
     guidance = Guidance.of_json(request.pop("guidance"))
@@ -169,7 +169,7 @@ class _ReportedRun:
         self._equal: int | None = None  # number of equal records, after the end of the comparison
 
     def run(self, plan: str, arguments: Sequence[str]) -> None:
-        """Run the plan to its end, unless the process ends before."""
+        """Run the plan to its end, unless the process ends earlier."""
         self._guided.run(plan, arguments, self._sink_of, Path(self._file or os.devnull))
         self._guided.guide.close()
         if self._guided.changes.due:
@@ -209,7 +209,7 @@ class _ReportedRun:
         for stream, descriptor in ((sys.__stdout__, _STDOUT), (sys.__stderr__, _STDERR)):
             if stream is not None:
                 stream.flush()
-            os.dup2(self._output, descriptor)  # from now on, the plan's output is new
+            os.dup2(self._output, descriptor)  # from now on, the plan's output isn't a repetition
 
     def _refuse(self, error: Exception) -> NoReturn:
         self._send(error=str(error) if isinstance(error, PortableError) else format_error(error))

@@ -1,8 +1,8 @@
 """Runs a recorded plan again in a process of its own, under the recorded conditions and guided by the recording.
 
-With ``recorded_source``, the source that is attached to the recording runs instead of the files on the disk. It is
-written to a folder. The attached files are the plan and the modules whose lines are in call stacks. The folder has
-links to the other files next to the plan.
+With ``recorded_source``, the source that is attached to the recording runs instead of the files on the disk. The
+attached files are the plan and the modules whose lines are in call stacks. They are written to a folder, with links to
+the other files next to the plan.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
 
-_SHOWN: Final = 2000  # number of shown characters from the end of the stderr of a process without a result
+_SHOWN: Final = 2000  # largest number of characters that are shown from the end of a failed process's stderr
 _STDERR: Final = 2
 _CACHE: Final = "__pycache__"  # folder of compiled files, which belong to the files on the disk
 
@@ -46,14 +46,14 @@ class CantRetrace(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """How a recording guides a run; the recording itself has the moments of deadlines and results of workers."""
+    """How a recording guides a run. The recording itself contains the moments of deadlines and of workers' results."""
 
     log: str  # the recording's file
     by_program: bool  # whether the plan itself starts the recording
-    until: int | None = None  # the last compared step; None to compare all
+    until: int | None = None  # the last compared step; None: all steps are compared
     take_answers: bool = False  # whether queries get their recorded answers instead of being asked
     changes: tuple[Change, ...] = ()  # changes; each is made after its step
-    moved: tuple[str, str] | None = None  # the folder with the plan's recorded source, and the plan's own folder
+    moved: tuple[str, str] | None = None  # folder with the plan's recorded source, and the plan's own folder
 
     def as_json(self) -> dict[str, object]:
         """Return the guidance as JSON data."""
@@ -69,11 +69,11 @@ class Guidance:
 
 @dataclass(frozen=True, slots=True)
 class FirstDifference:
-    """The first record that differs."""
+    """The first record that differs from the recording."""
 
-    step: int  # step in the recording; the recording's number of steps, if the plan continues after the end
+    step: int  # step of the recorded record; the number of steps if the plan continues after the recording's end
     text: str  # the difference in words
-    line: str = ""  # FILE:LINE of the plan that made the new record; if the plan ended, the line of the recorded record
+    line: str = ""  # the plan's FILE:LINE that made the new record; if the plan ended, the line of the recorded record
     callers: tuple[str, ...] = ()  # lines of the plan, innermost first
     #: Recorded and new values that differ, by the path of the field; empty for records of different kinds.
     fields: dict[str, tuple[Plain, Plain]] = field(default_factory=dict)
@@ -86,7 +86,7 @@ class GuidedResult:
     equal: int  # number of equal records before the first difference
     difference: FirstDifference | None  # None if all compared records are equal
     taken: int  # number of answers that were taken from the recording
-    notes: tuple[str, ...] = ()  # differences from the recorded conditions that were found on the way
+    notes: tuple[str, ...] = ()  # differences from the recorded conditions that were found during the run
 
 
 class PlanProcess:
@@ -96,7 +96,7 @@ class PlanProcess:
         log: the recording.
         plan: a file to run instead of the recorded plan.
         arguments: the plan's arguments, instead of the recorded arguments.
-        until: the last compared step; by default the last step.
+        until: the last compared step; by default, the last step of the recording.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Raises:
@@ -113,10 +113,10 @@ class PlanProcess:
         recorded_source: bool = False,
     ) -> None:
         began = log[0]
-        if not hasattr(os, "fork"):  # systems without fork also lack the inheritance of open files
+        if not hasattr(os, "fork"):  # on systems without fork, processes can't inherit open files either
             raise CantRetrace("plans can't be run again on this system: it has no os.fork")
         if not isinstance(began, Run) or not (began.directory or plan):
-            raise CantRetrace(f"{log.path}: an older release made it, which didn't record how the plan was run")
+            raise CantRetrace(f"{log.path}: an older release made it, and didn't record how the plan was run")
         if recorded_source and plan is not None:
             raise CantRetrace("give either a plan or --recorded-source, not both")
         self.log = log
@@ -149,7 +149,7 @@ class PlanProcess:
         self._stopped = False
 
     def notes(self) -> Iterator[str]:
-        """Yield in words the differences from the conditions of the recorded run."""
+        """Yield the differences from the conditions of the recorded run, in words."""
         began = self._began
         if self._source is not None:
             yield str(self._source)
@@ -164,18 +164,18 @@ class PlanProcess:
             yield "no PYTHONHASHSEED is recorded: the order of sets may differ"
         if self._interrupted_after is not None:
             last = self._interrupted_after
-            yield f"the run was interrupted after step {last}; only the steps up to this one can be the same"
+            yield f"the run was interrupted after step {last}; only the steps up to this step can be the same"
         if str(self._folder) != began.directory:
             yield f"the working directory {began.directory} doesn't exist; {self._folder} is used"
 
     def run(
         self, *, file: Path | None = None, changes: Sequence[Change] = (), take_answers: bool = False
     ) -> GuidedResult:
-        """Run it to the first difference; or as a fork, to its end.
+        """Run the plan to the first difference, or as a fork to the plan's end.
 
-        With a file, the plan continues after the last compared step into this recording, and prints to stderr. If the
-        recorded run is itself a fork, its changes are made again, each after its step; with ``changes``, only those up
-        to the last compared step.
+        With a ``file``, the plan continues after the last compared step into this new recording, and prints to stderr.
+        If the recorded run is a fork itself, its changes are made again, each after its step. With ``changes``, only
+        its changes up to the last compared step are made again.
 
         Raises:
             CantRetrace: the process ended without a result.
@@ -203,11 +203,11 @@ class PlanProcess:
                 undoing.callback(process.kill)
                 if self._stopped:  # the run was stopped before the process started
                     process.kill()
-                line = results.readline()  # the plan's own processes may keep the pipe open
+                line = results.readline()  # processes of the plan may keep the pipe open
                 code = process.wait()
                 undoing.pop_all()
             os.set_blocking(reading, False)
-            line = results.readline() or line  # the last message counts
+            line = results.readline() or line  # the last message is the result
             if not line:
                 errors.seek(0)
                 printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
@@ -234,9 +234,9 @@ class PlanProcess:
     def guidance(
         self, until: int | None = None, changes: Sequence[Change] = (), *, take_answers: bool = False
     ) -> Guidance:
-        """Return how the recording guides the run, with its recorded changes and more changes.
+        """Return how the recording guides the run, with its recorded changes and further changes.
 
-        With more changes, or an edited plan, only recorded changes up to the last compared step are made again.
+        With further changes or an edited plan, only recorded changes up to the last compared step are made again.
         """
         recorded = list(self._began.origin.changes)
         if (changes or self._edited) and self._until is not None:
@@ -256,11 +256,11 @@ class PlanProcess:
         """Start the ``main`` function of a module in a process with the recorded conditions, without input and output.
 
         Args:
-            module: its main function gets the run and the facts as one text in JSON.
+            module: its main function receives the run and the facts as one JSON text.
             guidance: how the recording guides the run.
-            folder: for the recordings of projections, and for the recorded source.
-            errors: gets its stderr.
-            descriptors: open files that it inherits.
+            folder: folder for the recordings of projections and for the recorded source.
+            errors: file for the stderr of the process.
+            descriptors: open files that the process inherits.
             facts: data for the main function.
         """
         began = self._began
@@ -293,7 +293,7 @@ class PlanProcess:
 
 
 def last_own_step(log: RecordReader) -> int:
-    """Return the last step that a plan reaches by itself, before Ctrl-C and its effects."""
+    """Return the last step that a plan reaches by itself, before Ctrl-C and the effects of Ctrl-C."""
     step = len(log) - 1
     end = log[step]
     if isinstance(end, Run) and end.interrupted_by:
@@ -308,7 +308,7 @@ def _is_end(record: Record) -> bool:
 
 
 def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
-    """Reject worlds with a window or in real time: the run couldn't be the same."""
+    """Reject worlds with a window or in real time, because a run with them can't be repeated."""
     for record in log.records(Mutation, 0, len(log) if until is None else until + 1):
         window = record.HasField("open_world") and record.open_world.mode == "GUI"
         if window or (record.HasField("set_realtime") and record.set_realtime.enabled):
@@ -359,9 +359,9 @@ class _RecordedSource:
         return {self.program.parent / place: text for place, text in self.files.items()}
 
     def write(self, folder: Path) -> Path:
-        """Write the source and links to its other files into a folder; return the plan's file there."""
+        """Write the source, with links to the other files next to it, into a folder; return the plan's file in it."""
         name = self.program.parent.name
-        target = folder / (name if name not in ("", "..") else "plan")  # the plan was run as ../plan.py
+        target = folder / (name if name not in ("", "..") else "plan")  # the plan may have been run as ../plan.py
         _lay(self.files, self.program.parent, target)
         return target / self.program.name
 
@@ -372,7 +372,7 @@ class _RecordedSource:
 
 
 def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
-    """Write files below a folder, and links to all other files that the original has there."""
+    """Write files below a folder, and links to all other files that the original folder has."""
     target.mkdir(parents=True)
     within: dict[str, dict[Path, bytes]] = {}
     for place, text in texts.items():

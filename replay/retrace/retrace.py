@@ -1,9 +1,9 @@
 """Retraces a recording: runs the plan again, and compares it with the recording, record by record.
 
 The same plan, seed, arguments and working directory give the same records in the same order. So the first difference is
-due to a later change of the plan, of PyCRAM or of the engine, or to data from the outside world: clocks, files, the
-network. Lines that may read such data are found in the source by the names of common functions; a plan may have other
-ways to read it.
+due to a later change of the plan, of PyCRAM or of the engine, or to data from the outside world, such as clocks, files
+or the network. Lines that may read such data are found in the source by the names of common functions, but a plan may
+also read it in other ways.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _READS: Final[Mapping[str, str]] = {
     "input": _INPUT,
     "fileinput": _INPUT,
 }
-_STDIN: Final = "sys.stdin"  # a call or a loop reads it
+_STDIN: Final = "sys.stdin"  # a call or a loop reads from it
 _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # methods of any object
 
 
@@ -54,9 +54,9 @@ class Retracing:
     plan: Path  # the file that ran
     steps: int  # number of steps of the recording
     equal: int  # number of equal records before the first difference
-    #: None if all records are equal, or all records before the recording was cut off or damaged
+    #: None if all records are equal, up to the point where the recording was cut off or damaged
     difference: FirstDifference | None
-    notes: tuple[str, ...]  # other differences from the recorded conditions: possible causes
+    notes: tuple[str, ...]  # differences from the recorded conditions, which are possible causes
     seconds: float  # duration of the run in s
     taken: int = 0  # number of queries whose answers were taken from the recording, instead of being asked again
 
@@ -76,15 +76,15 @@ def retrace(
 ) -> Retracing:
     """Run a recorded plan again in a process of its own, and compare record by record up to the first difference.
 
-    The plan has the same effects again, also outside of its worlds (files, network). It has no input, and its output
+    The plan's effects outside of its worlds (files, network) happen again. The plan has no input, and its output
     isn't shown.
 
     Args:
         log: the recording.
         plan: a file to run instead of the recorded plan.
         arguments: the plan's arguments, instead of the recorded arguments.
-        answers: "asked" to ask reasoning queries again and compare their answers; "recorded" to take the answers from
-            the recording, which is faster: then only the queries and their moments are compared.
+        answers: "asked" asks reasoning queries again and compares their answers. "recorded" takes the answers from the
+            recording, which is faster: only the queries and their moments are compared.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Raises:
@@ -130,12 +130,12 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield the tasks around a step of an old recording that the clock or a worker thread ended, in words.
+    """Yield, in words, tasks around a step of an old recording that the clock or a worker thread ended.
 
     Newer recordings have the moments of these ends.
     """
     began = log[0]
-    if isinstance(began, Run) and began.HasField("looks"):  # then the recorded moments guide the run
+    if isinstance(began, Run) and began.HasField("looks"):  # in this case, the recorded moments guide the run
         return
     begun: dict[int, int] = {}
     for record in log.records(Task):
@@ -147,7 +147,7 @@ def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield line, text and source of each read of outside data in a file."""
+    """Yield, for each read of outside data in a file: the line, its text, and the source of the data."""
     try:
         nodes = syntax_nodes(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -1,1 +1,1 @@
-"""Folders of recordings as tables: statistics, what separates failures from successes, and exports of many runs."""
+"""Folders of recordings as tables: statistics, facts that separate failures from successes, exports of many runs."""

@@ -1,12 +1,12 @@
-"""A folder of recordings as tables, for SQL statements that only read.
+"""A folder of recordings as tables, for read-only SQL statements.
 
-Tables are made from new and changed recordings only, and replaced atomically.
+Only new and changed recordings are read to update the tables, which are replaced atomically.
 
-``tables/`` in the folder has ``contents.json``, which lists the recordings in the tables, and a subfolder for each part
-with the Parquet files of some recordings. An update adds a part; small parts are merged. New contents replace the old
-ones by one rename, so a kill leaves the old tables or the new ones. Readers hold a shared lock on their parts: an
-obsolete part stays until its last reader closes. Recordings that can't be read, or are from a newer release, are left
-out and reported.
+In the folder, ``tables/`` has ``contents.json``, which lists the recordings in the tables, and subfolders, the parts. A
+part has the Parquet files of some recordings. An update adds a part; small parts are merged. A single rename replaces
+the old contents by the new contents, so a kill leaves one of them. Readers hold a shared lock on their parts, so that
+an obsolete part stays until its last reader closes. Recordings that can't be read, or are from a newer release, are
+left out and reported.
 
 DuckDB executes statements in memory, from the Parquet files. It is sandboxed: it accepts single SELECT statements,
 opens no other files, and its settings are locked.
@@ -61,12 +61,12 @@ class NotRead(ReplayError):
     def __init__(self, path: Path, cause: str) -> None:
         super().__init__(f"{path}: {cause}")
         self.path = str(path)  # path of the folder
-        self.cause = cause  # why, and what to do
+        self.cause = cause  # why the tables can't be made or read, and what to do
 
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A file of the folder that has no rows in the tables."""
+    """A file in the folder without rows in the tables."""
 
     name: str  # name of the file
     reason: str
@@ -129,7 +129,7 @@ class Folder:
         return dict(sorted(found.items()))
 
     def update(self, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
-        """Bring the tables up to date; ``progress`` is called with the numbers of read recordings and of all to read.
+        """Bring the tables up to date; ``progress`` is called with the numbers of recordings read, and to read in all.
 
         Raises:
             NotRead: the tables aren't up to date, and can't be written.
@@ -151,7 +151,7 @@ class Folder:
             self._hold()
 
     def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
-        """Return the recordings in the tables that changed or are gone, and the recordings that must be read."""
+        """Return two lists: recordings in the tables that changed or are gone, and recordings that must be read."""
         known = self._contents.files
         stale = [
             name
@@ -253,13 +253,13 @@ class Folder:
         try:
             for name, table in tables.items():
                 parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
-            shutil.rmtree(self.tables / part, ignore_errors=True)  # remains of an update that was killed
+            shutil.rmtree(self.tables / part, ignore_errors=True)  # it is left from an update that was killed
             mask = os.umask(0)
             os.umask(mask)
             partial.chmod(0o777 & ~mask)
             partial.rename(self.tables / part)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)  # remains, if the folder wasn't renamed
+            shutil.rmtree(partial, ignore_errors=True)  # remove the rest if the folder wasn't renamed
         return part
 
     # --- locks -------------------------------------------------------------------------------------------------------
@@ -294,7 +294,7 @@ def empty_tables() -> dict[str, pa.Table]:
 class Contents:
     """The contents of the tables."""
 
-    #: Size and time of each recording that was read, with its part, or with the reason why it can't be read.
+    #: For each recording that was read: its size and time, and its part or the reason why it can't be read.
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     next: int = 1  # number of the next part
 
@@ -309,13 +309,13 @@ class Contents:
 
     @classmethod
     def read(cls, tables: Path) -> Contents:
-        """Return the contents of a folder of tables; empty if they are unreadable or of another release."""
+        """Return the contents of a folder of tables; empty contents if they are unreadable or of another release."""
         numbers = [int(found[1]) for name in parts_there(tables) if (found := _PART.fullmatch(name))]
-        nothing = cls(next=max(numbers, default=0) + 1)  # readers of old parts may continue
+        nothing = cls(next=max(numbers, default=0) + 1)  # readers may still use old parts: no number is reused
         try:
             content = json.loads((tables / _CONTENTS).read_text(encoding="utf-8"))
             contents = cls(dict(content["files"]), int(content["next"]))
-            decimal = all(part.isdecimal() for part in contents.parts)  # no path out of the folder
+            decimal = all(part.isdecimal() for part in contents.parts)  # so no name leads out of the folder
             ours = content["version"] == VERSION and decimal
             intact = ours and all(
                 (tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
@@ -336,19 +336,19 @@ class Contents:
 
 
 def parts_there(tables: Path) -> set[str]:
-    """Return the names of the folders of parts, including obsolete ones."""
+    """Return the names of the folders of parts, including obsolete parts."""
     found = tables.iterdir() if tables.is_dir() else ()
     return {each.name for each in found if _PART.fullmatch(each.name) and each.is_dir() and not each.is_symlink()}
 
 
 @contextlib.contextmanager
 def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """Hold a lock on a folder, if the system has locks, without waiting for it.
+    """Hold a lock on a folder without waiting for the lock. If the system has no locks, do nothing.
 
     Raises:
         BlockingIOError: another process holds it.
     """
-    if not system.HAS_LOCKS:  # nor does it open folders
+    if not system.HAS_LOCKS:  # a system without locks doesn't open folders either
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -368,7 +368,7 @@ def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
 
 
 class Refused(ReplayError):
-    """A statement doesn't only read the tables, or can't be executed."""
+    """A statement does more than read the tables, or can't be executed."""
 
     def __init__(self, sql: str, cause: str) -> None:
         super().__init__(cause)
@@ -381,7 +381,7 @@ class Answer:
 
     def __init__(self, table: pa.Table) -> None:
         names: list[str] = []
-        for name in table.column_names:  # unlike joined tables, JSON objects and data frames need unique names
+        for name in table.column_names:  # JSON objects and data frames need unique names, joined tables don't
             others = (f"{name}_{number}" for number in range(1, len(table.column_names)))
             names.append(name if name not in names else next(each for each in others if each not in names))
         self._table = table.rename_columns(names)
@@ -424,9 +424,9 @@ class Answer:
 
 
 class Runs:
-    """A folder of recordings as tables; :func:`replay.open_runs` opens it. A context manager.
+    """A folder of recordings as tables; :func:`replay.open_runs` opens it. It can be used in a ``with`` statement.
 
-    ``progress`` is called with the number of new recordings that were read, and of all new recordings.
+    ``progress`` is called with the number of new recordings that were read, and the number of all new recordings.
 
     Raises:
         NotALog: there is no such folder.

@@ -1,4 +1,4 @@
-"""Runs as a data set in LeRobot's format v3.0: an episode per run, with 30 frames per second of simulated time.
+"""Runs as a data set in LeRobot's format v3.0: each run is an episode, with 30 frames per second of simulated time.
 
 A frame has the robot's base pose and joints (``observation.state``), the base pose and joints of the next frame
 (``action``), and the poses of all bodies that move in any run (``observation.environment_state``). Between two changes
@@ -58,8 +58,9 @@ _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.9
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
 
 
-#: Draws the picture of a camera in a world after a step, or at a moment within the next step (s of simulated time). The
-#: size is width and height in pixels. The caller provides this function: the room doesn't import rendering.
+#: A function that draws the picture of a camera in a world, after a step or at a moment (s of simulated time) within
+#: the next step. The size is width and height in pixels. The caller provides it, as this package doesn't import
+#: rendering.
 Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"
 
 
@@ -74,7 +75,7 @@ class Exported:
 
 
 def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = None) -> Exported:
-    """Export runs of one robot, by the names of their recordings, into a new folder; without ``draw``, without video.
+    """Export runs of one robot (names of recordings) into a new folder. Without ``draw``, the data set has no video.
 
     Raises:
         ReplayError: no robot moves in any run, the runs are of several robots, or the folder can't be written.
@@ -102,14 +103,14 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
             partial.chmod(0o755)
             partial.rename(folder)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)  # if it wasn't renamed
+            shutil.rmtree(partial, ignore_errors=True)  # it is left if it wasn't renamed
     except OSError as error:
         raise ReplayError(f"{folder}: can't be written: {error.strerror or error}") from error
     return Exported(folder, tuple(robots), frames, tuple(name for name in names if name not in robots))
 
 
 def _robots(runs: Runs, names: Sequence[str]) -> dict[str, str]:
-    """Return the last robot of each run with recorded joints."""
+    """Return the last robot of each run in which joints are recorded."""
     rows = runs.sql(
         "SELECT run, arg_max(body, step) FROM mutations m WHERE command = 'set_robot' AND body <> '' "
         "AND EXISTS (SELECT 1 FROM joints j WHERE j.run = m.run AND j.body = m.body) GROUP BY run ORDER BY run"
@@ -220,7 +221,7 @@ class _Writer:
     def _series(
         self, run: str, table: str, key: str, columns: Sequence[str], body: str | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return times and values by name; the last of several values at one time counts."""
+        """Return times and values by name; if there are several values at a time, the last counts."""
         rows = self.runs.sql(
             f"SELECT {key}, sim_seconds, {', '.join(columns)} FROM {table} WHERE run = ? AND (? IS NULL OR body = ?) "  # noqa: S608  the names are ours
             "ORDER BY step, sim_seconds",
@@ -313,7 +314,7 @@ def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
 
 
 def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[float]]]:
-    """Return the statistics by which LeRobot normalises, each as a list of one number per component of a feature."""
+    """Return the statistics by which LeRobot normalises: each is a list with a number per component of a feature."""
     found = {}
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)
@@ -327,15 +328,15 @@ def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[f
 
 
 class _Videos:
-    """Writes the videos of a data set, the pictures of a robot's camera, into its folder. A context manager."""
+    """Writes the videos of a data set, which show the robot's camera, into its folder. It is a context manager."""
 
     def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
         self._folder, self._runs, self._robot, self._draw = folder, runs, robot, draw
         self._file = -1
-        self._frames = 0  # in the file
+        self._frames = 0  # number of frames in the present file
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
-        self._counts = np.zeros((3, 256), np.int64)  # how often each channel has each value, in all episodes
+        self._counts = np.zeros((3, 256), np.int64)  # number of pixels for each channel and each value, in all episodes
         import av  # noqa: PLC0415  an extra
 
         self._av = av
@@ -413,11 +414,11 @@ class _Videos:
         ).rows()
         steps, times = [step for step, _ in changes], np.maximum.accumulate([time for _, time in changes])
         drawn: NDArray[np.uint8] | None = None
-        still = -1  # the change after which nothing moved before the picture
+        still = -1  # index of the last change, if nothing has moved since then
         with RecordReader(self._runs.path / run) as log:
             for moment in moments:
                 at = max(int(np.searchsorted(times, moment + 1e-9, side="right")) - 1, 0)
-                moves = at + 1 < len(times) and bool(times[at] < moment - 1e-9)  # within the next change
+                moves = at + 1 < len(times) and bool(times[at] < moment - 1e-9)  # the moment is within the next change
                 if drawn is None or moves or at != still:
                     drawn = self._draw(log, steps[at], world, float(moment) if moves else None, _PICTURE)
                     still = -1 if moves else at

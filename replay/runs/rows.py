@@ -1,12 +1,12 @@
 """The rows of a recording, for the tables of its folder.
 
 One pass over the records makes the rows; a failed run also gets its root cause. The process that made a recording calls
-:func:`write_rows` at its end; readers make the rows of all other recordings. A row file holds one table after another,
-until a reader merges it into the folder's tables (:mod:`replay.runs.folder`).
+:func:`write_rows` when the recording ends; readers make the rows of all other recordings. A row file contains one table
+after another, until a reader merges it into the folder's tables (:mod:`replay.runs.folder`).
 
 Two failures have the same cause if their types, their first colliding pairs of links, and the names of the tasks around
-them are equal. Without recorded links, the first line of the message counts, without its numbers. So coordinates, seeds
-and attempt numbers don't split a cause.
+them are equal. If no links are recorded, the first line of the message is compared, without its numbers. So
+coordinates, seeds and attempt numbers don't split a cause.
 """
 
 from __future__ import annotations
@@ -51,23 +51,23 @@ if TYPE_CHECKING:
 
 
 FOLDER: Final = "tables"
-"""The subfolder of a folder of recordings with its tables."""
+"""Name of the subfolder, in a folder of recordings, that contains its tables."""
 NEW: Final = "new"
-"""The subfolder of the tables with the rows of recordings that aren't merged yet."""
-_PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the processors
-_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow now imports pandas, if installed: once, before a process forks
-_NO_EVENT: Final = Event()  # stands for the fields that fluents lack
+"""Name of the tables' subfolder that contains rows which aren't merged yet."""
+_PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the processor cores
+_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas here, if installed, before a process forks
+_NO_EVENT: Final = Event()  # replaces the fields that records of fluents lack
 _STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 _OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
 _NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 _LIST: Final = re.compile(r"[\[(]#(?:, #)*[\])]")
-_MAX_PATH: Final = 500  # largest number of characters; tasks may be nested a thousand deep
+_MAX_PATH: Final = 500  # largest number of characters of a path; tasks may be nested a thousand levels deep
 _MAX_NAMED: Final = 3  # largest number of objects in a label
 
 
 def write_rows(path: Path) -> None:
-    """Write the rows of a finished recording, for readers of its folder.
+    """Write the rows of a finished recording; readers of its folder use them.
 
     Raises:
         ReplayError: the recording can't be read.
@@ -91,7 +91,7 @@ def write_rows(path: Path) -> None:
 
 
 def read_rows(path: Path, state: os.stat_result) -> dict[str, pa.Table] | None:
-    """Return the rows that the process of a recording wrote; None without rows, or if its file's state has changed."""
+    """Return the rows that the process of a recording wrote; None without rows, or if the recording has changed."""
     tables = {}
     with suppress(OSError, pa.ArrowInvalid), written_rows(path).open("rb") as file:
         for table in TABLES:
@@ -110,7 +110,7 @@ def written_rows(path: Path) -> Path:
 
 
 def partial_rows(path: Path) -> Path:
-    """Return the file of the rows while they are written; it stays if the writer is killed."""
+    """Return the file of the rows while they are written; the file remains if the writer is killed."""
     rows = written_rows(path)
     return rows.with_name(f".{rows.name}")
 
@@ -146,7 +146,7 @@ def tables_of(log: RecordReader) -> dict[str, pa.Table]:
 class _Rows:
     def __init__(self) -> None:
         self._of: dict[str, list[list[Any]]] = {table.name: [] for table in TABLES}
-        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # by columns, because there are dozens of rows
+        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # columns: a record may add dozens of rows
         self.first: Record | None = None
         self.last: Record | None = None
         self.start: Run | None = None
@@ -230,7 +230,7 @@ class _Rows:
                 self._failure(record, "task", record.failure)
 
     def _begin(self, record: Task) -> None:
-        """Add a task's row; a requested task that starts gets the time of its start."""
+        """Add a task's row; when a requested task starts, its row gets the time of the start."""
         known = self._tasks.get(record.task)
         if known is not None:
             at = COLUMNS["tasks"]
@@ -446,7 +446,7 @@ class _Rows:
         )
 
     def _root(self, broken: RootCause | None) -> tuple[Failure | None, str, int | None]:
-        """Mark the failure that explains the run's end; return it with the path of its task and its step."""
+        """Mark the failure that explains the run's end; return the failure, the path of its task, and its step."""
         if broken is None:
             return None, "", None
         failure, path = broken.failure, ""
@@ -462,13 +462,13 @@ class _Rows:
 
 
 def parameters(start: Run) -> list[tuple[str, str]]:
-    """Return the parameters of a run; without any, the options among its arguments."""
+    """Return the parameters of a run; if it has none, the options among its arguments."""
     given = {each.name: each.value_json for each in start.parameters}
     return list((given or _options(start.arguments)).items())
 
 
 def _options(arguments: Sequence[str]) -> Mapping[str, str]:
-    """Return options as ``--arm left`` or ``--arm=left``, their values as JSON."""
+    """Return options such as ``--arm left`` or ``--arm=left``, with their values as JSON."""
     found: dict[str, str] = {}
     for at, argument in enumerate(arguments):
         option = _OPTION.fullmatch(argument)
@@ -493,7 +493,7 @@ def _key(name: str) -> str:
 
 
 def label(name: str, arguments: Sequence[Argument]) -> str:
-    """Return a name with the objects among its arguments, or else with the type of object in them."""
+    """Return a name with the objects among the arguments; without objects, with the type of object in the arguments."""
     found: dict[str, None] = {}
     for argument in arguments:
         if '{"object":' in argument.json:
@@ -510,18 +510,18 @@ def source(record: Task | Query | Mutation | Event | Fluent | Refusal | Check) -
 
 
 def without_numbers(text: str) -> str:
-    """Return the first line of a text with # for each number and each list of numbers."""
+    """Return the first line of a text in which # replaces each number and each list of numbers."""
     return _LIST.sub("#", _NUMBER.sub("#", text.strip().partition("\n")[0]))
 
 
 def pairs_of(failure: Failure) -> list[str]:
-    """Return the colliding pairs of links, in words, in recorded order."""
+    """Return the colliding pairs of links, in words, in the recorded order."""
     recorded = argument_values(failure.data).get("pairs") if failure.data else None
     return [pair_text(pair) for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
 
 
 def cause_of(failure: Failure, path: str) -> str:
-    """Return the cause of a failure, given the names of the tasks in which it began."""
+    """Return the cause of a failure; ``path`` has the names of the tasks in which it began."""
     pairs = pairs_of(failure)
     what = pairs[0] if pairs else without_numbers(failure.message)
     where = f" at {without_numbers(path)}" if path else ""

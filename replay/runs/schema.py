@@ -1,4 +1,4 @@
-"""The tables of a folder of recordings: their columns and meanings. The documentation is generated from them.
+"""The tables of a folder of recordings: their columns and meanings. The documentation is generated from this module.
 
 Values of users' own types are JSON, as in recordings. Times are s of the clock since the recording began;
 ``sim_seconds`` is the simulated time of the record's world.
@@ -29,11 +29,11 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table; each has ``run`` as its first column."""
+    """A table. The first column of each table is ``run``."""
 
-    name: str  # also of its view
-    meaning: str  # of a row
-    columns: tuple[Column, ...]  # without ``run``
+    name: str  # name of the table, and of its view
+    meaning: str  # meaning of a row
+    columns: tuple[Column, ...]  # the columns, without ``run``
 
     @property
     def names(self) -> tuple[str, ...]:

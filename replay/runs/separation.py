@@ -1,15 +1,16 @@
 """The facts that separate failed from successful runs, read from the tables of their folder.
 
-A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or an order of two events. It has
-values in each run that reached it; only values before the failure count. A *fact* is a statement about these values,
-true of some runs and false of others that reached the site (Liblit et al. 2005, "Scalable statistical bug isolation").
-Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones and Harrold
-2005). Facts that are true of the same runs are one *claim*.
+A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or the order of two events. It
+has values in each run that reached it; only values before the failure count. A *fact* is a statement about these values
+that is true of some runs and false of others that reached the site (Liblit et al. 2005, "Scalable statistical bug
+isolation"). Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones
+and Harrold 2005). Facts that are true of the same runs are one *claim*.
 
-A claim must be stronger than chance: the failures are dealt to the runs at random, many times, and the strongest
-evidence of all facts is kept each time (Westfall and Young 1993, "Resampling-based multiple testing", the single-step
-maximum). The evidence is the log-likelihood ratio of two failure rates against one (half of the G-test's statistic).
-Facts that only reflect how far a run got, which may be a symptom of its end, are listed last (:attr:`Fact.how_far`).
+A claim must be stronger than a random result. To test this, the failures are assigned to the runs at random, many
+times. Each time, the strongest evidence of all facts is kept (Westfall and Young 1993, "Resampling-based multiple
+testing", the single-step maximum). The evidence is the log-likelihood ratio of two failure rates against one (half of
+the G-test's statistic).
+Facts that only reflect how far a run got may be symptoms of its end. They are listed last (:attr:`Fact.how_far`).
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
 
 
 LEVEL: Final = 0.01
-"""Probability of any claim if nothing separates the runs."""
+"""Probability that there is any claim if nothing separates the runs."""
 PRESENT: Final = frozenset({"happened", "reached"})
 """Kinds of sites without values: events that happened, and tasks that runs reached."""
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")
@@ -47,10 +48,10 @@ _MAX_MARKS: Final = 60  # largest number of events of a run whose order is compa
 _MAX_TEXT: Final = 80  # largest number of characters of a value
 _MAX_VALUES: Final = 12  # largest number of different texts of a site that are compared one by one
 _CUTS: Final = 16  # largest number of cuts between ranges of a number
-_LARGE: Final = 0.71  # probability that one number exceeds another (Vargha and Delaney 2000: a large effect)
+_LARGE: Final = 0.71  # probability that one number exceeds another (a large effect by Vargha and Delaney 2000)
 _ROUNDS: Final = 1000  # number of random permutations of the failures
-_LEAST: Final = 200  # number of permutations, if there are many facts about many runs
-_WORK: Final = 2e10  # maximum number of multiplications
+_LEAST: Final = 200  # smallest number of permutations, for many facts about many runs
+_WORK: Final = 2e10  # largest number of multiplications, which limits the permutations
 _ROWS: Final = 1000  # number of facts that are evaluated together
 
 Truth: TypeAlias = NDArray[np.bool_]
@@ -138,7 +139,7 @@ def _separation(cases: tuple[ComparedRun, ...], found: list[Compared]) -> Separa
         chance = min(chance for _, chance in alike)
         also = tuple(other.text for other, _ in alike[1:])
         claims.append(Claim(fact, also, fact.ochiai(failures), chance, *_pair(fact, facts, cases)))
-    claims.sort(  # facts that reflect progress come last, however well they separate
+    claims.sort(  # facts that reflect progress come last, even if they separate the runs well
         key=lambda each: (each.fact.how_far, -round(each.ochiai, 6), _ORDER.index(each.fact.kind), each.fact.step)
     )
     explained = len(frozenset().union(*(claim.fact.true & failed for claim in claims)))
@@ -178,7 +179,7 @@ class Site:
 
     kind: str  # "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`
     name: str  # name of the site, such as "arm at pick-up(spoon)"
-    #: By the number of the run, its values in order; runs that didn't reach the site are left out.
+    #: The values in order, by the number of the run; runs that didn't reach the site are left out.
     values: dict[int, list[Value]] = field(default_factory=lambda: defaultdict(list))
 
 
@@ -188,7 +189,7 @@ class ComparedRun:
 
     run: str  # name of its file
     failed: bool
-    end: int  # the last step that counts: where the run's failure began, or the last step of a success
+    end: int  # the last step that counts: the step at which the failure began, or the last step of a successful run
 
 
 def sites(runs: Runs, cases: Sequence[ComparedRun]) -> list[Site]:
@@ -208,7 +209,7 @@ class _Sites:
         self.cases = cases
         self.numbers = {case.run: number for number, case in enumerate(cases)}
         self.sites: dict[tuple[str, str], Site] = {}
-        self.marks: list[dict[str, tuple[int, str]]] = [{} for _ in cases]  # by name: first step, and branch
+        self.marks: list[dict[str, tuple[int, str]]] = [{} for _ in cases]  # first step and branch, by event
         self.branches: list[dict[int, str]] = [{} for _ in cases]
 
     def add(self, kind: str, name: str, number: int, value: Plain, step: int) -> None:
@@ -221,7 +222,7 @@ class _Sites:
             site.values[number].append(Value(simple, step))
 
     def before(self, run: str, step: int) -> int | None:
-        """Return the number of a run, or None if a step of it doesn't count."""
+        """Return the number of a run; None if the step doesn't count."""
         number = self.numbers.get(run)
         return number if number is not None and step <= self.cases[number].end else None
 
@@ -269,7 +270,7 @@ class _Sites:
             if step > self.cases[number].end:
                 continue
             if not self.cases[number].failed or (last is not None and last < self.cases[number].end):
-                # tasks that the failure ended only repeat the place of the failure
+                # tasks that ended because of the failure only repeat the place of the failure
                 self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
             if kind not in _STRUCTURE:
                 self.mark(number, f"the start of {label}", step, task)
@@ -329,8 +330,9 @@ class _Sites:
     def orders(self) -> None:
         """Add the order of two events of different branches.
 
-        If only one of them happened before the failure, it was the first. A pair counts only if its order is known in
-        nearly all failures, because the failures would select other pairs, and if its events are usual in successes.
+        If only one of the events happened before the failure, it was the first. A pair counts only if its order is
+        known in nearly all failures, because otherwise the failures would select the pairs, and only if its events are
+        usual in successes.
         """
         failures = sum(case.failed for case in self.cases)
         usual: Counter[str] = Counter()
@@ -405,7 +407,7 @@ class Fact:
     failures: int  # number of failed runs that reached the site
     succeeded: int  # number of successful runs for which it is true
     successes: int  # number of successful runs that reached the site
-    step: float  # median of the first steps at which its value is known
+    step: float  # median of the steps at which its value is first known
     evidence: float  # how strongly it correlates with failure
     true: frozenset[int]  # numbers of the runs for which it is true
     known: frozenset[int]  # numbers of the runs that reached the site
@@ -444,13 +446,13 @@ class Compared:
     known: RunNumbers  # numbers of the runs that reached the site
     true: Truth  # whether a fact (row) is true of one of these runs (column)
     text: Callable[[int], str]  # returns a fact in words
-    #: Returns the index, from 1, of the value in a run that makes a fact true.
+    #: Returns, for a fact and a run, the index (from 1) of the value that makes the fact true.
     turn: Callable[[int, int], int] = lambda _row, _run: 1
-    best: bool = False  # whether only the strongest fact counts, as for ranges of a number
-    whole: Site | None = None  # the site with all values, if only the last values are compared
+    best: bool = False  # whether only the site's strongest fact counts, as for ranges of a number
+    whole: Site | None = None  # if only last values are compared, the site with all values
 
     def facts(self, failed: Truth) -> Iterator[Fact]:
-        """Yield the facts that count."""
+        """Yield the facts that are compared."""
         here = failed[self.known]
         found = evidence(self.true, here)[:, 0]
         for row in [int(found.argmax())] if self.best else range(len(found)):
@@ -473,7 +475,7 @@ class Compared:
             )
 
     def _how_far(self, row: int, failed: Truth) -> bool:
-        """Return whether failed runs have a fact only from an index that successes rarely reach, or usually exceed."""
+        """Return whether failed runs have a fact only at an index that successes rarely reach or usually exceed."""
         if self.site.kind in PRESENT:
             return self.site.kind == "reached"
         values = (self.whole or self.site).values
@@ -537,7 +539,7 @@ def _reached(site: Site, runs: int) -> Compared:
 
 
 def _values(site: Site, simple: Sequence[str | float | bool]) -> Compared:
-    """Compare whether a site had each value at any time."""
+    """Compare, for each value of a site, whether a run had this value at any time."""
     known = sorted(site.values)
     had = [{each.value for each in site.values[number]} for number in known]
     true = np.array([[value in values for values in had] for value in simple])
@@ -566,7 +568,7 @@ def _value_text(site: Site, value: str | float | bool) -> str:
 
 
 def _ranges(site: Site) -> Compared:
-    """Compare the ranges of a number between occurring values."""
+    """Compare ranges of a number; their ends are between occurring values."""
     known = np.array(sorted(site.values))
     first = np.array([float(site.values[number][0].value) for number in known.tolist()])
     values = np.sort(first)
@@ -591,7 +593,7 @@ def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:
 
 
 def _between(a: float, b: float) -> str:
-    """Return a number between two others with the fewest digits."""
+    """Return the number with the fewest digits between two others."""
     texts = (f"{(a + b) / 2:.{digits}g}" for digits in range(2, 17))
     return next((text for text in texts if a < float(text) < b), repr((a + b) / 2))
 
@@ -600,11 +602,11 @@ def _between(a: float, b: float) -> str:
 
 
 def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
-    """Return how strongly facts correlate with failure; 0 for facts without a higher failure rate.
+    """Return how strongly facts correlate with failure; 0 if the failure rate isn't higher with the fact.
 
     Args:
         true: whether a fact (row) is true of a run (column).
-        failed: whether each of these runs failed; one column for each permutation.
+        failed: whether each run (row) failed, with a column for each permutation.
     """
     count, inside = true.shape[1], true.sum(axis=1, dtype=np.int64)[:, None]
     labels = failed.reshape(count, -1)
@@ -621,7 +623,7 @@ def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
 class Chance:
     """The strongest evidence in random permutations of the failures.
 
-    A site's facts are given as the numbers of the runs that reached it, and a row for each fact.
+    The facts of a site are given by the numbers of the runs that reached the site, and a row for each fact.
     """
 
     def __init__(self, facts: Iterable[tuple[RunNumbers, Truth]], failed: Truth) -> None:
@@ -633,7 +635,7 @@ class Chance:
         ]
         work = sum(true.size for _, true in groups)
         rounds = int(min(_ROUNDS, max(_LEAST, _WORK / max(work, 1))))
-        dice = np.random.default_rng(0)  # the same result each time
+        dice = np.random.default_rng(0)  # a fixed seed, so that the result is reproducible
         dealt = dice.permuted(np.tile(failed, (rounds, 1)), axis=1).T
         strongest: NDArray[Any] = np.zeros(rounds)
         for known, true in groups:
@@ -643,6 +645,6 @@ class Chance:
         self._strongest = np.sort(strongest)
 
     def of(self, strength: float) -> float:
-        """Return the probability that chance alone produces any fact with this much evidence."""
+        """Return the probability that a random assignment of failures gives any fact this much evidence."""
         as_strong = len(self._strongest) - int(np.searchsorted(self._strongest, strength - 1e-9))
         return (1 + as_strong) / (1 + len(self._strongest))

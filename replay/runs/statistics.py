@@ -1,4 +1,4 @@
-"""Statistics of many runs: how often they succeed, why they fail, and what takes long; and two folders compared.
+"""Statistics of many runs: how often they succeed, why they fail, and what takes long. Also compares two folders.
 
 In a comparison, runs of both folders with the same number, seed and parameters are paired. A pair ends differently
 because something changed between the sweeps, such as the plan, or because a seed doesn't determine everything.
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 _Z: Final = 1.959963984540054  # quantile of the normal distribution for a 95 % interval
-#: Largest number of a parameter's values that are listed one by one; more numbers are split into quarters.
+#: Largest number of a parameter's values that are listed one by one; if there are more, they are split into quarters.
 _MAX_VALUES: Final = 8
 _QUARTERS: Final = 4
 _SLOWEST: Final = 10
@@ -39,7 +39,7 @@ _MAX_PAIRS: Final = 3  # largest number of printed pairs of runs
 class Share:
     """The success rate of some runs."""
 
-    what: str  # the runs in words
+    what: str  # description of the runs
     succeeded: int
     of: int
 
@@ -87,8 +87,8 @@ class Statistics:
 
     folder: str
     plan: str
-    runs: tuple[str, ...]  # names of its recordings
-    others: tuple[tuple[str, int], ...]  # number of recordings of each other plan; these are left out
+    runs: tuple[str, ...]  # names of the recordings of the plan
+    others: tuple[tuple[str, int], ...]  # for each other plan, the number of its recordings, which are left out
     skipped: tuple[Skipped, ...]  # files that are left out
     success: Share  # successes among the runs that weren't interrupted
     outcomes: tuple[tuple[str, int], ...]  # number of runs by outcome
@@ -103,7 +103,7 @@ class Statistics:
 
 
 def plan_of(runs: Runs, name: str | None = None) -> tuple[str, tuple[tuple[str, int], ...]]:
-    """Return the requested plan, by default the most frequent one, and the number of runs of each other plan."""
+    """Return the requested plan (default: the most frequent plan), and the number of runs of each other plan."""
     counts = runs.sql("SELECT plan, count(*) FROM runs GROUP BY plan ORDER BY count(*) DESC, plan").rows()
     chosen = name if name is not None else counts[0][0] if counts else ""
     return chosen, tuple((plan, count) for plan, count in counts if plan != chosen)
@@ -115,7 +115,7 @@ def names_of(runs: Runs, plan: str) -> tuple[str, ...]:
 
 
 def statistics(runs: Runs, plan: str | None = None) -> Statistics:
-    """Return the statistics of a plan's runs, by default of the most frequent plan."""
+    """Return the statistics of a plan's runs (default: the most frequent plan)."""
     chosen, others = plan_of(runs, plan)
     rows = runs.sql(
         "SELECT run, CASE WHEN succeeded AND violated > 0 THEN 'succeeded but violated' ELSE outcome END, succeeded, "
@@ -153,7 +153,7 @@ def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureC
     """Return the causes of failures, the most frequent first.
 
     Args:
-        failed: for each run its name, and the cause, first step and message of its failure.
+        failed: for each run: its name, and the cause, first step and message of its failure.
     """
     found: dict[str, list[tuple[str, int | None, str]]] = {}
     for run, cause, step, message in failed:
@@ -183,7 +183,7 @@ def _by_parameter(ended: Sequence[tuple[bool, dict[str, str]]]) -> tuple[tuple[s
 
 
 def _shares(of: Sequence[tuple[str, bool]]) -> tuple[Share, ...]:
-    """Return success by value; many numbers are split into quarters of the runs."""
+    """Return success by value. Many different numbers are split into four ranges with equal numbers of runs."""
 
     def order(text: str) -> tuple[bool, float, str]:
         value = from_json(text)
@@ -216,7 +216,7 @@ def _slowest(runs: Runs, table: str, name: str, condition: str, plan: str) -> tu
 
 
 def wilson(count: int, of: int, z: float = _Z) -> tuple[float, float]:
-    """Return the 95 % interval of a rate (Wilson 1927, "Probable inference"); 0 to 1 without runs.
+    """Return the 95 % interval of a rate (Wilson 1927, "Probable inference"); without runs, it is 0 to 1.
 
     Unlike the normal approximation, it holds for few runs and for rates near 0 and 1.
     """
@@ -247,14 +247,14 @@ class FolderComparison:
     plan: str
     first: Share  # successes in the first folder
     second: Share  # successes in the second folder
-    causes: tuple[tuple[str, int, int], ...]  # with their counts in both folders, the largest change first
+    causes: tuple[tuple[str, int, int], ...]  # causes with their counts in both folders, the largest change first
     paired: int  # number of pairs of runs
-    mended: tuple[tuple[str, str], ...]  # names of pairs that fail in the first folder only
-    broken: tuple[tuple[str, str], ...]  # names of pairs that fail in the second folder only
+    mended: tuple[tuple[str, str], ...]  # pairs of runs, by name, that fail only in the first folder
+    broken: tuple[tuple[str, str], ...]  # pairs of runs, by name, that fail only in the second folder
 
     @property
     def effect(self) -> float:
-        """The success rate in the second folder minus that in the first; 0 if a folder has no run that ended."""
+        """The success rate in the second folder minus the success rate in the first; 0 if no run of a folder ended."""
         a, b = self.first, self.second
         return b.succeeded / b.of - a.succeeded / a.of if a.of and b.of else 0.0
 
@@ -270,7 +270,7 @@ class FolderComparison:
 
 
 def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> FolderComparison:
-    """Compare two folders of runs of one plan, by default the most frequent one of the first folder.
+    """Compare two folders of runs of one plan, by default the most frequent plan of the first folder.
 
     Raises:
         ReplayError: a folder has no run of that plan.
@@ -296,7 +296,7 @@ def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> Folde
 
 
 def _ended(runs: Runs, plan: str) -> dict[tuple[str, str, str], tuple[str, bool]]:
-    """Return name and success of runs by number, seed and parameters; without a sweep, a run's number is its name."""
+    """Return name and success of runs by number, seed and parameters; outside of sweeps, names replace numbers."""
     rows = runs.sql(
         "SELECT coalesce(number::VARCHAR, run), seed, parameters::VARCHAR, run, succeeded FROM runs "
         "WHERE plan = ? AND succeeded IS NOT NULL",
@@ -326,7 +326,8 @@ def lines(found: FolderComparison, first: Path, second: Path) -> Iterator[str]:
     yield f"second   {found.second}: {second}"
     yield f"change   {signed(found.effect)} (95 %: {signed(low)} to {signed(high)})"
     yield f"paired   {plural(found.paired, 'pair')} of runs with the same number, seed and parameters"
-    for what, pairs in (("fail no more", found.mended), ("fail only in the second", found.broken)):
+    folders = ("fail only in the first folder", found.mended), ("fail only in the second folder", found.broken)
+    for what, pairs in folders:
         if pairs:
             yield from ("", f"{len(pairs)} of them {what}")
         for a, b in pairs[:_MAX_PAIRS]:

@@ -1,4 +1,4 @@
-"""Folds records into states: each world's last keyframe, then the effects up to a step. No physics runs.
+"""Folds records into states: each world is its last keyframe, changed by the effects up to a step. No physics runs.
 
 Effects hold the values that were read back from the engine, with all bits. So a state is exact, and the fold from the
 start equals the fold from any keyframe.
@@ -28,9 +28,9 @@ CHANGES: Final = (Mutation, Keyframe, Query)
 
 
 def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
-    """Return the state after records that begin with the opening or a keyframe of each world.
+    """Return the state after some records, which contain the opening or a keyframe of each world first.
 
-    The state's step is at least the step of the last record; other records only count as steps.
+    The state's step is at least the step of the last record; records that change no state only count as steps.
     """
     worlds: dict[str, FoldedWorld] = {}
     for record in all_records:
@@ -42,8 +42,8 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
 def state_at(log: RecordReader, step: int, moment: float | None = None) -> State:
     """Return the state after a step of a recording.
 
-    If the next record is a simulation and contains the moment (s of simulated time), return the state at that moment
-    by the record's samples.
+    If the next record is a simulation that contains the moment (s of simulated time), return the state at that moment,
+    according to the record's samples.
 
     Raises:
         Damaged: a record is inconsistent.
@@ -51,7 +51,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
     worlds: dict[str, FoldedWorld] = {}
     first = step
     for lifetime in log.lifetimes:
-        if lifetime.has(step):  # otherwise it isn't open yet, or its name was reused
+        if lifetime.has(step):  # otherwise the world isn't open yet, or its name was reused
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
     lost = ", ".join(range_text(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
     uncertainty = f"the changes of steps {lost} are lost" if lost else ""
@@ -77,7 +77,7 @@ def _apply_samples(log: RecordReader, step: int, worlds: dict[str, FoldedWorld],
 
 
 def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dict[str, FoldedWorld]) -> int:
-    """Fold a world's records from its last keyframe up to a step; return the first step that was needed."""
+    """Fold a world's records from its last keyframe up to a step; return the first step that was read."""
     end = log.chunk_of(step)
     base = _last_keyframe(log, lifetime, step)
     begin = lifetime.changes[0] if base is None else log.chunk_of(base.seq)
@@ -137,7 +137,7 @@ def _body(body: FoldedBody) -> Body:
 
 
 def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
-    """Return a belief as data; the pose of a held object is its true pose."""
+    """Return a belief as data; for a held object, the belief has the true pose."""
     body = bodies[belief.object]
     held = belief.source == Belief.HELD
     pose = body.pose if held else (vector(belief.position), quaternion(belief.orientation))
@@ -145,7 +145,7 @@ def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
-    """Return the last step, up to a step, at which a world was open; with a name, the world of that name."""
+    """Return the last step, not after ``step``, at which a world was open; with a name, the world with that name."""
     worlds = state_at(log, step).worlds
     if any(world.open for world in worlds.values() if name in (None, world.name)):
         return step

@@ -4,7 +4,7 @@
 - Every task that starts ends once, under the same name, and its parent exists.
 - A branch, or a task that began in its parent's thread, ends before its parent.
 - A task or run has a failure if and only if it failed.
-- Every keyframe equals the fold of the records before it, with the same models, loaded in the same way.
+- Every keyframe equals the fold of the records before it; its bodies have the same models and load options.
 
 :mod:`replay.restore.verify` also re-executes the recorded changes.
 """
@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 class Deviation:
     """A value that differs from the recorded value."""
 
-    field: str  # such as ``effect.bodies[milk].position[0]``
-    recorded: Plain  # None if it is missing
-    found: Plain  # None if it is missing
+    field: str  # the value's path, such as ``effect.bodies[milk].position[0]``
+    recorded: Plain  # None if the recorded value is missing
+    found: Plain  # None if the found value is missing
 
     @property
     def size(self) -> float:
@@ -80,14 +80,14 @@ def _short(value: Plain) -> str:
 class Problem:
     """An inconsistency."""
 
-    step: int | None  # None for a problem of no step
-    cause: str  # in words
+    step: int | None  # None if the problem belongs to no step
+    cause: str  # the problem in words
     deviation: Deviation | None = None  # the first wrong value
     task: tuple[str, ...] = ()  # names of the tasks around the step, outermost first
 
 
 class Integrity:
-    """Checks records in their order; ``lost`` are missing steps, after which no world is known."""
+    """Checks records in their order; ``lost`` has the missing steps; after them, the states of worlds are unknown."""
 
     def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
         self._lost = tuple(lost)
@@ -104,11 +104,11 @@ class Integrity:
         return world_of(self._worlds[name])
 
     def knows(self, world: str) -> bool:
-        """Return whether a world's state is known: since missing records, it was opened or had a keyframe."""
+        """Return whether a world's state is known: it was opened or had a keyframe after the last missing records."""
         return world in self._worlds
 
     def check(self, record: Record) -> Problem | None:
-        """Check the next record; return its problem, or a problem of previous records."""
+        """Check the next record; return its problem, or a problem of the previous records."""
         step, expected = record.seq, self._next
         self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
         if self.resumed:
@@ -172,13 +172,13 @@ class Integrity:
 
 
 def _plain(world: World) -> Plain:
-    """Return a world as JSON data, with attachments by their pairs, and how each body was loaded."""
+    """Return a world as JSON data, with attachments by carrier and body, and with the loading of each body."""
     data = world_data(world)
     held = data.pop("attachments")
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
     loaded: list[Plain] = [
-        # a keyframe has the current color here
+        # in a keyframe, this color is the current color
         {key: value for key, value in message_data(body.loaded).items() if key != "color"}
         for body in world.bodies.values()
     ]
@@ -187,7 +187,7 @@ def _plain(world: World) -> Plain:
 
 MAX_DEPTH: Final = 2000
 """Levels of nested tasks; Python's stack ends at about 1,000."""
-_MAIN_THREAD: Final = "MainThread"  # the thread that ends the run in recordings of release 0.1.0, which lack it
+_MAIN_THREAD: Final = "MainThread"  # recordings of release 0.1.0 lack the thread that ends the run
 #: Phases that may follow each phase of a task; a requested branch may be cancelled before it starts.
 _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
     None: (Task.ASKED, Task.STARTED),
@@ -216,12 +216,12 @@ class TaskDepths:
 
 
 class TaskIntegrity:
-    """Checks records of tasks and the run in their order; tasks of ``newer`` releases may have unknown phases."""
+    """Checks records of tasks and the run in their order; with ``newer``, tasks may have unknown phases."""
 
     def __init__(self, *, newer: bool = False) -> None:
         self._newer = newer
         self.tasks = 0  # number of tasks
-        self.partial = False  # whether records are missing, which may have started or finished any task
+        self.partial = False  # whether records are missing that may have started or finished tasks
         self._names: dict[int, tuple[str, int]] = {}
         self._phases: dict[int, Task.Phase] = {}
         self._running: dict[int, Task] = {}
@@ -276,7 +276,7 @@ class TaskIntegrity:
         return ""
 
     def _unlike(self, record: Task) -> str:
-        """Return how a record contradicts itself or its task's start; "" if it doesn't."""
+        """Return how a record contradicts itself or its task's start; "" if it has no contradiction."""
         subject = f"task {record.task}"
         if self._newer and record.status not in Task.Status.values():
             return ""
@@ -289,7 +289,7 @@ class TaskIntegrity:
         if began is None:
             return ""
         for field in _SAME:
-            # the parent of a task that still runs may be in no record
+            # if a task still runs, its parent may be missing in the recording
             elsewhere = field == "parent" and (began.began_ns or record.phase == Task.LEFT)
             if getattr(began, field) != getattr(record, field) and not elsewhere:
                 return f"the {field} of {subject} differs from its start at step {began.seq}"
@@ -310,7 +310,7 @@ class TaskIntegrity:
             return ""
         self._threads[0] = record.thread or _MAIN_THREAD
         for number, began in self._running.items():
-            # a daemon thread's or a worker's task can outlive the task around it, or the run
+            # a task of a daemon thread or a worker can end after the task around it, or after the run
             in_parent = began.kind == "branch" or began.thread == self._threads.get(began.parent)
             if began.parent not in self._running and in_parent:
                 return f"the run ends, but task {number} ({began.name}), which started at step {began.seq}, doesn't"
@@ -340,12 +340,12 @@ class Verification:
     changes: int  # number of changes that were executed again
     worlds: int  # number of worlds in which changes were executed again
     # Names of worlds whose physics isn't compared:
-    late: tuple[str, ...] = ()  # they were open before the recording
-    dragged: tuple[str, ...] = ()  # after a body was dragged by hand
+    late: tuple[str, ...] = ()  # worlds that were open before the recording
+    dragged: tuple[str, ...] = ()  # worlds in which a body was dragged by hand
     environment: tuple[str, ...] = ()  # differences of this environment from the recorded environment, in words
     largest: Deviation | None = None  # a deviation that the environment or the engine's rounding may explain
     problem: Problem | None = None  # the first problem
-    damage: str = ""  # damaged or lost parts of the file; the missing end of an unclosed recording is no damage
+    damage: str = ""  # damaged or lost parts of the file; the missing end of an unclosed recording isn't damage
     incomplete: str = ""  # why it is incomplete: it wasn't closed, or records were lost before its repair
     unknown: tuple[str, ...] = ()  # worlds that a newer release changed, so that their later physics isn't compared
     static: bool = False  # whether nothing was executed again
@@ -385,7 +385,7 @@ class Verifier:
         self._depths = TaskDepths()
 
     def run(self, progress: Callable[[int], None] | None) -> Verification:
-        """Run all checks of reading, and check the records."""
+        """Read everything, which checks the file, and check the records."""
         self.log.check_file()
         problem = self._first_problem(progress)
         return Verification(
@@ -427,5 +427,5 @@ class Verifier:
         """Forget all worlds: records are missing."""
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:  # noqa: ARG002  for subclasses
-        """Return the problem with a change or keyframe; without an engine there is none."""
+        """Return the problem of a change or keyframe; without an engine, return None."""
         return None

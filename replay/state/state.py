@@ -70,10 +70,10 @@ class RecordedBelief:
     robot: str
     object: str
     position: Vector  # position of the object's base in the world, m; the true position of a held object
-    orientation: Quaternion  # of the same, xyzw
-    source: str  # "seen"; "told", by the world's state; "held"; "placed", where the robot released it
+    orientation: Quaternion  # orientation of the object's base, xyzw
+    source: str  # "seen", "told" (read from the world's state), "held", or "placed" (the robot released it there)
     sim_step: int  # simulated steps of 1/240 s until the robot learned it
-    step: int  # its record: a look, a grasp or a release; -1: it is older than the recording
+    step: int  # step of its record: a look, a grasp or a release; -1 if the belief is older than the recording
 
     @property
     def pose(self) -> Pose:
@@ -87,12 +87,12 @@ class World:
 
     name: str
     open: bool = True  # a closed world is empty
-    mode: str = "DIRECT"  # or "GUI"
+    mode: str = "DIRECT"  # "DIRECT" or "GUI" (with a window)
     sim_step: int = 0  # simulated steps of 1/240 s
     gravity: Vector = (0.0, 0.0, 0.0)  # m/s^2
     realtime: bool = False  # whether it is simulated in real time
     robot: str = ""  # name of the robot of plans
-    lifetime: int = 1  # the number of its lifetime, from 1: a name can be reused
+    lifetime: int = 1  # number of its lifetime, from 1; a later world with the same name has the next number
     bodies: Mapping[str, Body] = field(default_factory=dict)  # bodies by name, in the order of loading
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # by carrier and body
     following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
@@ -123,7 +123,7 @@ class World:
 
     @property
     def title(self) -> str:
-        """Its name in texts; see :func:`replay.file.lifetimes.title`."""
+        """Its name for users; see :func:`replay.file.lifetimes.title`."""
         return title(self.name, self.lifetime)
 
     @property
@@ -168,12 +168,13 @@ class World:
 class Sampled:
     """A moment within a stretch of simulation; there are 30 samples in each simulated second."""
 
-    step: int  # the record of the stretch
+    step: int  # step of the record of the stretch
     world: str
     start: float  # the world's clock before the stretch, s of simulated time
     end: float  # the world's clock after the stretch, s
     asked: float  # the requested moment, s
-    #: The last sample up to that moment, s; ``start`` without a sample. Samples without visible motion are left out.
+    #: Time of the last sample up to that moment, s, or ``start`` if there is none. Samples without visible motion are
+    #: left out.
     at: float
 
 
@@ -181,10 +182,10 @@ class MomentSource(Protocol):
     """The recording that a state was read from."""
 
     def last_open(self, world: str | None) -> State:
-        """Return the state after the last step, up to the state's own, at which a world was open."""
+        """Return the state after the last step, not after the state's step, at which a world was open."""
 
     def png(self, world: str) -> bytes | None:
-        """Return a small picture of a world; None if none can be drawn."""
+        """Return a small picture of a world; None if it can't be drawn."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -196,7 +197,7 @@ class State:
     uncertainty: str = ""  # lost records that may have changed the state, in words
     assets: Assets | None = field(default=None, repr=False, compare=False)  # the recording's attached files
     sampled: Sampled | None = None  # the moment within a stretch of simulation; None after a step
-    source: MomentSource | None = field(default=None, repr=False, compare=False)  # of an open recording
+    source: MomentSource | None = field(default=None, repr=False, compare=False)  # the recording, while it is open
 
     def __repr__(self) -> str:
         worlds = "; ".join(world._summary() for world in self.worlds.values())  # noqa: SLF001  same module
@@ -217,7 +218,7 @@ class State:
     def world(self, name: str | None = None) -> World:
         """Return a world by name; by default the last opened world that is still open.
 
-        If all worlds have ended, the default is the last one, as it was after the last step at which it was open.
+        If all worlds have ended, the default is the last world, as it was after the last step at which it was open.
 
         Raises:
             NoSuchName: there is no such world.
@@ -234,7 +235,7 @@ class State:
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
-        """Return a body by name, of a world; by default of the last opened world with such a body.
+        """Return a body of a world by its name; the default world is the last opened world that has the body.
 
         If all worlds have ended, it is the body after the last step at which a world was open.
 

@@ -54,7 +54,7 @@ def test_the_runs_that_end_otherwise_are_named(runs: Path, changed: Path, capsys
     assert cause["second"] == cause["first"] - len(mended)
     assert main(["diff", str(changed), str(runs)]) == 1
     text = capsys.readouterr().out
-    assert f"{len(mended)} of them fail only in the second\n  pycram-replay diff {changed}/{mended[0]}" in text
+    assert f"{len(mended)} of them fail only in the second folder\n  pycram-replay diff {changed}/{mended[0]}" in text
 
 
 def test_a_folder_is_the_same_as_itself(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
