@@ -17,7 +17,7 @@ import re
 import tomllib
 import warnings
 from fnmatch import fnmatchcase
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Protocol, TypeAlias
 
@@ -131,7 +131,7 @@ class Scene:
             if found is not None:
                 return found
         for world in opened:
-            if _is_called(world.name, name):
+            if name in (world.name, _identifier(world.name)):
                 return world
         known = [each for world in opened for each in (world.name, *world.bodies)]
         raise NoValue(f"no object is called {name}", name, known)
@@ -239,10 +239,6 @@ def _rpy(q: Sequence[float]) -> tuple[float, float, float]:
 @cache
 def _identifier(name: str) -> str:
     return re.sub(r"\W", "_", name)
-
-
-def _is_called(known: str, name: str) -> bool:
-    return name in (known, _identifier(known))
 
 
 def _find(world: FoldedWorld, name: str) -> Body | str | None:
@@ -381,7 +377,7 @@ class Expression:
 
     def _object(self, node: ast.Name) -> Function:
         self.names[node.id] = None
-        return partial(_named, name=node.id)
+        return lambda scene: scene.named(node.id)
 
     def _constant(self, node: ast.Constant) -> Function:
         value = node.value
@@ -468,7 +464,8 @@ class Expression:
             self._refuse_node(node)
         name, arguments = node.func.id, node.args
         if name == _MEASURED:
-            return partial(_measure, size=_size(node))
+            size = _size(node)
+            return lambda _: size
         if name not in _FUNCTIONS:
             self._refuse(f"there is no function {name}{did_you_mean(name, _FUNCTIONS)}")
         least, most = _FUNCTIONS[name]
@@ -531,14 +528,6 @@ def _meant(node: ast.expr) -> ast.expr:
 def _size(node: ast.Call) -> float:
     number, unit = (each.value if isinstance(each, ast.Constant) else None for each in node.args)
     return float(number) * UNITS[str(unit)][0]  # type: ignore[arg-type]  # the pattern's number
-
-
-def _measure(_: Scene, *, size: float) -> float:
-    return size
-
-
-def _named(scene: Scene, *, name: str) -> Any:
-    return scene.named(name)
 
 
 def _kind(node: ast.expr) -> str:
