@@ -43,7 +43,8 @@ def test_a_reader_of_the_guide_gets_what_it_shows(tmp_path: Path) -> None:
     command, _, lines = shown.partition("\n")
     process = explore(tmp_path, *command.removeprefix("$ pycram run ").split())
     printed, said = process.communicate(timeout=500)
-    assert (printed, said) == (lines, "")
+    assert printed == lines
+    assert all(re.fullmatch(r"pycram: \d+ of 40 orders", line) for line in said.splitlines())  # on a busy machine
     assert process.returncode == 1
     (bad,) = re.findall(r"--order (added:\S+)", lines)
     process = explore(tmp_path, "--seed", "1", "--order", bad, "paint.py")  # the command that it names
