@@ -247,4 +247,4 @@ def _checked_numbers(values: Sequence[float]) -> Sequence[float]:
 
 
 def _beyond(numbers: Sequence[float]) -> ValueError:
-    return ValueError(f"the numbers {numbers[:4]} are not finite, or beyond {FAR:g}")
+    return ValueError(f"the numbers {numbers[:4]} are infinite, undefined or beyond {FAR:g}")

@@ -328,7 +328,7 @@ def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[f
 
 
 class _Videos:
-    """Writes the videos of a data set, which show the robot's camera, into its folder. It is a context manager."""
+    """Writes the videos of a data set, with views of the robot's camera, into its folder. It is a context manager."""
 
     def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
         self._folder, self._runs, self._robot, self._draw = folder, runs, robot, draw

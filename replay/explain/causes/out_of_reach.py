@@ -132,7 +132,7 @@ class NoCandidate(Cause):
                 yield NoCandidate((last.seq, case.step), last, count)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether another cause explains the choice; the message explains a single candidate."""
+        """Return whether another cause explains the choice. The failure's message explains a single candidate."""
         return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
 
     def _words(self) -> Iterator[str]:

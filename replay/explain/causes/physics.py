@@ -1,8 +1,8 @@
 """An object fell, tipped or moved in simulation; the cause lists the plan's changes that let the object move.
 
-The motion of an object counts since the plan's last change of the object, or the last success with it, whichever is
-later. If the object wasn't at rest after that change, the change let it move. Otherwise changes near the object since
-its rest let it move.
+An object's motion is measured from the plan's last change of the object, or from the last success with it, whichever is
+later. If the object wasn't at rest after that change, the change let it move. Otherwise, changes near the object after
+it was at rest let it move.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from replay.state.state import Body, State
 
 
-_MOVED: Final = 0.05  # in m; by smaller moves, an object settles
+_MOVED: Final = 0.05  # in m; if an object moves less, it only settles
 _TILTED: Final = math.radians(15)
 _FELL: Final = 0.05  # in m, downwards
 _PART: Final = 0.3  # fraction of the whole move after which the motion counts as begun
