@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import sys
 import warnings
 from typing import TYPE_CHECKING
 
@@ -68,6 +69,7 @@ def steps(verdict: Verdict) -> list[int]:
     return [each.moment.step for each in verdict.violations]
 
 
+@pytest.mark.skipif(sys.version_info >= (3, 13), reason="RTAMT has no release for this Python")
 @pytest.mark.needs("RTAMT")
 @pytest.mark.parametrize(
     ("ours", "theirs"),
