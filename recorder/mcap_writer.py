@@ -287,7 +287,7 @@ class SharedModels:
     @classmethod
     def of(cls, path: Path) -> SharedModels:
         """Read an existing file."""
-        from mcap.reader import SeekingReader  # noqa: PLC0415  readers of recordings have their own
+        from mcap.reader import SeekingReader  # noqa: PLC0415  readers of recordings use another reader
 
         content = path.read_bytes()
         keys = frozenset(each.name for each in SeekingReader(io.BytesIO(content)).iter_attachments())

@@ -89,7 +89,7 @@ class LazyModule:
     """A module that is imported when an attribute is first read, because some modules load longer than a plan runs.
 
     Raises:
-        ModuleNotFoundError: The module isn't installed, which is checked without importing it.
+        ModuleNotFoundError: The module isn't installed; this is checked without importing it.
     """
 
     def __init__(self, name: str) -> None:

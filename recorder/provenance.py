@@ -129,7 +129,7 @@ def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
     """Start git, read-only, in the folder of a file; return None if git isn't installed."""
     try:
         return subprocess.Popen(  # noqa: S603  no text of users is a command
-            ["git", "-C", str(file.parent), *words],  # noqa: S607  the git on the path
+            ["git", "-C", str(file.parent), *words],  # noqa: S607  git is found by PATH
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,

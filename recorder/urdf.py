@@ -102,7 +102,7 @@ class Urdf:
         }
 
     def _following(self, name: str, mimic: Mimic, leader: float) -> float:
-        """Return the position of a mimicking joint, limited to its range, for the position of its leader."""
+        """Return the position of a mimicking joint, limited to its range, given the position of its leader."""
         joint = self.joints[name]
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 

@@ -149,7 +149,7 @@ def check(url: str | None) -> None:
     """Check the address of a viewer; None means any viewer.
 
     Raises:
-        ReplayError: it isn't an address, or no viewer answers there.
+        ReplayError: ``url`` isn't an address, or no viewer answers at it.
     """
     if url is None:
         return

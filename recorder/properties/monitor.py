@@ -71,7 +71,7 @@ class Verdict:
     values: dict[str, Any]  # values of the quantities at this moment
     violations: list[Violation]
     episodes: int  # number of parts of the run in which the property had to hold
-    note: str = ""  # why there was no such part
+    note: str = ""  # why there was no such part of the run
 
     @property
     def holds(self) -> bool:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Quaternion, Vector
 
 FAR: Final = 1e9
-"""The largest number in a state, m, rad, m/s or rad/s: an object at 1e6 m may fall for hours."""
+"""Largest allowed number in a state (m, rad, m/s or rad/s), far beyond an object that has fallen for hours."""
 
 _NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a body whose loading is lost
 _AT_REST: Final = (0.0,) * 6

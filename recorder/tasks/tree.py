@@ -254,7 +254,7 @@ class Node:
 def decisive(origins: Sequence[Node]) -> Node | None:
     """Return the task whose failure decides a plan; ``origins`` are tasks in which failures began, in order of ends.
 
-    This is the last origin whose failure no task around it dealt with; if all were dealt with, the last origin.
+    This is the last origin from whose failure no task around it recovered. If there is none, it is the last origin.
     """
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 

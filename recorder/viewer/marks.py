@@ -256,7 +256,7 @@ class CameraFrustums:
 
 
 def camera_position(scene: ViewerScene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
-    """Return the position of a camera: a position, pose or frame (default: the robot's own); None if unknown."""
+    """Return the position of a camera: a position, pose or frame (default: the robot's own camera); None if unknown."""
     robot = scene.robot(world, robot_name)
     if isinstance(camera, list) or robot is None:
         return position(camera)

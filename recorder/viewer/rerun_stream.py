@@ -90,7 +90,7 @@ class Series:
 
 
 class Columns:
-    """Buffers of all entities of a stream, below an optional root entity; for one thread."""
+    """Buffers of all entities of a stream, below an optional root entity; not thread-safe."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._stream = stream

@@ -55,7 +55,7 @@ def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
 
 
 def print_json(value: object, *, flush: bool = False) -> None:
-    """Print a result as a line of JSON. Numbers that JSON lacks become strings ("nan"), invalid bytes escapes."""
+    """Print a result as a line of JSON. Numbers that JSON lacks become strings ("nan"); invalid bytes, escapes."""
     print(_json(value), flush=flush)
 
 

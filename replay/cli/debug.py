@@ -59,8 +59,8 @@ _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
 _HELP: Final = """\
 where (w, bt)  up (u)  down (d)  list (l)  ll     the plan's frames, and their source
 locals  args (a)  p EXPR  pp EXPR  whatis EXPR   variables of a frame; an expression alone is evaluated, too
-step (s)  next (n)  return (r)  until [STEP]     to the next step; on this task level; to the task's end; to a later
-line rstep (rs)  rnext (rn)                           the same, backwards
+step (s)  next (n)  return (r)  until [STEP]     to the next step; on this level; to the task's end; to a later line
+rstep (rs)  rnext (rn)                           the same, backwards
 continue (c)  rcontinue (rc)  goto STEP (g)      to the next breakpoint; to the previous breakpoint; to any step
 break (b) [STEP | TASK | KIND | FILE:LINE | failure | event NAME]  tbreak  clear [N]  enable N  disable N
 watch EXPR  rwatch EXPR                          stop when milk.z, holding(left) or a variable changes; back to a change

@@ -260,7 +260,7 @@ def _explained(
 
 
 def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tuple[str, str]]) -> bool:
-    """Return whether a task is another attempt with a common body; a later world has different bodies."""
+    """Return whether a task is another attempt with a common body; bodies of a later world are different."""
     if (task.kind, task.name) != (failed.kind, failed.name):
         return False
     own = set(bodies_in(task.parameters))

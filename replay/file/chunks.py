@@ -228,7 +228,7 @@ class Chunks:
     # --- decoding --------------------------------------------------------------------------------------------------
 
     def _load(self, number: int, text: bytes = b"") -> _Entries:
-        """Return the entries of a chunk; without entries if the chunk doesn't contain ``text``."""
+        """Return the entries of a chunk; no entries if the chunk doesn't contain ``text``."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]

@@ -324,7 +324,7 @@ class RecordReader:
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # cached: each state needs them
+        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state needs the gaps
             self._gaps.clear()
             expected = 0
             for record in self.records():

@@ -134,7 +134,7 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
 
 
 def open_world(name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return an empty world that isn't the current one; its name gets a number if it is taken."""
+    """Return an empty world that isn't the current world; if the name is taken, a number is added to it."""
     current = BulletWorld.current_bullet_world
     taken = {world.name for world in open_worlds()}
     numbered = (f"{name} ({number})" for number in itertools.count(2))

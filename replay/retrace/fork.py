@@ -74,7 +74,7 @@ def fork(
     """Run a plan again to a step of its recording, and continue from there into a new recording.
 
     Effects of the plan outside of its worlds (files, network) happen again. Its output up to the step is dropped; later
-    output goes to stderr. It has no input.
+    output goes to stderr. The plan has no input.
 
     Args:
         log: the recording.

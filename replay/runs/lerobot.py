@@ -297,7 +297,7 @@ class _Writer:
 
 
 def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarray:
-    """Return the values at given moments; before the first value, the first value."""
+    """Return the values at given moments; moments before the first value get the first value."""
     times, values = series
     return values[np.maximum(np.searchsorted(times, moments + 1e-9, side="right") - 1, 0)]
 

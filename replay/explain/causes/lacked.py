@@ -507,7 +507,7 @@ def _names_below(node: ast.AST) -> set[str]:
 
 
 def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
-    """Return whether the body of a head line ran after a motion; True if there are too many records to check."""
+    """Return whether the body of a head line ran after a motion; True if there are too many records for a check."""
     records = list(islice(case.log.records((Task, Mutation, Query), motion.last_step + 1, case.began), _GOES_ON))
     if len(records) == _GOES_ON:
         return True
