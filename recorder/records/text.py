@@ -401,7 +401,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     ),
     "NoRoom": lambda data: str(data["reason"]),
     "Slips": lambda data: (
-        "its fingers would touch it on one side only" if data["sides"] else "its fingers would close on nothing"
+        "its fingers would touch the object on one side only" if data["sides"] else "its fingers would close on nothing"
     ),
     "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
     "Unseen": unseen_text,

@@ -251,7 +251,7 @@ class Adapter:
                     self._output(line, "stdout")
         self._recording = None
         if not Path(file).is_file():
-            raise _Wrong(f"{program}: it left no recording; its output says why")
+            raise _Wrong(f"{program}: the plan left no recording; its output says why")
         return file
 
     def _on_configurationDone(self, _: Message) -> None:  # noqa: N802  the protocol's names, here and below
@@ -449,7 +449,7 @@ class Adapter:
     def _on_variables(self, arguments: Message) -> Message:
         reference = arguments["variablesReference"]
         if not 0 < reference <= len(self._lists):
-            raise _Wrong("the plan has moved on since")
+            raise _Wrong("the plan has moved to another step since then")
         found = []
         for each in self._lists[reference - 1]():
             self._listed[reference, each.name] = each

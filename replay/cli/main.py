@@ -160,7 +160,7 @@ def _command(arguments: list[str]) -> int:
 
 def _serve_editor(options: argparse.Namespace) -> int:
     if not options.dap:
-        return _report("debug: give a recording, or --dap for an editor that names it", USAGE)
+        return _report("debug: give a recording, or use --dap with an editor that names the recording", USAGE)
     try:
         with needed():
             from replay.cli.debug_adapter import serve  # noqa: PLC0415  needs the executor

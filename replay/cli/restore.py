@@ -33,7 +33,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, and the use of the world."""
     parser.add_argument("step", metavar="STEP", help=HINT)
     doing = parser.add_mutually_exclusive_group()
-    doing.add_argument("--script", metavar="FILE", help="run a Python file with variables for world and objects")
+    doing.add_argument(
+        "--script", metavar="FILE", help="run a Python file, with variables for the world and its objects"
+    )
     doing.add_argument("--shell", action="store_true", help="open interactive Python (default)")
     parser.add_argument(
         "--gui",

@@ -185,7 +185,7 @@ def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
     if record.task and of_step:
         return of_step[-1]
     if not until:
-        raise NoSuchStep(step, len(log), "no task had failed by then")
+        raise NoSuchStep(step, len(log), "no task had failed up to this step")
     return until[-1]
 
 

@@ -187,7 +187,7 @@ class Index:
         end = self._file.read(DATA_END)
         stored = int.from_bytes(end[HEADER:], "little")
         if end[:HEADER] != LENGTH.pack(Opcode.DATA_END, 4) or (stored != crc if self.ours else stored not in (0, crc)):
-            self.damage = [*self.damage, "its checksum differs from the stored one"]
+            self.damage = [*self.damage, "its checksum differs from the stored checksum"]
 
     def refresh(self) -> bool:
         """Scan the new part of a growing file; return whether there was a new part. Closed files have no new part."""

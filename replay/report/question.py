@@ -91,7 +91,9 @@ def parse(text: str) -> QueryCall:
             call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cause = error.msg.partition(". ")[0] if isinstance(error, SyntaxError) else str(error)
-        quotes = "; a name with spaces is in quotes, as stable('milk carton')" if re.search(r"\w \w", text) else ""
+        quotes = (
+            "; put a name with spaces into quotes, such as stable('milk carton')" if re.search(r"\w \w", text) else ""
+        )
         raise BadQuestion(text, f"it can't be parsed: {cause}{quotes}") from None
     if not isinstance(call, ast.Call):
         raise BadQuestion(text, "a question is the call of a query, such as stable(milk)")

@@ -39,10 +39,10 @@ def world_state(log: RecordReader, step: int, name: str | None = None, moment: f
             if closed
             else " yet; take a later step"
         )
-        raise NotRestored(step, f"no world is open then{hint}")
+        raise NotRestored(step, f"no world is open{hint}")
     world = state.world(name)
     if not world.open:
-        raise NotRestored(step, f"{world.name} has ended by then; take an earlier step")
+        raise NotRestored(step, f"{world.name} has ended before this step; take an earlier step")
     if state.uncertainty:
         raise Damaged(log.path, f"the world after step {step}", state.uncertainty)
     return world

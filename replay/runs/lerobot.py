@@ -90,7 +90,7 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
         raise ReplayError(f"{runs.path}: no robot moves in these runs, so they have no data to learn from")
     kinds = sorted(set(robots.values()))
     if len(kinds) > 1:
-        raise ReplayError(f"{runs.path}: the runs have the robots {', '.join(kinds)}; a data set has one robot")
+        raise ReplayError(f"{runs.path}: the runs have different robots ({', '.join(kinds)}); a data set has one robot")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))

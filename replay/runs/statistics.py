@@ -279,7 +279,7 @@ def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> Folde
     stats = [statistics(each, chosen) for each in (first, second)]
     for runs, each in zip((first, second), stats, strict=True):
         if not each.runs:
-            raise ReplayError(f"{runs.path} has no run of {chosen!r}; runs of one plan are compared")
+            raise ReplayError(f"{runs.path} has no run of {chosen!r}; only runs of the same plan are compared")
     before, after = _ended(first, chosen), _ended(second, chosen)
     both = sorted((before[given], after[given]) for given in before.keys() & after.keys())
     counts = [Counter({cause.cause: cause.count for cause in each.causes}) for each in stats]

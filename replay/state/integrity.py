@@ -304,7 +304,7 @@ class TaskIntegrity:
         if record.succeeded and record.phase != Run.FINISHED:
             return "the run succeeded, but doesn't end here"
         if self._run is not None and record.name != self._run.name:
-            return f"the run is called {record.name!r}, but {self._run.name!r} at its start"
+            return f"the run is called {record.name!r} here, but {self._run.name!r} at its start"
         self._run = self._run or record
         if record.phase != Run.FINISHED:
             return ""
@@ -313,7 +313,7 @@ class TaskIntegrity:
             # a task of a daemon thread or a worker can end after the task around it, or after the run
             in_parent = began.kind == "branch" or began.thread == self._threads.get(began.parent)
             if began.parent not in self._running and in_parent:
-                return f"the run ends, but task {number} ({began.name}), which started at step {began.seq}, doesn't"
+                return f"the run ends before task {number} ({began.name}), which started at step {began.seq}"
         return ""
 
 

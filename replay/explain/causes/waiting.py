@@ -56,7 +56,7 @@ class Fulfiller:
             finished = self.task.finished is not None
             state = f"{self.task.status.word} at step {self.task.last_step}" if finished else "is still running"
             text += f"; {phrases.node(self.task)} {state}"
-            text += f", and set it last at step {self.step}" if self.step is not None else " without setting it"
+            text += f", and last set it at step {self.step}" if self.step is not None else " without setting it"
         if self.failed is not None:
             name, error = phrases.node(self.failed), phrases.error(self.failed)
             text += f", after {name} failed at step {self.failed.last_step}: {error}"

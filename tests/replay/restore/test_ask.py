@@ -162,7 +162,10 @@ def test_every_query_can_be_asked() -> None:
     [
         ("", "can't be parsed"),
         ("stable(", "can't be parsed"),
-        ("stable(milk carton)", "invalid syntax; a name with spaces is in quotes, as stable\\('milk carton'\\)"),
+        (
+            "stable(milk carton)",
+            "invalid syntax; put a name with spaces into quotes, such as stable\\('milk carton'\\)",
+        ),
         ("stable", "is the call of a query"),
         ("stable(milk) and stable(bowl)", "is the call of a query"),
         ("stable(open('x'))", "can't be an argument"),

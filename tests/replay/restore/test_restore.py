@@ -122,7 +122,7 @@ def test_restore_with_json_prints_the_objects(log_file: Path, capfd: pytest.Capt
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["last"], "no world is open then"),
+        (["last"], "no world is open any more"),
         (["5", "--world", "lap"], "did you mean lab"),
         (["5", "--script", "no_such.py"], "no such file"),
         (["5", "--gui"], "DISPLAY"),

@@ -159,9 +159,9 @@ def test_two_restored_worlds_have_different_names(planned: Path) -> None:
 
 def test_a_step_without_an_open_world_is_refused(planned: Path) -> None:
     with replay.open(planned) as log:
-        with pytest.raises(replay.NotRestored, match="no world is open then yet; take a later step"):
+        with pytest.raises(replay.NotRestored, match="no world is open yet; take a later step"):
             log.world_at(0)
-        with pytest.raises(replay.NotRestored, match=r"no world is open then .*kitchen"):
+        with pytest.raises(replay.NotRestored, match=r"no world is open any more .*kitchen"):
             log.world_at("last")
         with pytest.raises(replay.NotRestored, match="kitchen has ended"):
             log.world_at("last", "kitchen")
