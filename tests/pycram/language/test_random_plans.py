@@ -268,7 +268,7 @@ def run(plans: int, first: int, file: Path) -> None:
         for child in node.children:
             assert child.parent is node
             assert child.end.wall_ns <= node.end.wall_ns
-            assert child.created.wall_ns >= node.start.wall_ns
+            assert child.created.wall_ns >= node.created.wall_ns
 
 
 @pytest.fixture(autouse=True)
