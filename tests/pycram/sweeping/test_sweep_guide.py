@@ -46,4 +46,5 @@ def test_a_reader_of_the_guide_gets_what_it_shows(tmp_path: Path) -> None:
             check=False,
         )
         assert stable(process.stdout) == stable(lines), process.stderr
-        assert not process.stderr
+        progress = re.compile(r"pycram: \d+ of \d+ runs, \d+ failed")  # a line every 10 s, on slow machines
+        assert not [line for line in process.stderr.splitlines() if not progress.fullmatch(line)]
