@@ -104,7 +104,9 @@ def test_after_the_end_of_all_worlds_the_error_says_that_they_ended(
 ) -> None:
     with recorder.record(tmp_path / "x.mcap"), BulletWorld(name="lab"):
         Object("ball", "ball", "apple.stl")
-    assert main(["ask", str(tmp_path / "x.mcap"), "last", "stable(ball)"]) == 2
+    with replay.open(tmp_path / "x.mcap") as log:
+        end = str(len(log) - 1)
+    assert main(["ask", str(tmp_path / "x.mcap"), end, "stable(ball)"]) == 2
     output = capsys.readouterr().err
     assert "no world is open" in output
     assert "lab" in output

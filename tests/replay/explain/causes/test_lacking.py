@@ -129,6 +129,7 @@ def test_what_was_moved_out_of_the_hand_that_holds_it_is_told(
 ) -> None:
     why = explained(f"""
         {WITH_PR2}
+        world.set_gravity([0, 0, 0])  # the milk stands on nothing
         milk.set_position([7, 0, 0.9])
         robot.set_position([6.35, -0.2, 0])
         perform(type="move-arm-joints", left_arm="park", right_arm="park")
@@ -163,6 +164,7 @@ def test_what_was_removed_while_a_hand_held_it_is_told_before_the_empty_hand(
 ) -> None:
     why = explained(f"""
         {WITH_PR2}
+        world.set_gravity([0, 0, 0])  # the milk stands on nothing
         milk.set_position([7, 0, 0.9])
         robot.set_position([6.35, -0.2, 0])
         perform(type="move-arm-joints", left_arm="park", right_arm="park")
