@@ -6,6 +6,6 @@ the records of a run. The same code checks a recording and watches a running pla
 
 from recorder.properties.expressions import BadProperty
 from recorder.properties.language import Property, parse, parse_file
-from recorder.properties.monitor import Monitor, Verdict, Violation
+from recorder.properties.monitor import Monitor, PropertyVerdict, Violation
 
-__all__ = ["BadProperty", "Monitor", "Property", "Verdict", "Violation", "parse", "parse_file"]
+__all__ = ["BadProperty", "Monitor", "Property", "PropertyVerdict", "Violation", "parse", "parse_file"]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NoReturn
 
-from recorder.properties.expressions import NUMBER, UNITS, BadProperty, Expression
+from recorder.properties.expressions import NUMBER, UNITS, BadProperty, PropertyExpression
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -37,8 +37,8 @@ class Property:
 
     text: str
     kind: str  # "always", "never", "eventually" or "at end"
-    body: Expression
-    until: Expression | None = None  # the body must hold until this does
+    body: PropertyExpression
+    until: PropertyExpression | None = None  # the body must hold until this does
     stays: float = 0.0  # s for which the body must hold without interruption
     within: float | None = None  # s, length of the episode's part that counts; None for the whole episode
     during: Moments | None = None
@@ -55,7 +55,7 @@ class Property:
         return tuple(each for each in (self.during, self.after, self.before) if each is not None)
 
     @property
-    def expressions(self) -> Iterator[Expression]:
+    def expressions(self) -> Iterator[PropertyExpression]:
         """All its expressions."""
         for each in (self.body, self.until, *(moments.expression for moments in self.moments)):
             if each is not None:
@@ -75,7 +75,7 @@ class Moments:
     task: tuple[
         str, ...
     ] = ()  # names of the task and the tasks around it, outermost first, in any case; outer names may be left out
-    expression: Expression | None = None
+    expression: PropertyExpression | None = None
 
 
 def parse(text: str, source: str = "") -> Property:
@@ -161,7 +161,7 @@ class _Parser:
         return Property(
             self._text,
             kind,
-            Expression(body or stated, self._source),
+            PropertyExpression(body or stated, self._source),
             until,
             stays,
             within,
@@ -169,12 +169,12 @@ class _Parser:
             source=self._source,
         )
 
-    def _expression(self, word: str) -> Expression | None:
+    def _expression(self, word: str) -> PropertyExpression | None:
         if word not in self._found:
             return None
         if not self._found[word]:
             self._refuse(f"an expression is missing after {word!r}")
-        return Expression(self._found[word], self._source)
+        return PropertyExpression(self._found[word], self._source)
 
     def _moments(self, word: str) -> Moments:
         text = self._found[word]

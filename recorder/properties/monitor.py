@@ -24,7 +24,7 @@ from recorder.records.fold import FoldedWorld, apply
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from recorder.properties.expressions import Expression, Geometry
+    from recorder.properties.expressions import Geometry, PropertyExpression
     from recorder.properties.language import Moments, Property
     from recorder.records import Record
 
@@ -34,7 +34,7 @@ FOLLOWED: Final = (Task, Mutation, Keyframe)
 _ENDS: Final = (Task.FINISHED, Task.LEFT)
 
 
-class Moment(NamedTuple):
+class CheckedMoment(NamedTuple):
     """A moment of a run."""
 
     step: int
@@ -55,19 +55,19 @@ class Violation:
     """A moment at which a property is violated."""
 
     statement: Property
-    moment: Moment
+    moment: CheckedMoment
     margin: float  # negative, or 0 if a value equals a limit that it must not reach
     values: dict[str, Any]  # values of the property's quantities, by their texts
     cause: str = ""  # why the moment is a violation, if the values aren't the reason
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class PropertyVerdict:
     """The result of a property for a whole run."""
 
     statement: Property
     margin: float  # distance of the run from the other answer, in the property's unit; infinite if only names matter
-    closest: Moment | None  # moment of this margin; None without an episode
+    closest: CheckedMoment | None  # moment of this margin; None without an episode
     values: dict[str, Any]  # values of the quantities at this moment
     violations: list[Violation]
     episodes: int  # number of parts of the run in which the property had to hold
@@ -93,7 +93,7 @@ class Monitor:
         self._clocks: dict[str, int] = {}
         self._total = 0  # simulated steps of all worlds
         self._names: dict[int, tuple[str, ...]] = {}  # names of the running tasks, outermost first
-        self._last = Moment(0, 0, 0.0)
+        self._last = CheckedMoment(0, 0, 0.0)
         self._known: dict[str, None] = {}  # names of all tasks
 
     def feed(self, record: Record) -> list[Violation]:
@@ -119,7 +119,7 @@ class Monitor:
         """End the run, and return the violations that only the end shows."""
         return [violation for watch in self._watches for violation in watch.finish(self._last)]
 
-    def verdicts(self) -> list[Verdict]:
+    def verdicts(self) -> list[PropertyVerdict]:
         """Return the results after the end.
 
         Raises:
@@ -127,12 +127,12 @@ class Monitor:
         """
         return [watch.verdict(self._known) for watch in self._watches]
 
-    def _moment(self, record: Record, sim_step: int) -> Moment:
+    def _moment(self, record: Record, sim_step: int) -> CheckedMoment:
         name = record.world
         if name in self.worlds:
             self._total += max(0, sim_step - self._clocks.get(name, 0 if sim_step == 0 else sim_step))
             self._clocks[name] = sim_step
-        self._last = Moment(
+        self._last = CheckedMoment(
             record.seq, sim_step, self._total / STEPS_PER_SECOND, name, record.task, sim_step != record.sim_step
         )
         return self._last
@@ -150,7 +150,7 @@ class Monitor:
             self._names.pop(record.task, None)
         if path is None or record.phase not in (Task.STARTED, *_ENDS):
             return []
-        moment = Moment(record.seq, record.sim_step, self._total / STEPS_PER_SECOND, record.world, record.task)
+        moment = CheckedMoment(record.seq, record.sim_step, self._total / STEPS_PER_SECOND, record.world, record.task)
         started = record.phase == Task.STARTED
         return [
             violation
@@ -167,7 +167,7 @@ class _Episode:
     start: float  # s
     key: object = None  # number of the task that began the episode; None for other episodes
     margin: Truth = _BEST
-    closest: Moment | None = None
+    closest: CheckedMoment | None = None
     values: dict[str, Any] = field(default_factory=dict)
     bad: bool = False  # whether the property is violated now
     held: Truth = _BEST  # for "until": the smallest margin of the body so far
@@ -191,11 +191,11 @@ class _Watch:
         self._missing: NoValue | None = None
         self._known: dict[str, None] = {}
         self._begun = False
-        self._valued: Moment | None = None  # the last moment at which the property had a value
+        self._valued: CheckedMoment | None = None  # the last moment at which the property had a value
 
     # --- episodes -----------------------------------------------------------------------------------------------------
 
-    def look(self, moment: Moment) -> Iterator[Violation]:
+    def look(self, moment: CheckedMoment) -> Iterator[Violation]:
         """Evaluate the property in the present state."""
         watched = self._property
         if not self._begun:
@@ -215,7 +215,7 @@ class _Watch:
             for episode in self._episodes:
                 yield from self._follow(episode, moment, value, other)
 
-    def _edge(self, word: str, expression: Expression, moment: Moment) -> Iterator[Violation]:
+    def _edge(self, word: str, expression: PropertyExpression, moment: CheckedMoment) -> Iterator[Violation]:
         value = self._truth(expression)
         before, now = self._were.get(word, False), value is not None and value.holds
         self._were[word] = now
@@ -227,7 +227,7 @@ class _Watch:
         elif before and not now and word == "during":
             yield from self._end_all(moment)
 
-    def task(self, number: int, path: tuple[str, ...], moment: Moment, *, started: bool) -> Iterator[Violation]:
+    def task(self, number: int, path: tuple[str, ...], moment: CheckedMoment, *, started: bool) -> Iterator[Violation]:
         """Notice the start or end of a task."""
         watched = self._property
         for word in ("during", "after", "before"):
@@ -243,26 +243,26 @@ class _Watch:
                 for episode in [each for each in self._episodes if each.key == number]:
                     yield from self._end(episode, moment)
 
-    def _begin(self, moment: Moment, key: object = None) -> None:
+    def _begin(self, moment: CheckedMoment, key: object = None) -> None:
         if not self._over and not self._were.get("before"):
             start = _Episode(moment.time, key)
             if self._property.kind == EVENTUALLY or self._property.until is not None:
                 start.margin = _WORST
             self._episodes.append(start)
 
-    def _end_all(self, moment: Moment) -> Iterator[Violation]:
+    def _end_all(self, moment: CheckedMoment) -> Iterator[Violation]:
         self._over = self._property.after is None and self._property.during is None
         for episode in list(self._episodes):
             yield from self._end(episode, moment)
 
-    def finish(self, moment: Moment) -> Iterator[Violation]:
+    def finish(self, moment: CheckedMoment) -> Iterator[Violation]:
         """End all episodes with the run."""
         for episode in list(self._episodes):
             yield from self._end(episode, self._valued or moment, "not until the end")
 
     # --- one episode --------------------------------------------------------------------------------------------------
 
-    def _truth(self, expression: Expression, moment: Moment | None = None) -> Truth | None:
+    def _truth(self, expression: PropertyExpression, moment: CheckedMoment | None = None) -> Truth | None:
         try:
             value = expression.truth(self._scene)
         except NoValue as error:
@@ -274,7 +274,7 @@ class _Watch:
         return value
 
     def _follow(
-        self, episode: _Episode, moment: Moment, value: Truth | None, other: Truth | None = None
+        self, episode: _Episode, moment: CheckedMoment, value: Truth | None, other: Truth | None = None
     ) -> Iterator[Violation]:
         watched = self._property
         if watched.until is not None:
@@ -297,7 +297,7 @@ class _Watch:
             episode.done |= value.holds
 
     def _until(
-        self, episode: _Episode, moment: Moment, value: Truth | None, other: Truth | None = None
+        self, episode: _Episode, moment: CheckedMoment, value: Truth | None, other: Truth | None = None
     ) -> Iterator[Violation]:
         if episode.done:
             return
@@ -325,7 +325,7 @@ class _Watch:
         episode.latest = value if value is not None else episode.latest
         return past[0][1] if past and now - episode.start >= length - 1e-9 else None
 
-    def _note(self, episode: _Episode, moment: Moment, value: Truth) -> None:
+    def _note(self, episode: _Episode, moment: CheckedMoment, value: Truth) -> None:
         episode.margin, episode.closest = value, moment
         episode.values = self._values()
 
@@ -335,13 +335,13 @@ class _Watch:
         return found if watched.until is None else found | watched.until.values(self._scene)
 
     def _violated(
-        self, moment: Moment, value: Truth, cause: str = "", values: dict[str, Any] | None = None
+        self, moment: CheckedMoment, value: Truth, cause: str = "", values: dict[str, Any] | None = None
     ) -> Violation:
         found = Violation(self._property, moment, value.margin, self._values() if values is None else values, cause)
         self._violations.append(found)
         return found
 
-    def _end(self, episode: _Episode, moment: Moment, cause: str = "") -> Iterator[Violation]:
+    def _end(self, episode: _Episode, moment: CheckedMoment, cause: str = "") -> Iterator[Violation]:
         self._episodes.remove(episode)
         watched = self._property
         if watched.stays and episode.latest is not None:
@@ -357,7 +357,7 @@ class _Watch:
             at, cause = (episode.closest, "at the end") if at_end else (moment, cause)
             yield self._violated(at or moment, episode.margin, cause, episode.values)
 
-    def verdict(self, tasks: dict[str, None]) -> Verdict:
+    def verdict(self, tasks: dict[str, None]) -> PropertyVerdict:
         """Return the result after the end."""
         watched = self._property
         if self._missing is not None and self._valued is None:
@@ -371,5 +371,7 @@ class _Watch:
             note = f"no task is called {task}; {suggestion(task, tasks)}"
         worst = min(said, key=lambda each: each.margin, default=None)
         if worst is None:
-            return Verdict(watched, math.inf, None, {}, self._violations, 0, note)
-        return Verdict(watched, worst.margin.margin, worst.closest, worst.values, self._violations, len(said), note)
+            return PropertyVerdict(watched, math.inf, None, {}, self._violations, 0, note)
+        return PropertyVerdict(
+            watched, worst.margin.margin, worst.closest, worst.values, self._violations, len(said), note
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 from recorder.errors import suggestion
-from recorder.properties.expressions import PARTS, ROUNDING, BadProperty, Expression, NoValue, Scene, plain
+from recorder.properties.expressions import PARTS, ROUNDING, BadProperty, NoValue, PropertyExpression, Scene, plain
 from recorder.records import Keyframe, Mutation
 from recorder.records.fold import FoldedWorld, apply
 from replay.errors import ReplayError
@@ -43,7 +43,7 @@ def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
         NoQuantity: the expression has no value at any step.
     """
     try:
-        compiled = Expression(expression)
+        compiled = PropertyExpression(expression)
     except BadProperty as error:
         raise NoQuantity(expression, error.cause) from None
     worlds: dict[str, FoldedWorld] = {}

@@ -21,9 +21,9 @@ from replay.state.fold import state_at
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from recorder.properties import Property, Verdict
+    from recorder.properties import Property, PropertyVerdict
     from recorder.properties.expressions import Geometry
-    from recorder.properties.monitor import Moment
+    from recorder.properties.monitor import CheckedMoment
     from recorder.records import Record
     from replay.file.record_reader import RecordReader
     from replay.history.tasks import CausingTasks
@@ -36,7 +36,7 @@ class CheckedProperty:
     """The result of a property for a recording."""
 
     path: str  # path of the recording
-    verdict: Verdict
+    verdict: PropertyVerdict
     record: Record | None = None  # record of the first violation
     causes: CausingTasks | None = None  # tasks and lines of the plan that led to it
 
@@ -69,7 +69,7 @@ def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry 
     return found
 
 
-def _cause(log: RecordReader, verdict: Verdict) -> Record:
+def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record:
     """Return the record of the first violation. If its condition never held, return the last change of an object.
 
     A robot moves all the time, so its changes count only if the property names no other object.
@@ -110,7 +110,7 @@ def _(checked: CheckedProperty) -> dict[str, object]:
     return found | {"causes": report.data(checked.causes), "commands": list(commands(checked))}
 
 
-def _moment_data(moment: Moment | None) -> dict[str, object]:
+def _moment_data(moment: CheckedMoment | None) -> dict[str, object]:
     if moment is None:
         return {}
     return {"step": moment.step, "sim_seconds": moment.seconds, "world": moment.world}
@@ -151,7 +151,7 @@ def step_of(checked: CheckedProperty) -> str:
     return f"{moment.seconds:.4f}s" if moment.sampled else str(moment.step)
 
 
-def _how_close(verdict: Verdict) -> str:
+def _how_close(verdict: PropertyVerdict) -> str:
     if verdict.note:
         return f": nothing to check, {verdict.note}"
     if verdict.closest is None or not math.isfinite(verdict.margin):
@@ -160,7 +160,7 @@ def _how_close(verdict: Verdict) -> str:
     return f"\n  by {_amount(verdict.margin, verdict)}, closest at step {verdict.closest.step}: {values}"
 
 
-def _amount(margin: float, verdict: Verdict) -> str:
+def _amount(margin: float, verdict: PropertyVerdict) -> str:
     text = _UNITS.get(verdict.statement.body.unit, phrases.number)(abs(margin))
     return f"{text} or more" if verdict.statement.body.needs_geometry and abs(margin) >= RANGE else text
 

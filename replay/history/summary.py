@@ -20,7 +20,7 @@ MAX_CHECKED: Final = 16 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class WorldClock:
+class WorldTime:
     """A world and its clock."""
 
     world: str
@@ -35,7 +35,7 @@ class Summary:
     plan: str
     started: datetime  # wall-clock time of the first record, UTC
     seconds: float  # seconds from the first to the last record
-    worlds: tuple[WorldClock, ...]  # the worlds in the order of their opening
+    worlds: tuple[WorldTime, ...]  # the worlds in the order of their opening
     outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" if its end is damaged
     failure: str  # failure of the plan, such as "Type: message"; "" without a failure
     #: Names of the plan's own threads that failed while the plan continued, with their failures.
@@ -76,7 +76,7 @@ def summary(log: RecordReader) -> Summary:
         plan=log.metadata.get("plan", ""),
         started=datetime.fromtimestamp(first.wall_time_ns / 1e9, UTC),
         seconds=elapsed_ns / 1e9,
-        worlds=tuple(WorldClock(each.world, each.number, step / STEPS_PER_SECOND) for each, step in steps),
+        worlds=tuple(WorldTime(each.world, each.number, step / STEPS_PER_SECOND) for each, step in steps),
         outcome=outcome,
         failure=format_failure(end.failure) if end is not None and end.HasField("failure") else "",
         threads=tuple((record.thread, format_failure(record.failure)) for record in failed_threads(log)),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from recorder.properties import BadProperty, parse, parse_file
-from recorder.properties.expressions import Expression, Scene, plain
+from recorder.properties.expressions import PropertyExpression, Scene, plain
 from recorder.records import Attachment, BodyState, LoadBody
 from recorder.records.fold import FoldedBody, FoldedWorld
 
@@ -73,7 +73,7 @@ def scene() -> Scene:
     ],
 )
 def test_expressions_have_values(scene: Scene, text: str, value: object) -> None:
-    found = plain(Expression(text).value(scene))
+    found = plain(PropertyExpression(text).value(scene))
     assert found == (pytest.approx(value) if isinstance(value, float) else value)
 
 
@@ -89,7 +89,7 @@ def test_expressions_have_values(scene: Scene, text: str, value: object) -> None
     ],
 )
 def test_conditions_have_margins(scene: Scene, text: str, margin: float) -> None:
-    assert Expression(text).truth(scene).margin == pytest.approx(margin)
+    assert PropertyExpression(text).truth(scene).margin == pytest.approx(margin)
 
 
 @pytest.mark.parametrize(
@@ -136,13 +136,13 @@ def test_mistakes_are_refused_with_their_cause(text: str, cause: str) -> None:
 )
 def test_python_beyond_the_language_is_refused(text: str) -> None:
     with pytest.raises(BadProperty):
-        Expression(text)
+        PropertyExpression(text)
 
 
 @pytest.mark.parametrize("text", ["9 ** 9 ** 9 ** 9 > 1", "'a' * 9 == 1", "milk.z / 0 > 1", "(-1) ** 0.5 > 1"])
 def test_calculations_without_a_result_have_no_value(scene: Scene, text: str) -> None:
     with pytest.raises(LookupError):
-        Expression(text).truth(scene)
+        PropertyExpression(text).truth(scene)
 
 
 def test_words_about_time_may_come_in_any_order() -> None:

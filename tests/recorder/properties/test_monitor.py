@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from recorder.properties import BadProperty, Monitor, Verdict, parse
+from recorder.properties import BadProperty, Monitor, PropertyVerdict, parse
 from recorder.records import (
     STEPS_PER_SECOND,
     BodyState,
@@ -55,7 +55,7 @@ def task(phase: Task.Phase, number: int, name: str, parent: int = 0) -> Task:
     return Task(phase=phase, task=number, parent=parent, name=name)
 
 
-def check(text: str, records: Sequence[Record]) -> Verdict:
+def check(text: str, records: Sequence[Record]) -> PropertyVerdict:
     monitor = Monitor([parse(text)])
     for seq, record in enumerate(records):
         record.seq, record.world = seq, record.world or "lab"
@@ -65,7 +65,7 @@ def check(text: str, records: Sequence[Record]) -> Verdict:
     return verdict
 
 
-def steps(verdict: Verdict) -> list[int]:
+def steps(verdict: PropertyVerdict) -> list[int]:
     return [each.moment.step for each in verdict.violations]
 
 
