@@ -93,8 +93,8 @@ class McapSink:
         self._models = models
         self._durable = durable
         self._lock = threading.Lock()
-        self._buffer: list[_Buffered] = []  # since the last chunk was closed
-        self._lines = Lines()  # bytes of the buffered records
+        self._buffer: list[_Buffered] = []  # messages since the last chunk was closed
+        self._lines = Lines()  # makes the log lines of the records
         self._size = 0  # bytes in the buffer
         self._pending = 0  # records in the buffer
         self._count = 0

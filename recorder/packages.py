@@ -1,6 +1,6 @@
 """Required packages: their versions, their extras of pyproject.toml, and how to install an extra.
 
-Reading recordings needs the base dependencies only. The engine, the viewer and pictures are extras. If a needed extra
+Reading recordings needs only the base dependencies. The engine, the viewer and pictures are extras. If a needed extra
 is missing, commands print one line and exit. It names a checkout, as the PyPI project of this name isn't ours.
 """
 

@@ -366,7 +366,7 @@ class TrajectoryPaths:
                     self._end(world, each.number, now, each.time)
         elif command == "stop_trajectory":
             stopped = followed.get(record.stop_trajectory.number)
-            if stopped is not None and stopped.following.began == record.sim_step:  # it hasn't moved yet
+            if stopped is not None and stopped.following.began == record.sim_step:  # the body hasn't moved yet
                 self._end(world, record.stop_trajectory.number, now, 0.0)
         elif command in _ENDING:
             self._remove(world, None, now)

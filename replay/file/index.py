@@ -81,7 +81,7 @@ class Index:
         self.whole = False  # whether its summary is intact
         self.damage: list[str] = []  # damaged parts, in words
         self.chunks = ChunkTable()  # the chunks in the file's order
-        self.channels: dict[int, Channel] = {}  # by their id
+        self.channels: dict[int, Channel] = {}  # channels by their ids
         self.schemas: dict[int, str] = {}  # names of message types by their id
         self.definitions: dict[str, bytes] = {}  # definitions of message types, as in the file, by their names
         self.loose: list[Extent] = []  # messages outside of chunks, which some programs write, in the file's order

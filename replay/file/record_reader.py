@@ -182,7 +182,7 @@ class RecordReader:
 
     @property
     def format(self) -> int:
-        """The format of the recording, or 0 if the format is unknown; see :mod:`recorder.records.definition_new`."""
+        """The format of the recording, or 0 if the format is unknown; see :mod:`recorder.records`."""
         return format_of(self._index)
 
     @cached_property
@@ -447,7 +447,7 @@ class Newer:
     """A newer release that wrote a recording."""
 
     release: str  # version of the release
-    format: int  # its format; see :mod:`recorder.records.definition_new`
+    format: int  # its format; see :mod:`recorder.records`
     fields: tuple[str, ...]  # names of unknown fields and enum values of known messages, such as ``Mutation.force``
     kinds: tuple[str, ...]  # unknown kinds of records
 

@@ -200,7 +200,7 @@ _STATUSES: Final[Mapping[Task.Phase, tuple[Task.Status, ...]]] = {
     Task.FINISHED: (Task.SUCCEEDED, Task.FAILED, Task.CANCELLED),
     Task.LEFT: (Task.CREATED, Task.RUNNING),
 }
-_SAME: Final = ("kind", "name", "attempt", "parent")  # in all records of a task
+_SAME: Final = ("kind", "name", "attempt", "parent")  # equal in all records of a task
 
 
 class TaskDepths:

@@ -94,7 +94,7 @@ class World:
     robot: str = ""  # name of the robot of plans
     lifetime: int = 1  # number of its lifetime, from 1; a later world with the same name has the next number
     bodies: Mapping[str, Body] = field(default_factory=dict)  # bodies by name, in the order of loading
-    attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # by carrier and body
+    attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # attachments by carrier and body
     following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
     #: Beliefs by names of robot and object, the latest last.
     beliefs: Mapping[tuple[str, str], RecordedBelief] = field(default_factory=dict)

@@ -36,7 +36,7 @@ _YES: Final = {
     "PlaceFailed": ("stable",),
 }
 _NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
-_MOVED: Final = (1e-3, 5e-3)  # in m and rad
+_MOVED: Final = (1e-3, 5e-3)  # in m and rad; smaller moves don't count as changes
 _IN_HAND: Final = 0.05  # in m; smaller moves are adjustments
 _SEARCHED: Final = 5_000  # number of records before the failure that are searched
 _BELIEVED: Final = frozenset(

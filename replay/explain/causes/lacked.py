@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
-_NEARER: Final = 0.05  # in m
+_NEARER: Final = 0.05  # in m; if places differ less, neither is nearer to the target
 _IN: Final = 0.03  # in m; an object is in a drawer if its base is within this distance of the drawer's boxes
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
