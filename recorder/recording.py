@@ -87,16 +87,16 @@ def record(
             serves a page for browsers on this machine until this process ends, and prints its address. A viewer that
             is slow, stalls, dies or is missing doesn't delay the plan.
         name: name of the plan; by default the name of the program or notebook.
-        arguments: arguments of the plan, by default the program's; only recorded.
-        source: the plan's file, which is attached; by default the program's file, if it has one.
-        seed: seed of random numbers; only recorded.
-        order: order of branches, if the seed doesn't determine the order; only recorded.
-        environment: execution environment of the plan, if one was requested; only recorded.
+        arguments: arguments of the plan, by default the program's; recorded only, not used.
+        source: the plan's file, which is attached; by default the program's file, if there is one.
+        seed: seed of random numbers; recorded only, not used.
+        order: order of branches, if the seed doesn't determine the order; recorded only, not used.
+        environment: execution environment of the plan, if one was requested; recorded only, not used.
         output: record printed and logged lines, too.
         locals: record the local variables of the plan's functions with failures.
         overwrite: replace an existing recording.
         durable: write each chunk of the file to the disk, so that records survive a power loss, too.
-        parameters: parameters of the plan, by name; only recorded.
+        parameters: parameters of the plan, by name; recorded only, not used.
 
     Raises:
         RecordingError: the file can't be written, at the start or later, or another program has deleted, replaced or

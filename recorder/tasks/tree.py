@@ -99,7 +99,7 @@ class Node:
 
     @property
     def id(self) -> int:
-        """Its number: unique in its process, from 1."""
+        """The task's number: unique in its process, from 1."""
         return self.started.task
 
     @property
@@ -109,7 +109,7 @@ class Node:
 
     @property
     def name(self) -> str:
-        """Its name, for people."""
+        """The task's name, for people."""
         return self.started.name
 
     @property
@@ -119,7 +119,7 @@ class Node:
 
     @property
     def parameters(self) -> dict[str, Plain]:
-        """Its recorded parameters, by name."""
+        """The task's recorded parameters, by name."""
         return argument_values(self.started.parameters)
 
     @property
@@ -135,7 +135,7 @@ class Node:
 
     @property
     def status(self) -> State:
-        """Its status; RUNNING if the recording ends before the task."""
+        """The task's status; RUNNING if the recording ends before the task."""
         if self.finished is not None:
             return State(self.finished.status)
         return State.CREATED if self.started.phase == Task.ASKED else State.RUNNING
@@ -152,7 +152,7 @@ class Node:
 
     @property
     def failure(self) -> Failure | None:
-        """Its failure: type, message, data and, if recorded, the traceback."""
+        """The task's failure: type, message, data and, if recorded, the traceback."""
         return self.finished.failure if self.finished is not None and self.finished.HasField("failure") else None
 
     @property
@@ -162,7 +162,7 @@ class Node:
 
     @property
     def origin(self) -> Node:
-        """The task in which its failure began. It is the last failed descendant, preferably one with the same error."""
+        """The task in which this task's failure began. It is the last failed descendant, preferably with the same error."""
         node = self
         while failed := [child for child in node.children if child.failed]:
             node = next((child for child in reversed(failed) if child.error == node.error), failed[-1])
@@ -203,7 +203,7 @@ class Node:
 
     @property
     def seconds(self) -> float | None:
-        """Its duration by the clock, in s; None if it has not ended."""
+        """The task's duration by the clock, in s; None if it has not ended."""
         return self.finished.duration_ns / 1e9 if self.finished is not None else None
 
     @property
@@ -214,7 +214,7 @@ class Node:
 
     @property
     def children(self) -> list[Node]:
-        """Its direct children, in the order of their requests."""
+        """The task's direct children, in the order of their requests."""
         return [child for _, child in sorted(self.parts.items())]
 
     @property

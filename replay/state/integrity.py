@@ -346,7 +346,7 @@ class Verification:
     largest: Deviation | None = None  # a deviation that the environment or the engine's rounding may explain
     problem: Problem | None = None  # the first problem
     damage: str = ""  # damaged or lost parts of the file; the missing end of an unclosed recording isn't damage
-    incomplete: str = ""  # why it is incomplete: it wasn't closed, or records were lost before its repair
+    incomplete: str = ""  # why the recording is incomplete: it wasn't closed, or records were lost before a repair
     unknown: tuple[str, ...] = ()  # worlds that a newer release changed, so that their later physics isn't compared
     static: bool = False  # whether nothing was executed again
 
