@@ -1,6 +1,6 @@
 """The recorder's shared errors, hints for their messages ("did you mean ...?"), and closed pipes.
 
-If the reader has closed the pipe of the output, as ``| head`` does, that is no error: further output is discarded.
+If the reader has closed the pipe of the output, as ``| head`` does, further output is discarded without an error.
 """
 
 from __future__ import annotations

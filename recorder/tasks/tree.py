@@ -162,7 +162,7 @@ class Node:
 
     @property
     def origin(self) -> Node:
-        """The task in which this task's failure began. It is the last failed descendant, preferably with the same error."""
+        """The task in which the failure began. It is the last failed descendant, preferably with the same error."""
         node = self
         while failed := [child for child in node.children if child.failed]:
             node = next((child for child in reversed(failed) if child.error == node.error), failed[-1])

@@ -166,7 +166,7 @@ def why(log: RecordReader, step: int | None = None) -> Why:
 def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
     """Return the local variables at a failure, by file and line of their frames.
 
-    Each frame is only in the first record of its error. A branch knows only its own frames.
+    Each frame is only in the first record of its error. The record of a branch has only the branch's own frames.
     """
     tasks = cause.task.around() if cause.task is not None else ()
     variables: dict[tuple[str, int], dict[str, str]] = {}

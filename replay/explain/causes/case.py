@@ -277,7 +277,7 @@ class FailureCase:
             return None
 
     def changed(self, target: str) -> CausingChange | None:
-        """Return the last change of a body or joint; None if its last change was before the first motion."""
+        """Return the last change of a body or joint; None if that was before the first motion."""
         last = self.blame(target)
         if last is None:
             return None

@@ -64,8 +64,8 @@ class Physics(Cause):
     since: int  # the step of the plan's success or change before the motion
     stood_on: str = ""  # its support, if that was moved; "" if it wasn't moved, or is unknown
     lets: tuple[CausingChange, ...] = ()  # changes after which it may have begun to move; empty if only time passed
-    speed: float | None = None  # speed in m/s at its release; None without a release
-    spin: float | None = None  # angular speed in rad/s at its release; None without a release
+    speed: float | None = None  # speed in m/s at its release; None if it wasn't released
+    spin: float | None = None  # angular speed in rad/s at its release; None if it wasn't released
     hand: str = ""  # the arm that released it; "" without a release
 
     @classmethod
