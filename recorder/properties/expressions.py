@@ -171,7 +171,7 @@ class Scene:
             yield from ((each, "") for each in world.bodies if fnmatchcase(each, name))
             return
         found = _find(world, name)
-        if isinstance(found, FoldedBody):
+        if isinstance(found, BodyQuantities):
             yield found.name, ""
             return
         body, _, link = name.rpartition(".")
@@ -192,7 +192,7 @@ class Contacts:
         return len(self.touching)
 
 
-class FoldedBody:
+class BodyQuantities:
     """A body of a world, with its quantities as attributes."""
 
     __slots__ = ("_body", "_world", "name")
@@ -241,15 +241,15 @@ def _identifier(name: str) -> str:
     return re.sub(r"\W", "_", name)
 
 
-def _find(world: FoldedWorld, name: str) -> FoldedBody | str | None:
+def _find(world: FoldedWorld, name: str) -> BodyQuantities | str | None:
     """Return a body, the robot or the name of an arm; None for an unknown name."""
     if name in world.bodies:
-        return FoldedBody(world, name)
+        return BodyQuantities(world, name)
     for each in world.bodies:
         if _identifier(each) == name:
-            return FoldedBody(world, each)
+            return BodyQuantities(world, each)
     if name == "robot" and world.robot in world.bodies:
-        return FoldedBody(world, world.robot)
+        return BodyQuantities(world, world.robot)
     return name if name in _arms(world) else None
 
 
@@ -275,7 +275,7 @@ def _described_arms(description: str) -> Mapping[str, frozenset[str]]:
 
 def plain(value: object) -> Any:
     """Return a value as numbers, texts, None and tuples."""
-    if isinstance(value, FoldedBody):
+    if isinstance(value, BodyQuantities):
         return value.part("position"), value.part("orientation")
     if isinstance(value, Truth):
         return value.holds
@@ -553,7 +553,7 @@ def _kind(node: ast.expr) -> str:
 
 
 def _part(owner: Any, name: str) -> Any:
-    if isinstance(owner, FoldedBody):
+    if isinstance(owner, BodyQuantities):
         return owner.part(name)
     return _item(owner, name)
 
@@ -572,14 +572,14 @@ def _item(owner: Any, key: int | str) -> Any:
 
 
 def _described(value: object) -> str:
-    return value.name if isinstance(value, FoldedBody) else str(plain(value))
+    return value.name if isinstance(value, BodyQuantities) else str(plain(value))
 
 
 def _compared(value: Any) -> Any:
     """Return a value in the form that ``is`` compares: the name of a body, and whether a condition holds."""
     if isinstance(value, Truth | Contacts):
         return truth(value).holds
-    return value.name if isinstance(value, FoldedBody) else value
+    return value.name if isinstance(value, BodyQuantities) else value
 
 
 def _equal(a: Any, b: Any) -> Truth:
@@ -644,7 +644,7 @@ _COMPARISONS: Final[Mapping[type, Callable[[Any, Any], Truth]]] = {
 
 
 def _point(value: Any) -> Sequence[float]:
-    if isinstance(value, FoldedBody):
+    if isinstance(value, BodyQuantities):
         return value.part("position")  # type: ignore[no-any-return]
     if isinstance(value, tuple) and len(value) == 3 and all(map(_is_number, value)):
         return value
@@ -653,14 +653,14 @@ def _point(value: Any) -> Sequence[float]:
 
 def _angle(a: Any, b: Any) -> float:
     """Return the angle in rad between two angles, or between the orientations of two bodies."""
-    if isinstance(a, FoldedBody) and isinstance(b, FoldedBody):
+    if isinstance(a, BodyQuantities) and isinstance(b, BodyQuantities):
         cosine = abs(sum(x * y for x, y in zip(a.part("orientation"), b.part("orientation"), strict=True)))
         return 2 * math.acos(min(1.0, cosine))
     return abs(math.remainder(a - b, 2 * math.pi))
 
 
-def _body(value: Any) -> FoldedBody:
-    if not isinstance(value, FoldedBody):
+def _body(value: Any) -> BodyQuantities:
+    if not isinstance(value, BodyQuantities):
         raise NoValue(f"{_described(value)} isn't an object")
     return value
 
