@@ -17,7 +17,7 @@ import recorder
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from pycram.process_module import ProcessModule
-from pycram.world import simulation
+from pycram.world import attachment, simulation
 from recorder.records import log_pb2
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ CHANGES = {  # public methods and functions, and the command that each call reco
     (Object, "__init__"): "load_body",
     (Object, "set_position_and_orientation"): "move_body",
     (Object, "set_joint_positions"): "move_joints",
-    (Object, "attach"): "attach_body",
-    (Object, "detach"): "detach_body",
+    (attachment, "attach"): "attach_body",
+    (attachment, "detach"): "detach_body",
     (BulletWorld, "set_gravity"): "set_gravity",
     (BulletWorld, "set_robot"): "set_robot",
     (BulletWorld, "simulate_steps"): "simulate",

@@ -49,7 +49,7 @@ pytestmark = pytest.mark.slow
 
 GOLDEN: Final = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 #: What is mutated: of every kind of record one of them has some.
-CORPUS: Final = (GOLDEN, *(GOLDEN.parent / each / GOLDEN.name for each in ("reasons", "forks", "motions")))
+CORPUS: Final = (GOLDEN, *(GOLDEN.parent / each / GOLDEN.name for each in ("reasons", "forks", "motions", "checks")))
 ENGINE: Final = (["verify"], ["restore", "-20", "--json"], ["render", "-20", "-o", "x.png", "--size", "8x8"])
 READING: Final = (
     ["info"],

@@ -47,7 +47,7 @@ world.get_manipulation_event().__iadd__(lambda *_: print("somebody moved the fur
 with world.lock:
     print("here")
     cup.set_color([1, 0, 0, 1])
-print(milk.get_position()[:2], cabinet.get_joint_position("drawer_joint"), battery.get_value(), busy.get_value())
+print([round(each, 9) for each in milk.get_position()[:2]], cabinet.get_joint_position("drawer_joint"), battery.get_value(), busy.get_value())
 print([bool(btr.contact(milk, each)) for each in (cup, floor, cup)])
 print(btr.blocking.__name__, btr.stable(milk), btr.supporting(floor, milk).evidence["touches"] > 0)
 print(btr.reachable_poses.__name__, btr.occluding(milk, [-1, 0, 0.1]))
