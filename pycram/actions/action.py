@@ -214,7 +214,7 @@ def action(
     Args:
         name: The type, such as "fetching".
         choices: A generator function that yields values of slots by name, the best first; each is tried in turn. It
-            is called with the slots that are its parameters.
+            is called with the slots that are its parameters. Other slots keep their values if they are given.
         prepare: Called with its slots before choices are found, for example to search an object. If it is a generator
             function, the code after its only ``yield`` runs when the action has succeeded or failed.
         checked: Checks of slots by name; PyCRAM knows the slots of its own actions.
@@ -229,8 +229,8 @@ def action(
         TYPES[name] = _type(name, function, choices, prepare, checked or {}, one_of)
 
         def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
-            given = inspect.signature(function).bind(*args, **kwargs)
-            return ActionDesignator(filled(name, **given.arguments))
+            given = inspect.signature(function).bind_partial(*args).arguments
+            return ActionDesignator(filled(name, **given, **kwargs))  # performing it checks its slots
 
         with suppress(AttributeError):  # bound methods have no attributes of their own
             cast("Any", function).designator = wraps(function)(designator)
@@ -357,8 +357,22 @@ def resolve(designator: ActionDesignator) -> Iterator[Solution]:
     """Yield the solutions of an action designator, one for each choice."""
     kind, given = _checked(designator)
     whole = {slot: value for slot, value in given.items() if slot not in ("budget", "projected")}
-    for choice in ({},) if kind.choices is None else kind.choices(**arguments(kind.choices, whole)):
+    for choice in _open_choices(kind, whole):
         yield {"action": kind.type, **whole, **choice}
+
+
+def _open_choices(kind: ActionType, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+    """Yield the choices of an action, without values for given slots that its ``choices`` doesn't know about."""
+    if kind.choices is None:
+        yield {}
+        return
+    known = {slot_name(name) for name in inspect.signature(kind.choices).parameters}
+    nothing_left = False
+    for choice in kind.choices(**arguments(kind.choices, given)):
+        left = {slot: value for slot, value in choice.items() if slot in known or slot not in given}
+        if left or not choice or not nothing_left:  # choices of given slots alone are all the same
+            yield left
+        nothing_left |= bool(choice) and not left
 
 
 def type_of(solution: Solution) -> ActionType:

@@ -346,7 +346,7 @@ class PlanCopies:
             read = running is not None and running.channel.has_read
             ready = sources[1:] if read else select.select(sources, (), (), _POLL)[0]
             if self._listener in ready:
-                running = self._next(running)
+                running, passed_on = self._next(running), False
             elif ready and running is not None:
                 message = _received(running.channel)
                 if message is None:
@@ -364,10 +364,11 @@ class PlanCopies:
             if self._interrupts > 1:
                 self.end(running)
                 raise EndedByInterrupt
-            if (self._interrupts or self.pause_wanted) and running is not None and not passed_on:
-                passed_on = True
-                running.channel.send({"do": "interrupt"})
-                # a process that makes no record reads no message, so it gets a signal
+            if (self._interrupts or self.pause_wanted) and running is not None:
+                if not passed_on:
+                    passed_on = True
+                    running.channel.send({"do": "interrupt"})
+                # a process that makes no record reads no message, so it gets signals; it ignores early ones
                 with suppress(ProcessLookupError):
                     os.kill(running.pid, PAUSE)
 

@@ -39,7 +39,9 @@ class NotForked(ReplayError):
 
     def __init__(self, step: int, difference: FirstDifference, notes: Sequence[str] = ()) -> None:
         reads = "".join(f"; {each}" for each in (*notes, *reads_before(difference)))
-        super().__init__(f"the plan differs before step {step}: at step {difference.step} {difference.text}{reads}")
+        earlier = f"; fork at step {difference.step - 1} to change this" if difference.step else ""
+        what = f"at step {difference.step} {difference.text}"
+        super().__init__(f"the plan differs before step {step}: {what}{earlier}{reads}")
         self.step = step  # step of the fork
         self.difference = difference
 

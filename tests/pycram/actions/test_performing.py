@@ -174,6 +174,21 @@ def test_users_put_their_own_action_in_the_place_of_another() -> None:
         perform(ActionDesignator(type="picking-up", object="cup", number="six"))
 
 
+def test_a_given_slot_keeps_its_value_unless_the_choices_know_about_it() -> None:
+    """An action of a user's own was asked for one value, and its choices tried others."""
+    counting = Counting("two")
+
+    def numbers() -> Iterator[Mapping[str, Any]]:
+        yield from ({"number": number} for number in ("one", "two"))
+
+    with replaced("counting", counting.count, choices=numbers):
+        assert perform(ActionDesignator(type="counting", number="two")).startswith("two")
+        assert counting.tried == ["two"]
+        with pytest.raises(PlanFailure):
+            perform(ActionDesignator(type="counting", number="one"))
+        assert counting.tried == ["two", "one"], "tried once, as there is one choice"
+
+
 def test_what_replaces_an_action_takes_its_slots() -> None:
     """Others may give it any of them: they would fail in the middle of a plan."""
 
