@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+import threading
 from functools import cache
 from importlib.resources import files
 from typing import IO, TYPE_CHECKING, Any, Self
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 Message = dict[str, Any]
+PATIENCE = 300  # s, after which an adapter is killed
 
 
 @cache
@@ -53,6 +55,8 @@ class Editor:
             )
             assert self.process.stdin is not None
             assert self.process.stdout is not None
+            self._patience = threading.Timer(PATIENCE, self.process.kill)  # a test that hangs fails
+            self._patience.start()
             streams = self.process.stdin, self.process.stdout
         self.writing, self.reading = streams
         self.events: list[Message] = []
@@ -63,6 +67,7 @@ class Editor:
 
     def __exit__(self, *_: object) -> None:
         if self.process is not None:
+            self._patience.cancel()
             with self.process as process:
                 process.kill()
 

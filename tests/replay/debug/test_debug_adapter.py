@@ -21,7 +21,7 @@ from replay.debug.guided_plan import GuidedPlan
 from replay.debug.session import NoFurther, Session
 from replay.retrace.plan_process import PlanProcess
 from tests.measures import seeded
-from tests.replay.debug.editor import Editor
+from tests.replay.debug.editor import PATIENCE, Editor
 from tests.replay.debug.plans import TEXT, line
 from tests.replay.retrace.test_retrace import record
 
@@ -192,8 +192,10 @@ def offspring(parent: int) -> set[int]:
 
 
 def wait_until(condition: Callable[[], object]) -> None:
-    """Wait for what must come; a test that waits for ever is ended by its time limit."""
+    """Wait for a condition that must come."""
+    deadline = time.monotonic() + PATIENCE
     while not condition():
+        assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
