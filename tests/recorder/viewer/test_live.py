@@ -185,7 +185,7 @@ def test_a_viewer_that_starts_late_gets_what_was_before(
     running = plan("wait_for('go'); move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy")
     until((tmp_path / "begun").exists, "the plan has begun")
     assert running.process.stderr is not None
-    assert "start it at any time" in running.process.stderr.readline(), "nobody was there when it looked"
+    assert "to start one at any time" in running.process.stderr.readline(), "nobody was there when it looked"
     server = serve()
     until(server.rows, "something is shown")
     (tmp_path / "go").touch()

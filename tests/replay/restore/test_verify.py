@@ -265,7 +265,7 @@ def test_tasks_that_never_end_are_found_unless_the_process_was_killed(run_log: P
         return record
 
     problem = problem_of(rewritten(run_log, tmp_path / "x.mcap", running_on))
-    assert "doesn't" in problem.cause
+    assert "the run ends before task" in problem.cause
     cut = tmp_path / "cut.mcap"
     content = run_log.read_bytes()
     cut.write_bytes(content[: int(len(content) * 0.97)])
@@ -284,7 +284,7 @@ def test_a_branch_without_end_is_found(tmp_path: Path) -> None:
         record.seq -= record.seq > end
         return record if kept else None
 
-    assert "doesn't" in problem_of(rewritten(file, tmp_path / "x.mcap", without_end)).cause
+    assert "the run ends before task" in problem_of(rewritten(file, tmp_path / "x.mcap", without_end)).cause
 
 
 def test_an_exchanged_attached_file_is_found(run_log: Path, tmp_path: Path) -> None:
