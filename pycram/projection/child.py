@@ -87,9 +87,11 @@ class Child:
         return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def _reap(self) -> None:
-        os.close(self._reading)
-        _, self.status = os.waitpid(self.pid, 0)
+        _, self.status = os.waitpid(
+            self.pid, 0
+        )  # first: after an interrupt here, the process is killed and reaped again
         self.ended = True
+        os.close(self._reading)
 
 
 def usable_cores() -> int:
