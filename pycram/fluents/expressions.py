@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
     from weakref import WeakValueDictionary
 
-    from pycram.scheduling.schedule import Clock
+    from pycram.scheduling.strikes import Clock
 
 
 #: Any value that a plan gives to a fluent.

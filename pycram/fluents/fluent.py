@@ -54,7 +54,8 @@ from pycram.foundation.refusals import refusing
 from pycram.language.nesting import await_turn
 from pycram.scheduling.cancellation import checkpoint, raise_if_cancelled, wait_until
 from pycram.scheduling.future import unwrap
-from pycram.scheduling.schedule import Condition, Deadline, scheduler
+from pycram.scheduling.schedule import Condition, scheduler
+from pycram.scheduling.strikes import Deadline
 from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import span
 

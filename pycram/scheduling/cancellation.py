@@ -12,14 +12,16 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
 
-from pycram.scheduling.schedule import Condition, Deadline, Waiter, is_held, schedule_alone, scheduler, unknown_reason
+from pycram.scheduling.schedule import Condition, Waiter, is_held, schedule_alone, scheduler, unknown_reason
+from pycram.scheduling.strikes import Deadline
 from recorder.tracing.span import Cancelled
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from contextvars import Token
 
-    from pycram.scheduling.schedule import Clock, Limit, Reason
+    from pycram.scheduling.schedule import Reason
+    from pycram.scheduling.strikes import Clock, Limit
 
 Value = TypeVar("Value")
 

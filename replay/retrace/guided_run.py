@@ -22,7 +22,8 @@ from pycram.projection.child import die_with
 from pycram.reasoning.queries.query import answered_by
 from pycram.running import seed_random_numbers
 from pycram.scheduling.cancellation import uninterruptible
-from pycram.scheduling.schedule import guide_strikes, seed_order
+from pycram.scheduling.schedule import seed_order
+from pycram.scheduling.strikes import guide_strikes
 from recorder.errors import PortableError, RecordingError
 from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
