@@ -21,6 +21,7 @@ from functools import cache, cached_property
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Protocol, TypeAlias
 
+from recorder import geometry
 from recorder.errors import PortableError, did_you_mean
 
 if TYPE_CHECKING:
@@ -217,23 +218,13 @@ class BodyQuantities:
             case "carrier":
                 return next((each.carrier for each in self._world.attachments.values() if each.body == self.name), None)
             case "roll" | "pitch" | "yaw":
-                return _rpy(body.orientation)[("roll", "pitch", "yaw").index(name)]
+                return geometry.to_rpy(body.orientation)[("roll", "pitch", "yaw").index(name)]
         raise NoValue(f"{self.name} has no {name}{did_you_mean(name, (*PARTS, *body.joints))}", name)
 
     @property
     def tilt(self) -> float:
         """The angle in rad between the body's vertical axis and the world's vertical axis."""
-        x, y, _, _ = self._body.orientation
-        return math.acos(min(1.0, max(-1.0, 1 - 2 * (x * x + y * y))))
-
-
-def _rpy(q: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z, w = q
-    return (
-        math.atan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
-        math.asin(min(1.0, max(-1.0, 2 * (w * y - z * x)))),
-        math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
-    )
+        return geometry.lean(geometry.IDENTITY[1], self._body.orientation)
 
 
 @cache
@@ -654,8 +645,7 @@ def _point(value: Any) -> Sequence[float]:
 def _angle(a: Any, b: Any) -> float:
     """Return the angle in rad between two angles, or between the orientations of two bodies."""
     if isinstance(a, BodyQuantities) and isinstance(b, BodyQuantities):
-        cosine = abs(sum(x * y for x, y in zip(a.part("orientation"), b.part("orientation"), strict=True)))
-        return 2 * math.acos(min(1.0, cosine))
+        return geometry.angle(a.part("orientation"), b.part("orientation"))
     return abs(math.remainder(a - b, 2 * math.pi))
 
 
