@@ -161,7 +161,7 @@ def renew(body: Object, transaction: Transaction) -> None:
 
 
 def end(attachment: BodyAttachment, transaction: Transaction) -> None:
-    """End an attachment as part of a transaction, and with it the loose attachments of what it carries."""
+    """End an attachment as part of a transaction, and release the objects that lie loosely in or on the body."""
     carrier, body = attachment.carrier, attachment.body
     if carrier.attachments.get(body) is not attachment:
         return  # it ended with the carrier's own

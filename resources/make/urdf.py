@@ -45,7 +45,7 @@ class Shape:
         material: Name in the table of materials.
         solid: Whether it collides.
         round_about: Axis ``x``, ``y`` or ``z`` of the visible cylinder; it collides as a box all the same.
-        collides: Extents of what collides, metres; None for the same as ``size``.
+        collides: Extents of the collision shape, metres; None for the same as ``size``.
     """
 
     centre: Triple

@@ -127,7 +127,7 @@ def kill_demo(file: Path, seed: int, rng: random.Random) -> tuple[list[tuple[str
     lines = list(itertools.islice(victim.stdout, number))
     time.sleep(
         rng.uniform(0, 0.03 if seed % 2 else 0.08)
-    )  # the moment is random; the figures are of what the victim says
+    )  # the moment is random; the killed process itself reported the figures
     return stopped_and_killed(victim, lines)
 
 

@@ -51,7 +51,7 @@ def order(seed: int) -> None:
     seed_order(seed if seed % 4 else None, "added" if seed % 4 == 1 else "")
 
 
-@seeded("random deadlocks that are told without any sleep", range(60), 20)
+@seeded("random deadlocks, reported without any sleep", range(60), 20)
 def test_random_deadlocks_are_told_without_any_sleep(seeds: range, asleep: threading.Event) -> None:
     longest = 0.0
     for seed in seeds:
