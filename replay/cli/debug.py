@@ -17,7 +17,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
-from recorder.terminal import has_colours
+from recorder.terminal import coloured, has_colours
 from recorder.user_folders import cache_folder
 from replay.cli import main
 from replay.cli.console import print_message, visible
@@ -217,7 +217,7 @@ class Prompt(cmd.Cmd):
 
     def print_error(self, text: str) -> None:
         """Print a mistake of the user."""
-        print(self.painted(f"*** {text}", "31"))
+        print(self.painted(f"*** {text}", "red"))
 
     def print_lines(self, lines: Iterable[str]) -> None:
         """Print results."""
@@ -225,9 +225,8 @@ class Prompt(cmd.Cmd):
             print(visible(line))
 
     def painted(self, text: str, colour: str) -> str:
-        """Return a text in a colour (an ANSI number); without a terminal, return it unchanged."""
-        shown = visible(text)
-        return f"\x1b[{colour}m{shown}\x1b[0m" if self._coloured else shown
+        """Return a text in a colour; without a terminal, the plain text."""
+        return coloured(visible(text), colour) if self._coloured else visible(text)
 
     # --- the current step ---------------------------------------------------------------------------------------------
 
@@ -252,7 +251,7 @@ class Prompt(cmd.Cmd):
         for each in halt.met:
             name = f"Breakpoint {each.number}, " if not each.text.startswith("watch") else ""
             change = self._change(each.changes.get(step) or halt.changes.get(each.number))
-            print(self.painted(f"{name}{each.text}{change}", "33"))
+            print(self.painted(f"{name}{each.text}{change}", "yellow"))
         if arrival.reason == "interrupted":
             print("--KeyboardInterrupt--")
         if arrival.text:
@@ -279,7 +278,7 @@ class Prompt(cmd.Cmd):
         place = "" if record.thread == _MAIN_THREAD else f"  [{record.thread}]"
         time = f"{record.sim_step / STEPS_PER_SECOND:.3f} s"
         print(
-            self.painted(f"step {step} of {len(self.log) - 1}  {time}{place}", "36"),
+            self.painted(f"step {step} of {len(self.log) - 1}  {time}{place}", "cyan"),
             visible(f" {kind_of(record)} {phrases.record_line(record)}"),
         )
         if self.stack:
@@ -294,7 +293,7 @@ class Prompt(cmd.Cmd):
         print(visible(f"{mark} {phrases.path(frame['file'])}({frame['line']}){frame['function']}()"))
         text = linecache.getline(frame["file"], frame["line"]).strip()
         if text:
-            print(self.painted(f"-> {text}", "1") if at == self.frame else visible(f"-> {text}"))
+            print(self.painted(f"-> {text}", "bold") if at == self.frame else visible(f"-> {text}"))
 
     def _selected(self) -> dict[str, Any]:
         if not self.stack:
