@@ -55,7 +55,10 @@ COMMAND = "sys.argv = sys.argv[1:]; runpy.run_module(sys.argv[0], run_name='__ma
 
 def run(code: str, *arguments: object, folder: Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", HIDING + code, *map(str, arguments)]
-    environment = os.environ | {"PYTHONPATH": str(REPO)}
+    # With a temporary folder of its own: processes that have locks take one without a lock for dead, and tidy up.
+    temporary = folder / "tmp"
+    temporary.mkdir(exist_ok=True)
+    environment = os.environ | {"PYTHONPATH": str(REPO), "TMPDIR": str(temporary)}
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
