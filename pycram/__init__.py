@@ -1,24 +1,4 @@
-"""High-level robot plans that run in a simulated world; everything that happens is recorded."""
-
-# General layout, from the bottom up; each room imports only rooms above it in this list:
-#
-# foundation/  failures, checks of arguments, names. Imports nothing of pycram.
-# scheduling/  branches of a plan as greenlets that take turns: cancellation, futures, locks.
-# physics/     the only room that knows PyBullet.     models/  from a model's file to a checked URDF; robots as data.
-# world/       worlds and objects. Every change is a world transaction: validate, act, read back, record, fire events.
-# vision/      what a camera sees.     language/  par, seq, pursue, try_all, retries, timeouts, cleanup.
-# reasoning/   queries that leave no trace: collision, kinematics, grasping, visibility, stability.
-# planning/    paths without collision, and their times.
-# motions/     motion designators, their resolvers, the resources they move, and the process modules that execute them.
-# fluents/     values that branches wait for and react to, also those that follow a world.
-# describing/  first descriptions of robots and furniture.
-# projection/  plans tried in a copy of the process.     actions/  goals of a robot; choices of how to reach them.
-# exploration/ plans run in many orders of their branches.     sweeping/  with many seeds and parameters.
-#
-# bullet_world, bullet_world_reasoning, designator, process_module, fluent, event, failures, tasks: the names of the
-# thesis, from which plans import. motion_designators, action_designators: typed constructors, written by constructors.
-# knowledge: a robot's beliefs. plan_parameters: named values that runs set. monitoring: watched properties. running,
-# cli: the command "pycram".
+"""Robot plans that run in a simulated world, which records everything; docs/architecture.md describes the packages."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

@@ -1,4 +1,4 @@
-"""``python -m pycram`` is the command ``pycram``."""
+"""Run the command ``pycram`` as ``python -m pycram``."""
 
 import sys
 

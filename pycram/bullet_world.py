@@ -1,4 +1,4 @@
-"""Worlds and the objects in them, under the names of the thesis (4.2, 4.3)."""
+"""Worlds and their objects, under the names of the thesis (sections 4.2 and 4.3)."""
 
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld

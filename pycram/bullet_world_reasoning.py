@@ -1,8 +1,6 @@
-"""The reasoning queries (thesis 4.4, table 4.3) about the present world and about possible ones.
+"""The reasoning queries of the thesis (section 4.4, table 4.3); plans import this module as ``btr``.
 
-Import it as ``btr``. Queries leave no trace in the world; each call is recorded with its answer and evidence. Answers
-behave as the thesis' bool or list and have ``evidence``. A camera is given by its position, the name of its frame, or a
-pair of position and orientation.
+Queries don't change the world. A camera is the name of its frame, its position, or a pair of position and orientation.
 """
 
 from importlib import import_module
@@ -38,7 +36,7 @@ __all__ = [
     "visible",
 ]
 
-#: Modules of the queries, each imported with the first of its queries: together they take 30 ms.
+#: Modules of the queries. A module is imported with its first query, because all of them together take 30 ms.
 _MODULES = {
     "contact": ("contact", "supporting"),
     "reachability": ("blocking", "reachable", "reachable_object", "reachable_pose", "reachable_poses"),
@@ -48,7 +46,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    query = "reachable" if name == "reachable_position" else name  # its name in table 4.3
+    query = "reachable" if name == "reachable_position" else name  # table 4.3 says reachable_position
     for module, queries in _MODULES.items():
         if query in queries:
             found = globals()[name] = getattr(import_module(f"pycram.reasoning.queries.{module}"), query)

@@ -1,13 +1,12 @@
 # PYTHON_ARGCOMPLETE_OK
-"""The command line ``pycram``: ``demo`` and ``run`` record a plan, ``sweep`` many runs; ``describe`` describes robots.
+"""The command line ``pycram``.
 
-The command restarts itself (:mod:`pycram.running`). So modules that take long to load are imported where they are used.
+The command restarts itself (:mod:`pycram.running`), so modules that take long to load are imported in functions.
 """
 
 from __future__ import annotations
 
 import argparse
-import functools
 import signal
 import sys
 import threading
@@ -23,7 +22,7 @@ from recorder.terminal import Parser, complete, files_ending
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_WITH_ROBOTS: Final = ("breakfast", "set_the_table")  # the demos that run with any bundled robot
+_WITH_ROBOTS: Final = ("breakfast", "set_the_table")  # these demos run with any bundled robot
 _SWEEP: Final = (
     "Runs a plan many times with different seeds and parameters, and records each run into a folder. A restarted sweep "
     "makes only the missing runs. Arguments after -- go to the plan."
@@ -31,11 +30,11 @@ _SWEEP: Final = (
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command, by default with the arguments of the process, and return its exit code.
+    """Run a command with the arguments ``argv``, or with the arguments of the process, and return its exit code.
 
     Returns:
         0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 after Ctrl-C, 143 after SIGTERM, 129 after
-        SIGHUP; else the plan's own.
+        SIGHUP; or the exit code that the plan chose.
     """
     if argv is not None:
         return _run_command(argv)
@@ -43,11 +42,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with until_closed():
             code = _run_command(argv)
-        if code == INTERRUPTED:  # another Ctrl-C ends the process immediately, without a traceback of its cleanup
+        if code == INTERRUPTED:  # a second Ctrl-C ends the process immediately, without a traceback from the cleanup
             signal.signal(signal.SIGINT, signal.SIG_DFL)
     except OSError as error:
         discard(sys.stdout)
-        tell(f"pycram: {error}")  # such as a full disk
+        tell(f"pycram: {error}")  # for example, the disk is full
         return WRONG_USAGE
     except KeyboardInterrupt:
         return INTERRUPTED
@@ -59,8 +58,9 @@ def _run_command(argv: Sequence[str] | None) -> int:
     complete(parser)
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
-    given, arguments = given[:cut], given[cut + 1 :]  # argparse would parse the plan's options as ours
-    given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # and the plan as the option's value
+    given, arguments = given[:cut], given[cut + 1 :]  # argparse would mistake the plan's options for options of pycram
+    # argparse would take the plan as the value of --rerun
+    given = ["--rerun=spawn" if word == "--rerun" else word for word in given]
     if not given:
         parser.print_help(sys.stderr)
         return WRONG_USAGE
@@ -114,7 +114,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
 
 
 def _other_command(options: argparse.Namespace, arguments: Sequence[str], checks: Sequence[str], *, again: bool) -> int:
-    """Sweep or describe; with ``again``, a sweep first restarts this process."""
+    """Run ``sweep`` or ``describe``. If ``again`` is true, ``sweep`` first restarts this process."""
     if options.command == "sweep" and again:
         restart(options.seed)
     try:
@@ -131,7 +131,6 @@ def _other_command(options: argparse.Namespace, arguments: Sequence[str], checks
 
 
 def _check_together(parser: argparse.ArgumentParser, options: argparse.Namespace) -> None:
-    """Reject options that exclude each other."""
     if options.command == "demo" and options.robot and options.name not in _WITH_ROBOTS:
         parser.error(f"--robot is only for the demos {' and '.join(_WITH_ROBOTS)}")
     for name in ("depth", "limit", "json") if options.explore is None else ():
@@ -193,26 +192,22 @@ def demos() -> Path:
     return installed if installed.is_dir() else here.parent / "demos"
 
 
-#: For each command two examples: its arguments, and what they do.
+#: Two examples for each command: the arguments, and the effect.
 EXAMPLES: Final = {
-    "demo": (("", "set the table"), ("breakfast --robot tiago_pro", "another demo with another robot")),
+    "demo": (("", "set the table"), ("breakfast --robot tiago_pro", "prepare breakfast with the robot TIAGo Pro")),
     "run": (
         ("plan.py --seed 7 --log run.mcap", "run a plan, and record it into run.mcap"),
-        ("plan.py --explore 100", "run it in 100 orders of its branches"),
+        ("plan.py --explore 100", "run the plan in 100 orders of its branches"),
     ),
     "sweep": (
         ("plan.py --runs 100 -o runs", "100 runs with other seeds, recorded into a folder"),
-        ("plan.py --runs 20 -o runs --set arm=left,right", "runs with each value of a parameter"),
+        ("plan.py --runs 20 -o runs --set arm=left,right", "20 runs; half of them with each value of arm"),
     ),
     "describe": (
         ("my_robot.urdf", "guess the description of a robot"),
         ("kitchen.urdf --picture kitchen.png", "list and draw the surfaces and doors of furniture"),
     ),
 }
-
-
-def _examples(command: str) -> list[tuple[str, str]]:
-    return [(f"pycram {command} {arguments}".rstrip(), result) for arguments, result in EXAMPLES[command]]
 
 
 def options_parser() -> Parser:
@@ -227,9 +222,13 @@ def options_parser() -> Parser:
 
     def add_command(name: str, help_text: str, description: str) -> Parser:
         completers = {"PLAN.py": files_ending(".py"), "FILE.urdf": files_ending(".urdf")}
-        examples = functools.partial(_examples, name)
+        examples = EXAMPLES[name]
         return commands.add_parser(
-            name, help=help_text, description=description, examples=examples, completers=completers
+            name,
+            help=help_text,
+            description=description,
+            examples=lambda: [(f"pycram {name} {arguments}".rstrip(), effect) for arguments, effect in examples],
+            completers=completers,
         )
 
     demo = add_command("demo", "run a demo", "Runs a demo.")
@@ -250,7 +249,7 @@ def options_parser() -> Parser:
         "For a robot, guesses a first description from its URDF and prints it, or checks a description. "
         "For furniture, lists the surfaces, containers, joints and handles in its URDF.",
     )
-    describe.add_argument("file", nargs="?", metavar="FILE.urdf", help="a URDF, or the name of a bundled one")
+    describe.add_argument("file", nargs="?", metavar="FILE.urdf", help="the URDF file, or the name of a bundled URDF")
     describe.add_argument("--check", metavar="ROBOT.toml", help="test this description: reach, fingers, stillness, ...")
     describe.add_argument(
         "--gripper", choices=("suction",), help="describe a suction cup at the end of each arm without a gripper"
@@ -269,7 +268,7 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         "--log",
         metavar="FILE",
         help="the recording (default: {plan}.mcap in this folder); {plan}, {time} and {seed} stand for the plan's "
-        "name, its start time and its seed. If the file exists, the recording is PLAN.2.mcap",
+        "name, its start time and its seed. If this file exists, pycram writes PLAN.2.mcap",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
     parser.add_argument(
@@ -279,7 +278,8 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         "--seed",
         metavar="N",
         type=_seed,
-        help="seed of random, NumPy and the order of sets, 0 to 4294967295 (default: random; info prints it)",
+        help="seed of random, NumPy and the order of sets, 0 to 4294967295 (default: a random seed, which "
+        "'pycram-replay info' prints)",
     )
     parser.add_argument(
         "--set", metavar="NAME=VALUE", action="append", default=[], help="set a parameter of the plan to a value"
@@ -303,7 +303,7 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=_count,
         help="run the plan in N orders of its branches; report each different end, and the order of branches that "
-        "causes it. Exit code 0: all runs succeed and end alike; else 1",
+        "causes it. The exit code is 0 if all runs succeed and end alike, else 1",
     )
     parser.add_argument(
         "--depth", metavar="D", type=_count, help="maximum depth of the races that --explore finds (default: 3)"
@@ -317,7 +317,7 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         action="append",
         default=[],
-        help="watch the properties in a file (docs/properties.md); the plan fails where one is violated",
+        help="watch the properties in this file (docs/properties.md); a violation fails the plan",
     )
     parser.add_argument(
         "--check-only-record", action="store_true", help="record violations of --check, without failing the plan"
@@ -335,7 +335,7 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--debug-on-failure",
         action="store_true",
-        help="when the plan fails, open the debugger at the failure; it can step backwards",
+        help="if the plan fails, open the debugger at the failure; the debugger can step backwards",
     )
 
 
@@ -343,7 +343,7 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN.py", help="the plan")
     parser.add_argument("--runs", metavar="N", type=_count, required=True, help="number of runs, numbered from 0")
     parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="the folder for the recordings")
-    parser.add_argument("--seed", metavar="N", type=_seed, default=0, help="run I has the seed N + I (default: 0)")
+    parser.add_argument("--seed", metavar="N", type=_seed, default=0, help="the run I has the seed N + I (default: 0)")
     parser.add_argument(
         "-j", "--jobs", metavar="N", type=_count, default=0, help="number of parallel runs (default: one per core)"
     )
@@ -359,7 +359,7 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=DISTRIBUTION",
         action="append",
         default=[],
-        help="draw a parameter: uniform(a,b), normal(mean,deviation), integers(a,b), choice(a,b,...)",
+        help="draw the parameter from uniform(a,b), normal(mean,deviation), integers(a,b) or choice(a,b,...)",
     )
     parser.add_argument(
         "--limit", metavar="SECONDS", type=_seconds, default=300.0, help="time limit of each run (default: 300)"
@@ -375,8 +375,8 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
         metavar="ADDRESS",
         nargs="?",
         const="",
-        help="run on the Ray cluster at an address, or on a local one. FOLDER is shared by all nodes, or a URL that "
-        "fsspec supports",
+        help="run on the Ray cluster at this address, or on a local cluster. FOLDER is a folder that all nodes share, "
+        "or a URL that fsspec supports",
     )
 
 

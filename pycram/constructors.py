@@ -1,6 +1,6 @@
-"""Writes the typed constructors of motion and action designators: ``python -m pycram.constructors pycram``.
+"""Write the typed constructors of motion and action designators: ``python -m pycram.constructors pycram``.
 
-Their parameters, types and texts come from the slots that check designators. So a type checker rejects unknown slots.
+The parameters, types and texts come from the slots that check designators, so type checkers reject unknown slots.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pycram.motions.motion_types import MotionType
     from pycram.motions.slots import Slot, SlotTable
 
-    Parameter = tuple[str, str, str, bool]  # name, type, text, and whether it is required
+    Parameter = tuple[str, str, str, bool]  # name, type, text, and whether the parameter is required
 
 _WIDTH: Final = 120
 
@@ -91,7 +91,7 @@ def action_designators() -> str:
 
 
 def _designator(kind: str, table: SlotTable, text: str, parameters: Sequence[Parameter]) -> str:
-    """Return the constructor of a type, with an overload for each of the slots that exclude each other."""
+    """Return the constructor of a type; slots that exclude each other have an overload each."""
     text = "\n\n".join([text, *(each.strip().replace("`", "``") for each in demands(table))])
     parts = []
     for name in table.one_of if table.only_one else ():
@@ -103,7 +103,7 @@ def _designator(kind: str, table: SlotTable, text: str, parameters: Sequence[Par
 
 
 def _arms(motion: MotionType, text: str) -> str:
-    """Return the constructor of a motion with a slot for each arm of the robot."""
+    """Return the constructor of a motion that has a slot for each arm of the robot."""
     (slot,) = motion.slots
     each = f"Mapping[str, {slot.python}]"
     parameters = [
@@ -119,7 +119,7 @@ def _arms(motion: MotionType, text: str) -> str:
 
 
 def _parameters(slots: Iterable[Slot], *, motion: bool = False) -> list[Parameter]:
-    """Return name, type, text and whether it is required of each slot, the required slots first."""
+    """Return the parameters for slots; required parameters come first."""
     found = []
     for slot in slots:
         python = slot.python
@@ -132,7 +132,7 @@ def _parameters(slots: Iterable[Slot], *, motion: bool = False) -> list[Paramete
 
 
 def _head(kind: str, name: str, parameters: Sequence[Parameter]) -> list[str]:
-    """Return the first lines of a constructor, up to the colon."""
+    """Return the lines of a constructor from ``def`` to the colon."""
     lines = [f"def {slot_argument(name)}(", "    *,"]
     for argument, python, _, required in parameters:
         optional = python if python == "None" else f"{python} | None"

@@ -1,4 +1,4 @@
-"""Designators, under the names of the thesis (3.5.1, 4.5, 4.6)."""
+"""Designators, under the names of the thesis (sections 3.5.1, 4.5 and 4.6)."""
 
 from pycram.actions import ActionDesignator, LocationDesignator, ObjectDesignator
 from pycram.motions.designator import Designator, MotionDesignator, Solution

@@ -1,4 +1,4 @@
-"""Events, under the name of the thesis (4.2.3)."""
+"""Events, under the name of the thesis (section 4.2.3)."""
 
 from pycram.world.event import Event
 

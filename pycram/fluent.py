@@ -1,4 +1,4 @@
-"""Fluents, under the names of the thesis (3.5.3)."""
+"""Fluents, under the names of the thesis (section 3.5.3)."""
 
 from pycram.fluents.expressions import Behavior
 from pycram.fluents.fluent import FalseEndsWait, Fluent, NotSettable, NotTrueOrFalse, network

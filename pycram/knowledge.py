@@ -1,9 +1,7 @@
-"""A robot's beliefs: where it last saw objects, took them or put them down.
+"""A robot's beliefs: where it last saw, took or put down objects.
 
-A plan may act on ``believed("milk")`` without a new look: this is the result of the robot's latest look, a step of the
-recording. If others move objects afterwards, the robot doesn't notice until it looks again. It has no belief about
-objects that it never saw. The motions ``detecting`` and ``world-state-detecting`` update beliefs, and so do its own
-grasps and placements; process modules for other cameras call :func:`learn`.
+``believed("milk")`` returns the result of the robot's latest look. The robot doesn't notice later changes by others
+until it looks again. The motions ``detecting`` and ``world-state-detecting``, grasps and placements update beliefs.
 """
 
 from __future__ import annotations
@@ -32,24 +30,24 @@ class Belief:
     """A robot's belief about the pose of an object."""
 
     object: Object
-    position: Vector  # position of its base in the world, m; for a held object, its present position
-    orientation: Quaternion  # orientation of its base, xyzw
-    sim_step: int  # simulated step (1/240 s) of the world at which the robot learned it
-    #: The recorded step that taught it: a look, a grasp or a placing; -1 if no running recording has the step.
+    position: Vector  # position of the object's base in the world, m; for a held object, its present position
+    orientation: Quaternion  # orientation of the object's base, xyzw
+    sim_step: int  # simulated step (1/240 s) of the world at which the robot learned the pose
+    #: Recorded step of the look, grasp or placement that set the belief; -1 if no running recording has the step.
     step: int
-    #: "seen"; "told" by the world's state, without being seen; "held"; "placed", where the robot released it.
+    #: "seen"; "told" (the robot read the world's state); "held"; "placed" (the robot released the object there).
     source: str
 
 
 def believed(what: str | Object, *, robot: Object | None = None) -> Belief | None:
-    """Return a robot's latest belief about an object, or about objects of a type; None if it has none.
+    """Return a robot's latest belief about an object, or about objects of a type; None without a belief.
 
     Args:
         what: An object, or a type or a name of objects.
-        robot: By default the current world's robot.
+        robot: None for the current world's robot.
 
     Raises:
-        BadArgument: ``what`` is something else.
+        BadArgument: ``what`` has another type.
         NoWorld: There is no robot.
     """
     return next(iter(beliefs(what, robot=robot)), None)
@@ -58,7 +56,7 @@ def believed(what: str | Object, *, robot: Object | None = None) -> Belief | Non
 def beliefs(what: str | Object | None = None, *, robot: Object | None = None) -> list[Belief]:
     """Return a robot's beliefs about objects, the latest first; without ``what``, about all objects.
 
-    The arguments and errors are those of :func:`believed`.
+    :func:`believed` describes the arguments and errors.
     """
     wanted, who = unwrap(what), _robot(robot)
     if wanted is not None and not isinstance(wanted, str | Object):
@@ -77,13 +75,13 @@ def beliefs(what: str | Object | None = None, *, robot: Object | None = None) ->
 
 
 def learn(poses: Mapping[Object, PoseLike], *, robot: Object | None = None) -> None:
-    """Update a robot's beliefs with seen poses; for process modules with a camera of their own.
+    """Update a robot's beliefs with seen poses; process modules for cameras of your own call this.
 
-    This is recorded as one query, ``seen``.
+    The recording has the update as one query, ``seen``.
 
     Args:
         poses: Poses of the objects in the world: xyz in m, xyzw.
-        robot: By default the current world's robot.
+        robot: None for the current world's robot.
 
     Raises:
         BadArgument: An object is in another world, or a pose is invalid.

@@ -1,8 +1,7 @@
 """Properties that are watched while a plan runs (:mod:`recorder.properties`).
 
-A monitor is a sink of the recording, so it sees what a reader of the recording sees, in the same order. It draws no
-random numbers, changes no order, and leaves only records of properties and their violations. A violation raises
-:class:`~pycram.failures.PropertyViolated` at the next checkpoint of the branch that caused it.
+A monitor is a sink of the recording, so it sees the same records as a reader, in the same order. It doesn't affect
+random numbers or the order of branches.
 """
 
 from __future__ import annotations
@@ -32,16 +31,17 @@ if TYPE_CHECKING:
 
 @scope
 def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
-    """Watch properties, such as ``never contact(pr2, kitchen)``, in the ``with`` block, in which actions run in order.
+    """Watch properties, such as ``never contact(pr2, kitchen)``, in the ``with`` block.
 
-    The end of the block is the end of the properties: ``eventually`` and ``at end`` are decided there.
+    Actions of the block run in order. A violation raises PropertyViolated at the next checkpoint of its branch. At the
+    end of the block, ``eventually`` and ``at end`` are decided.
 
     Args:
-        only_record: Whether violations are only recorded.
+        only_record: Whether violations are recorded without an error.
 
     Raises:
         PropertyViolated: A property is violated.
-        BadProperty: A text isn't in the language (docs/properties.md), or has an unknown name.
+        BadProperty: A text isn't a property (docs/properties.md), or has an unknown name.
     """
     with sequential() as settle, watched(properties, only_record=only_record):
         yield
@@ -50,10 +50,10 @@ def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
 
 @contextmanager
 def watched(properties: Sequence[str], *, by_run: bool = False, only_record: bool = False) -> Iterator[list[str]]:
-    """Watch properties in the ``with`` block; see :func:`monitored`. ``by_run``: the block is the whole run.
+    """Watch properties in the ``with`` block; see :func:`monitored`. With ``by_run``, the block is the whole run.
 
     Yields:
-        The violations so far, in words; a plan may have handled them.
+        The messages of the violations so far, also of violations that the plan handled.
     """
     if not properties:
         yield []
@@ -66,7 +66,7 @@ def watched(properties: Sequence[str], *, by_run: bool = False, only_record: boo
 
 @contextmanager
 def _attached(sink: _MonitorSink) -> Iterator[None]:
-    """Let a sink follow the present recording; without one, a journal of its own."""
+    """Connect a sink to the present recording; without a recording, to a new journal."""
     journals = journal.listening()
     if not journals:
         sink.log = Journal([sink])
@@ -97,8 +97,6 @@ def _attached(sink: _MonitorSink) -> Iterator[None]:
 
 
 class _MonitorSink(NullSink):
-    """Follows the records of a journal."""
-
     log: Journal
 
     def __init__(self, properties: Sequence[Property], *, by_run: bool, only_record: bool) -> None:
@@ -110,11 +108,11 @@ class _MonitorSink(NullSink):
         self.violations: list[str] = []
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  a sink's
-        """Follow a record. The journal writes the records of violations after it."""
+        """Follow a record. The journal writes records of violations after this record."""
         self.follow(record)
 
     def follow(self, record: Record) -> None:
-        """Record the violations at a record, and raise them at the next checkpoint of this branch."""
+        """Record the violations at a record; raise them at the next checkpoint of this branch."""
         if not isinstance(record, FOLLOWED):
             return
         for violation in self._monitor.feed(record):
@@ -124,7 +122,7 @@ class _MonitorSink(NullSink):
                 self._errors.append(error)
 
     def finish(self) -> None:
-        """End the properties; raise the first violation that wasn't raised yet."""
+        """End the properties; raise the first violation that wasn't raised before."""
         ended = [self._violated(violation) for violation in self._monitor.finish()]
         self._monitor.verdicts()  # raises BadProperty for names that never existed
         scheduler().take_failure()
@@ -133,7 +131,7 @@ class _MonitorSink(NullSink):
                 raise error
 
     def record(self, record: Check) -> None:
-        """Append a record of a property; during another record, it follows that one."""
+        """Append a record of a property; the journal writes it after the record that it is writing."""
         record.by_run, record.only_record = self._by_run, self._only_record
         record.thread = current_name()
         record.task = record.task or journal.task_id()

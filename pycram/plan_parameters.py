@@ -1,6 +1,6 @@
-"""Parameters of a plan: named values that a run may set; and variations, by which the runs of a sweep set them.
+"""Parameters of a plan: named values that a run may set, and variations: the values that a sweep gives its runs.
 
-A plan declares parameters with defaults by :func:`parameters`, or as arguments of its main function.
+A plan declares parameters with :func:`parameters`, or as arguments of its main function.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MAIN: Final = "main"  # the function whose arguments are parameters
-ANY: Final = object()  # a default that is unknown before the plan runs
-#: Distributions by name: number of arguments, and function that draws.
+ANY: Final = object()  # the default isn't known before the plan runs
+#: Distributions by name: the number of arguments, and a function that draws a value.
 _DISTRIBUTIONS: Final[Mapping[str, tuple[int, Callable[..., Any]]]] = {
     "uniform": (2, lambda dice, a, b: dice.uniform(a, b)),
     "normal": (2, lambda dice, mean, deviation: dice.gauss(mean, deviation)),
@@ -57,7 +57,8 @@ export("pycram", UnknownParameter)
 def parameters(**defaults: Any) -> SimpleNamespace:
     """Return a plan's parameters: the values that this run sets, else the defaults.
 
-    ``speed = pycram.parameters(speed=0.5).speed``. A value must have its default's type; the default None allows any.
+    Use it as ``speed = pycram.parameters(speed=0.5).speed``. A value must have the type of its default; the default
+    None allows any type.
 
     Raises:
         BadArgument: A value has another type than its default.
@@ -68,7 +69,7 @@ def parameters(**defaults: Any) -> SimpleNamespace:
 @contextmanager
 def giving(values: Mapping[str, Any]) -> Iterator[None]:
     """Set parameters of the plan that runs in the ``with`` block."""
-    global _given  # noqa: PLW0603  a plan runs in the whole process
+    global _given  # noqa: PLW0603  a process runs one plan
     before, _given = _given, dict(values)
     try:
         yield
@@ -80,13 +81,13 @@ def fitting(name: str, value: Any, default: Any) -> Any:
     """Convert a parameter's value to the type of its default.
 
     Raises:
-        BadArgument: It has another type.
+        BadArgument: The value has another type.
     """
     if default is None or default is ANY or type(value) is type(default):
         return value
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if isinstance(default, str) and isinstance(value, int | float):  # a text that looks like a number
+    if isinstance(default, str) and isinstance(value, int | float):  # the text looks like a number
         return str(value)
     if isinstance(default, tuple) and isinstance(value, list):
         return tuple(value)
@@ -95,9 +96,9 @@ def fitting(name: str, value: Any, default: Any) -> Any:
 
 
 def declared_in(plan: Path) -> dict[str, Any] | None:
-    """Return the defaults of the parameters that a plan's file declares, by name; the plan doesn't run.
+    """Return the defaults of the parameters that a plan's file declares, by name, without running the plan.
 
-    Defaults that aren't literals are :data:`ANY`. Returns None if a call like ``parameters(**others)`` hides them.
+    A default that isn't a literal is :data:`ANY`. Returns None if a call like ``parameters(**others)`` hides names.
 
     Raises:
         SyntaxError: The file isn't Python.
@@ -121,7 +122,7 @@ def check(plan: Path, values: Mapping[str, Any]) -> None:
     """Check values for a plan before it runs.
 
     Raises:
-        UnknownParameter: The plan's file doesn't declare a parameter.
+        UnknownParameter: The plan's file doesn't declare the parameter.
         BadArgument: A value has another type than its default.
     """
     if not values:
@@ -139,7 +140,7 @@ def arguments_of_main(plan: Path, values: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values that are arguments of the plan's main function.
 
     Raises:
-        SyntaxError: The plan isn't Python.
+        SyntaxError: The file isn't Python.
     """
     if not values:
         return {}
@@ -148,7 +149,7 @@ def arguments_of_main(plan: Path, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def value_of(text: str) -> tuple[str, Any]:
-    """Parse ``name=value``; a value is JSON, or else a text.
+    """Parse ``name=value``; the value is JSON or plain text.
 
     Raises:
         BadArgument: The text has another form.
@@ -158,7 +159,7 @@ def value_of(text: str) -> tuple[str, Any]:
 
 
 def split(option: str, text: str, expected: str) -> tuple[str, str]:
-    """Return the name before ``=`` and the text after it; ``option`` and ``expected`` are for the message of an error.
+    """Return the name before ``=`` and the text after it; error messages contain ``option`` and ``expected``.
 
     Raises:
         BadArgument: The text has another form.
@@ -170,7 +171,7 @@ def split(option: str, text: str, expected: str) -> tuple[str, str]:
 
 
 def parsed(text: str) -> Any:
-    """Parse a value: JSON, or else a text."""
+    """Parse a value, which is JSON or plain text."""
     try:
         return json.loads(text)
     except ValueError:
@@ -203,12 +204,12 @@ class Variations:
     """The parameters that vary between the runs of a sweep.
 
     Raises:
-        BadArgument: A parameter has no values, is given twice, or a distribution is invalid.
+        BadArgument: A parameter has no values or is given twice, or a distribution is invalid.
     """
 
-    #: Values by name; runs take all combinations in turn, and the last name's values change fastest.
+    #: Values by name. Runs take all combinations in turn; the values of the last name change fastest.
     listed: Mapping[str, Sequence[Any]]
-    #: Distributions by name, as text; a value depends only on the seed, the run's number and the name.
+    #: Distributions by name, as text. A drawn value depends only on the seed, the run's number and the name.
     sampled: Mapping[str, str]
 
     def __post_init__(self) -> None:
@@ -229,12 +230,12 @@ class Variations:
             values[name] = self.listed[name][index]
         for name, text in self.sampled.items():
             kind, arguments = _distribution(name, str(text))
-            dice = random.Random(f"{seed}/{number}/{name}")  # a text as seed doesn't depend on PYTHONHASHSEED
+            dice = random.Random(f"{seed}/{number}/{name}")  # PYTHONHASHSEED doesn't affect a text as seed
             values[name] = _DISTRIBUTIONS[kind][1](dice, *arguments)
         return values
 
     def every(self) -> Iterator[dict[str, Any]]:
-        """Yield combinations in which each listed value occurs, and a value of each distribution."""
+        """Yield combinations that contain each listed value, and one value of each distribution."""
         drawn = self.of(0, 0)
         yield drawn
         for name, values in self.listed.items():
@@ -242,7 +243,7 @@ class Variations:
 
 
 def listed(text: str) -> tuple[str, list[Any]]:
-    """Parse ``name=1,2,3``: values are JSON, or else texts; brackets or quotes enclose values with commas.
+    """Parse ``name=1,2,3``; values are JSON or plain text. Brackets or quotes enclose values with commas.
 
     Raises:
         BadArgument: The text has another form.
@@ -269,7 +270,7 @@ def sampled(text: str) -> tuple[str, str]:
     return name, distribution
 
 
-@lru_cache  # the name of each run contains its values
+@lru_cache  # it is called for each name of a recording, which contains the run's values
 def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
     call = _CALL.fullmatch(text.strip())
     if call is None:
@@ -279,7 +280,7 @@ def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
         raise BadArgument(name, text, f"a distribution; {suggestion(kind, _DISTRIBUTIONS)}")
     try:
         arguments = list(ast.literal_eval(f"({values},)"))
-    except (SyntaxError, ValueError):  # choice(cup.stl,bowl.stl): texts without quotes
+    except (SyntaxError, ValueError):  # texts without quotes, as in choice(cup.stl,bowl.stl)
         words = [each.strip() for each in values.split(",")]
         if not all(map(_WORD.fullmatch, words)):
             raise BadArgument(name, text, _EXPECTED) from None

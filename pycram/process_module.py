@@ -1,4 +1,4 @@
-"""Process modules, under the names of the thesis (4.7-4.9); PyCRAM's own serve two execution environments."""
+"""Process modules, under the names of the thesis (sections 4.7 to 4.9)."""
 
 from functools import partial
 
@@ -18,5 +18,5 @@ from pycram.motions.resources import Resources
 
 __all__ = ["NoDescription", "NoProcessModule", "ProcessModule", "Resources", "execution_environment", "register"]
 
-register_default(SIMULATED, default_modules)  # the modules are built on the class that chooses among them
+register_default(SIMULATED, default_modules)  # here, because the modules import the class that selects them
 register_default(CONTINUOUS, partial(default_modules, IN_SIMULATED_TIME))

@@ -1,7 +1,6 @@
-"""Writes docs/reference.md, the reference of motions and actions, from their code: ``python -m pycram.reference``.
+"""Write docs/reference.md, the reference of motions and actions, from their code: ``python -m pycram.reference``.
 
-The page has the slots, values, units and defaults by which designators are checked, the failures that process modules
-declare, and the texts of docstrings. So it is always correct.
+The page contains the data by which designators are checked, and docstrings, so it is always correct.
 """
 
 from __future__ import annotations
@@ -58,7 +57,9 @@ def reference() -> str:
     parts = [_HEAD, "## Actions\n", _ACTIONS, _table(common)]
     parts += [_action(each, [slot for slot in each.slots if slot not in common]) for each in types]
     parts += ["## Objects and places\n"]
-    parts += [_designator(each) for each in (ObjectDesignator, LocationDesignator)]
+    for kind in (ObjectDesignator, LocationDesignator):
+        text = (inspect.getdoc(kind) or "").replace("``", "`")
+        parts.append("\n".join([f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *demands(kind.takes)]))
     parts += ["## Motions\n", _MOTIONS]
     for motion in MOTIONS.values():
         module = modules[motion.cmd]
@@ -76,11 +77,6 @@ def _action(kind: ActionType, slots: Sequence[Slot]) -> str:
     return "\n".join(parts)
 
 
-def _designator(kind: type[LocationDesignator | ObjectDesignator]) -> str:
-    text = (inspect.getdoc(kind) or "").replace("``", "`")
-    return "\n".join([f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *demands(kind.takes)])
-
-
 def _motion(motion: MotionType, module: ProcessModule) -> str:
     parts = [f"### {motion.type}\n", f"{inspect.getdoc(module) or ''}\n", _table(motion.slots), *demands(motion)]
     if any("NAME" in slot.name for slot in motion.slots):
@@ -92,7 +88,7 @@ def _motion(motion: MotionType, module: ProcessModule) -> str:
 
 
 def demands(kind: SlotTable) -> Iterator[str]:
-    """Yield the slots that a designator requires together."""
+    """Yield sentences about the slots of which a designator requires at least or exactly one."""
     if len(kind.one_of) > 1:
         names = " or ".join(f"`{name}`" for name in kind.one_of)
         yield f"{'Exactly' if kind.only_one else 'At least'} one of {names} is required.\n"
@@ -102,16 +98,12 @@ def _table(slots: Iterable[Slot]) -> str:
     rows = ["| Slot | Value | Default |", "|---|---|---|"]
     for slot in slots:
         names = " or ".join(f"`{name}`" for name in (slot.name, *slot.aliases))
-        values, default = _default(slot.values)
+        # the text of a slot's values contains its default
+        found = re.fullmatch(r"(.*); (?:by default (.*)|(.*) by default(.*))", slot.values, re.DOTALL)
+        values, default = (found[1], found[2] or found[3] + found[4]) if found else (slot.values, "")
         missing = "required" if slot.required else slot.otherwise or default
         rows.append(f"| {names} | {_cell(values)} | {_cell(missing)} |")
     return "\n".join([*rows, ""])
-
-
-def _default(values: str) -> tuple[str, str]:
-    """Return a slot's values and its default, in words."""
-    found = re.fullmatch(r"(.*); (?:by default (.*)|(.*) by default(.*))", values, re.DOTALL)
-    return (found[1], found[2] or found[3] + found[4]) if found else (values, "")
 
 
 def _cell(text: str) -> str:
@@ -130,7 +122,7 @@ def _names(failures: Iterable[type[PlanFailure]]) -> str:
 
 
 def _failure(kind: type[PlanFailure], source: str) -> str:
-    """Return the entry of a failure: its docstring, and its own fields with the comments after them."""
+    """Return the entry of a failure: its docstring, and its fields with the comments after them."""
     text = re.sub(r":class:`(\w+)`", r"`\1`", _line(inspect.getdoc(kind) or ""))
     body = re.search(rf"^class {kind.__name__}\b.*?(?=^\S)", source, re.DOTALL | re.MULTILINE)
     fields = re.findall(r"^ {4}(?: {4}self\.)?([a-z]\w*)(?:: | = ).*?  # (.*)$", body[0] if body else "", re.MULTILINE)
@@ -141,7 +133,7 @@ def _failure(kind: type[PlanFailure], source: str) -> str:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Write the page into a file, or print it."""
+    """Write the page to a file, or print it."""
     if arguments:
         Path(arguments[0]).write_text(reference(), encoding="utf-8")
     else:

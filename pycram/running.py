@@ -1,7 +1,7 @@
-"""A plan as a main program: its specification, its seed, and one recorded run.
+"""Run a plan as a main program: the settings of a run, its seed, and its recording.
 
-A process runs one plan; explorations and sweeps fork a process for each run. Python takes the order of sets from
-``PYTHONHASHSEED`` when it starts. So a command that runs a plan sets it to the seed, and restarts itself once.
+The order of Python's sets depends on ``PYTHONHASHSEED`` when Python starts. So a command that runs a plan sets this
+variable to the seed, and restarts itself once.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ if TYPE_CHECKING:
 
 
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
-MAX_SEED: Final = 2**32 - 1  # largest seed of PYTHONHASHSEED and of NumPy
+MAX_SEED: Final = 2**32 - 1  # the largest seed that PYTHONHASHSEED and NumPy accept
 _HASH: Final = "PYTHONHASHSEED"
-#: Set by :func:`restart`: the id of the restarted process, and its seed. A plan's own child processes have other ids.
+#: :func:`restart` sets it to the id of the restarted process and its seed. Child processes of a plan have other ids.
 _RESTARTED: Final = "PYCRAM_SEEDED"
 _PAGE: Final = "serve"  # value of --rerun
-_MAX_PRINTED: Final = 1000  # printed frames of an error, and printed errors of a chain
+_MAX_PRINTED: Final = 1000  # maximum number of printed frames of an error, and of printed errors in a chain
 
 
 @dataclass(frozen=True, slots=True)
 class RunSpec:
-    """A plan, and all settings that its run depends on."""
+    """A plan, and all settings that affect its run."""
 
     plan: Path
     arguments: tuple[str, ...] = ()
-    seed: int | None = None  # seed of the random numbers; None leaves them unchanged
-    order: str = ""  # order of branches; "" for the order that the seed draws
-    motion: str = ""  # execution environment if the plan names none; "" for "simulated"
-    parameters: Mapping[str, Any] = field(default_factory=dict)  # values; the plan's other parameters have defaults
-    checks: tuple[str, ...] = ()  # properties that are watched
-    only_record: bool = False  # whether violations of these properties are only recorded
-    local_variables: bool = True  # whether recorded failures hold the plan's local variables
+    seed: int | None = None  # None: the run doesn't seed random numbers
+    order: str = ""  # order of branches; "" for the seed's order
+    motion: str = ""  # execution environment unless the plan names one; "" for "simulated"
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # other parameters of the plan keep their defaults
+    checks: tuple[str, ...] = ()  # properties to watch
+    only_record: bool = False  # whether violations of the properties are recorded without an error
+    local_variables: bool = True  # whether recorded failures contain the plan's local variables
 
 
 def run(
@@ -64,8 +64,8 @@ def run(
 ) -> int:
     """Run a plan as a main program, record it, and return the exit code; see :func:`pycram.cli.main`.
 
-    Without ``overwrite``, an existing recording stays, and the next free name is used. For ``live`` and ``durable`` see
-    :func:`recorder.record`. With ``debug``, the debugger opens at a failure.
+    Without ``overwrite``, an existing recording is kept, and the new recording gets the next free name. ``live`` and
+    ``durable`` are described at :func:`recorder.record`. With ``debug``, the debugger opens at a failure.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(spec.plan), *spec.arguments]
@@ -80,7 +80,7 @@ def run(
     try:
         with needed():
             from pycram.monitoring import watched  # noqa: PLC0415  as below
-            from pycram.motions.process_module import set_default  # noqa: PLC0415  --version and --help need no executor
+            from pycram.motions.process_module import set_default  # noqa: PLC0415  slow; --help doesn't need it
             from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  as above
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
         seed_order(spec.seed, spec.order)
@@ -110,17 +110,18 @@ def run(
                 if arguments_for_main:
                     names["main"](**arguments_for_main)
             finally:
-                for thread in threading.enumerate():  # the plan's threads are part of the run, as in Python
+                for thread in threading.enumerate():  # a run ends after the plan's threads, as any Python program
                     if thread is not threading.current_thread() and not thread.daemon:
                         thread.join()
-    except BaseException as raised:  # noqa: BLE001  whatever the plan's own code raises
+    except BaseException as raised:  # noqa: BLE001  the plan may raise anything
         error = raised
         code = _report(raised)
     finally:
         sys.argv, sys.path[:] = before
-    for violation in violations if code == SUCCEEDED else ():  # the plan handled it, or it is only recorded
+    for violation in violations if code == SUCCEEDED else ():  # the plan handled it, or violations are only recorded
         tell(f"pycram: {violation}")
-    unrecorded = isinstance(error, RecordingError | NotInstalled)  # or when the recording was closed after the plan:
+    unrecorded = isinstance(error, RecordingError | NotInstalled)
+    # closing the recording may fail after an error of the plan, which is then the context
     unrecorded |= isinstance(getattr(error, "__context__", None), RecordingError)
     if recording is not None and recording.path.is_file() and not unrecorded:
         shown = recording.path if log.is_absolute() else Path(os.path.relpath(recording.path, folder))
@@ -130,15 +131,15 @@ def run(
         if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == FAILED:
-            given = ["--arguments", *spec.arguments] if spec.arguments else []  # the recording lacks secret arguments
+            given = ["--arguments", *spec.arguments] if spec.arguments else []  # a recording omits secret arguments
             command = [sys.executable, "-P", "-m", "replay", "debug", str(recording.path), *given]
-            subprocess.run(command, check=False)  # noqa: S603  a process of its own: its package is above this one
+            subprocess.run(command, check=False)  # noqa: S603  by command: this package must not import replay
     return code
 
 
 def _report(error: BaseException) -> int:
     from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
-    from recorder.properties import BadProperty  # noqa: PLC0415  heavy: completion and --help don't need it
+    from recorder.properties import BadProperty  # noqa: PLC0415  heavy
     from recorder.records import format_error  # noqa: PLC0415  heavy
     from recorder.records.tracebacks import format_traceback  # noqa: PLC0415  heavy
 
@@ -165,13 +166,13 @@ def _report(error: BaseException) -> int:
 
 
 def tell(text: str) -> None:
-    """Print a message to stderr; a closed stderr doesn't change how the plan ended."""
+    """Print a message to stderr. If stderr is closed, the message is lost."""
     with until_closed():
         print(text, file=sys.stderr)
 
 
 def _keep_page(recording: Recording) -> None:
-    """Serve the viewer's page until Ctrl-C, if the plan was started from a terminal."""
+    """Serve the viewer's page until Ctrl-C if a terminal started the plan."""
     if recording.viewer is None or not sys.stdin.isatty():
         return
     tell("pycram: the page stays until Ctrl-C")
@@ -180,47 +181,47 @@ def _keep_page(recording: Recording) -> None:
 
 
 def chosen_seed(given: int | None) -> int:
-    """Return a run's seed: the given seed, else the user's ``PYTHONHASHSEED``, else a random seed."""
+    """Return a run's seed: the given seed, the user's ``PYTHONHASHSEED``, or a random seed."""
     if given is not None:
         return given
     process, _, inherited = os.environ.get(_RESTARTED, "").partition(":")
     text = os.environ.get(_HASH, "")
-    chosen_by_run = text == inherited and process != str(os.getpid())  # a plan that started this process has chosen it
+    chosen_by_run = text == inherited and process != str(os.getpid())  # PYTHONHASHSEED comes from a plan's process
     if text.isdecimal() and int(text) <= MAX_SEED and not chosen_by_run:
         return int(text)
     return random.SystemRandom().randrange(MAX_SEED + 1)
 
 
 def restart(seed: int) -> None:
-    """Restart this command, in this process, with the order of sets of a seed, unless it has that order."""
+    """Restart this command in this process with ``PYTHONHASHSEED`` set, unless the variable has this seed."""
     mark = f"{os.getpid()}:{seed}"
     if os.environ.get(_RESTARTED) == mark or sys.flags.ignore_environment:
         return
     if os.environ.get(_HASH) == str(seed) and (sys.flags.hash_randomization or not seed):
         return
     environment = os.environ | {_HASH: str(seed), _RESTARTED: mark}
-    os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)  # noqa: S606  this very command
+    os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], environment)  # noqa: S606  the same command
 
 
 def seed_random_numbers(seed: int | None) -> None:
-    """Seed the global random generators of Python and NumPy; None leaves them unchanged."""
+    """Seed the global random generators of Python and NumPy; do nothing for None."""
     if seed is None:
         return
-    import numpy as np  # noqa: PLC0415  heavy: not before the restart
+    import numpy as np  # noqa: PLC0415  slow; the restarted process imports it
 
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002  plans may use the old interface
 
 
 def seed(number: int) -> None:
-    """Seed the random numbers of Python and NumPy, and the order in which branches take turns; as ``run --seed`` does.
+    """Seed Python's and NumPy's random numbers, and the order in which branches take turns, as ``run --seed`` does.
 
-    The order of Python's sets of texts is drawn when Python starts: set ``PYTHONHASHSEED`` before.
+    Python chooses the order of sets of texts when it starts; set ``PYTHONHASHSEED`` for that.
 
     Raises:
-        BadArgument: it isn't an integer from 0 to 2**32 - 1.
+        BadArgument: The number isn't an integer from 0 to 2**32 - 1.
     """
-    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  the command needs no executor for --help
+    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  slow; --help doesn't need it
     from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
 
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= MAX_SEED:

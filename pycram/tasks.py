@@ -1,7 +1,6 @@
 """The task tree of the running plan: its actions, attempts and failures, with their places in the plan.
 
-A plan may read the tree while it runs (from any thread), or after its end; ``replay.open(file).tree()`` rebuilds the
-tree from a recording, with the same classes. It keeps the last 20,000 tasks.
+A plan may read the tree from any thread while it runs, or afterwards. The tree keeps the last 20,000 tasks.
 """
 
 from __future__ import annotations
@@ -13,11 +12,11 @@ __all__ = ["Moment", "Node", "State", "Tree", "current", "tree"]
 
 
 def tree() -> Tree:
-    """Return all tasks since the start of the latest recording or of the process; later tasks are added to the tree."""
+    """Return all tasks since the start of the latest recording or of the process. A running plan adds tasks to it."""
     return span.tree()
 
 
 def current() -> Node | None:
-    """Return the innermost task that runs here; None outside of all tasks."""
+    """Return the innermost task of this code; None outside of all tasks."""
     task = span.current()
     return span.tree().nodes.get(task.id) if task is not None else None

@@ -1,10 +1,7 @@
-"""Cameras and their renderer: the depth and the object at each pixel.
+"""Cameras, and a renderer that returns the depth and the object at each pixel.
 
-Frames are optical: z points ahead, x to the right, y down. Links of a robot around the camera are its housing, and
-aren't rendered.
-
-PyBullet's own renderer hangs if a vertex is in the plane of the camera, and draws everything before the near plane as
-lines across the picture. This one clips triangles at the near plane first, so nothing is divided by zero.
+Frames are optical: z points ahead, x to the right, y down. PyBullet's own renderer hangs if a vertex is in the plane of
+the camera, and draws wrong lines. This renderer clips triangles at the near plane first.
 """
 
 from __future__ import annotations
@@ -28,33 +25,30 @@ if TYPE_CHECKING:
 
 NEAR: Final = 0.02  # m, nearest visible distance
 FAR: Final = 20.0  # m, farthest visible distance
-_SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background, at the top and at the bottom
+_SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background at the top and at the bottom
 _HOUSING: Final = 0.005  # m, largest distance of the lens from its housing
-_LARGE: Final = 400  # minimum number of pixels in the bounds of a triangle that is drawn alone
-_BAND: Final = 32  # rows of such a triangle that are drawn together; this skips most of the bounds of a slanted one
-_BATCH: Final = 1 << 16  # pixels of smaller triangles that are drawn together; more would only take memory
+_LARGE: Final = 400  # pixels; a triangle with more pixels in its bounds is drawn alone
+_BAND: Final = 32  # rows of a large triangle that are drawn together, so that few pixels outside of it are tested
+_BATCH: Final = 1 << 16  # pixels of small triangles that are drawn together; larger batches need more memory
 
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
     """A rendered picture."""
 
-    depth: NDArray[np.float64]  # (height, width) along the camera's axis in m; inf without an object
-    bodies: NDArray[np.int64]  # (height, width) numbers of the rendered objects; -1 without an object
+    depth: NDArray[np.float64]  # (height, width) m along the camera's axis; inf without an object
+    bodies: NDArray[np.int64]  # (height, width) indices of the rendered objects; -1 without an object
     triangles: NDArray[np.float64]  # (n, 3, 3) rendered triangles in the camera's frame, m
     colors: NDArray[np.float64]  # (n, 3) colours of the triangles, RGB 0..1
-    seen: NDArray[np.int64]  # (height, width) number of the triangle at each pixel; -1 without a triangle
+    seen: NDArray[np.int64]  # (height, width) index of the triangle at each pixel; -1 without a triangle
     links: Sequence[str]  # names of the rendered links
-    numbers: NDArray[np.int64]  # (n,) number of each triangle's link
+    numbers: NDArray[np.int64]  # (n,) index of each triangle's link
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
-        """Return a colour image, lit from above and from the camera.
+        """Return a colour image (height, width, 3), RGB. The scene is lit from above and from the camera.
 
         Args:
             up: unit vector in the camera's frame that points up in the world.
-
-        Returns:
-            (height, width, 3) RGB.
         """
         rows = np.broadcast_to(np.linspace(*_SKY, self.seen.shape[0])[:, None], (*self.seen.shape, 3)).copy()
         shown, numbers = self.seen >= 0, np.unique(self.seen[self.seen >= 0])
@@ -68,7 +62,7 @@ class Rendering:
         return np.asarray(rows * 255, dtype=np.uint8)
 
     def before(self, other: Rendering) -> Rendering:
-        """Return this picture merged with another one of the same camera and size: the nearer object is seen."""
+        """Return this picture merged with another picture of the same camera and size; nearer objects are in front."""
         nearer = other.depth < self.depth
         return Rendering(
             np.where(nearer, other.depth, self.depth),
@@ -83,19 +77,19 @@ class Rendering:
 
 @dataclass(frozen=True, slots=True)
 class Drawable:
-    """A body to render, from a physics engine or from a recording. It has k links."""
+    """A body with k links to render, from a physics engine or from a recording."""
 
     shapes: Shapes  # shapes of the links, in their frames
     positions: NDArray[np.float64]  # (k, 3) positions of the links' frames in the world, m
     orientations: NDArray[np.float64]  # (k, 4) orientations of the links' frames in the world, xyzw
     color: Sequence[float] | None  # RGBA 0..1 of the whole body; None for the model's colours
-    is_robot: bool  # whether links around the camera are its housing
+    is_robot: bool  # whether links around the camera are its housing, which isn't rendered
 
 
 def drawable_link(
     shapes: Shapes, at: int, pose: Pose, color: Sequence[float] | None, *, is_robot: bool = False
 ) -> Drawable:
-    """Return the n-th link with shapes of a model at a pose in the world; its mesh is read when it is rendered."""
+    """Return a link to render: the link with shapes at the index ``at``. Its mesh is read when it is rendered."""
     one = Shapes(
         (shapes.links[at],),
         LazySequence([lambda: shapes.triangles[at]]),
@@ -107,7 +101,7 @@ def drawable_link(
 
 
 def drawable(body: Object) -> Drawable:
-    """Return an object of a live world to render; the world is locked."""
+    """Return an object of a live world to render; the caller holds the world's lock."""
     shapes = shapes_of(body.model.path)
     frames = body.world.engine.link_frames(body.handle, shapes.links)
     return Drawable(shapes, *frames, body.color, body.is_robot)
@@ -115,7 +109,7 @@ def drawable(body: Object) -> Drawable:
 
 @dataclass(frozen=True, slots=True)
 class _Boxes:
-    """Boxes of k links, in the links' frames, with the frames in the world."""
+    """Bounding boxes of k links, in the links' frames."""
 
     low: NDArray[np.float64]  # (k, 3) lowest corners, m
     high: NDArray[np.float64]  # (k, 3) highest corners, m
@@ -130,8 +124,8 @@ class Camera:
     pose: Pose  # position in m and orientation xyzw of the optical frame
     right: float  # tangent of half the horizontal field of view
     down: float  # tangent of half the vertical field of view
-    near: float = NEAR  # m to the nearest visible point
-    far: float = FAR  # m to the farthest visible point
+    near: float = NEAR  # m, nearest visible distance
+    far: float = FAR  # m, farthest visible distance
 
     @property
     def window(self) -> Window:
@@ -149,9 +143,9 @@ class Camera:
         """Render objects through a part of the image plane.
 
         Args:
-            bodies: the objects to render, of one world, which is locked.
+            bodies: the objects to render, of one world. The caller holds the world's lock.
             size: width and height in pixels.
-            far: m to the farthest relevant point, if that is less than the camera's.
+            far: m, farthest relevant distance if less than the camera's.
         """
         return self.draw([drawable(body) for body in bodies], window, size, far)
 
@@ -172,7 +166,7 @@ class Camera:
     def _parts(
         self, bodies: Sequence[Drawable], window: Window, far: float
     ) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
-        """Yield links that may be visible: number of the body, name, triangles in the camera's frame, colours."""
+        """Yield links that may be visible: index of the body, name, triangles in the camera's frame, colours."""
         models = [body.shapes for body in bodies]
         links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
         if not links:
@@ -184,7 +178,9 @@ class Camera:
             turns=geometry.to_matrices(np.concatenate([body.orientations for body in bodies])),
         )
         of_robots = np.array([bodies[index].is_robot for index, _ in links])
-        shown = self._shown(boxes, window, far) & ~(of_robots & self._in(boxes))
+        eye = np.einsum("kji,kj->ki", boxes.turns, np.asarray(self.pose[0]) - boxes.positions)
+        around = ((eye >= boxes.low - _HOUSING) & (eye <= boxes.high + _HOUSING)).all(axis=1)
+        shown = self._shown(boxes, window, far) & ~(of_robots & around)
         to_camera = geometry.to_matrix(self.pose[1]).T
         for number in np.flatnonzero(shown):
             index, link = links[number]
@@ -195,7 +191,7 @@ class Camera:
             yield index, models[index].links[link], turned + self.to_frame(boxes.positions[number]), colors
 
     def _shown(self, boxes: _Boxes, window: Window, far: float) -> NDArray[np.bool_]:
-        """Return for each box whether its bounding sphere is in the view frustum of a window."""
+        """Return whether each box's bounding sphere is in the view frustum of a window."""
         centers = np.einsum("kij,kj->ki", boxes.turns, (boxes.low + boxes.high) / 2) + boxes.positions
         radii = np.linalg.norm(boxes.high - boxes.low, axis=1) / 2
         x, y, z = self.to_frame(centers).T
@@ -205,15 +201,10 @@ class Camera:
             shown &= sign * (across - edge * z) / np.hypot(1.0, edge) >= -radii
         return np.asarray(shown)
 
-    def _in(self, boxes: _Boxes) -> NDArray[np.bool_]:
-        """Return for each box whether it is around the camera."""
-        eye = np.einsum("kji,kj->ki", boxes.turns, np.asarray(self.pose[0]) - boxes.positions)
-        return np.asarray(((eye >= boxes.low - _HOUSING) & (eye <= boxes.high + _HOUSING)).all(axis=1))
-
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A part of the image plane, as tangents: x to the right, y down."""
+    """A part of the image plane. The edges are tangents: x to the right, y down."""
 
     left: float
     top: float
@@ -224,16 +215,16 @@ class Window:
 def rasterize(
     triangles: NDArray[np.float64], window: Window, size: tuple[int, int], near: float, far: float
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the depth and the triangle at each pixel's center; triangles are visible from both sides.
+    """Return the depth and the triangle at each pixel's center. Both sides of triangles are visible.
 
     Args:
         triangles: (n, 3, 3) corners in the camera's frame, m.
         size: width and height in pixels.
-        near: m to the nearest visible point.
-        far: m to the farthest visible point.
+        near: m, nearest visible distance.
+        far: m, farthest visible distance.
 
     Returns:
-        (height, width) depth along z in m, inf without a triangle; (height, width) number of the triangle, -1 for none.
+        (height, width) depth along z in m, inf without a triangle; (height, width) index of the triangle, -1 for none.
     """
     width, height = size
     nearness = np.full((height, width), 1.0 / far)  # 1 / depth
@@ -262,7 +253,7 @@ def rasterize(
             seen[area][better] = numbers[large[number]]
     small = shown[pixels[shown] <= _LARGE]
     for part, columns, rows in _covered(small, left, right, top, bottom):
-        for corner in range(3):  # one corner after the other: the first one excludes most pixels
+        for corner in range(3):  # the test at the first corner excludes most pixels
             kept = _value(planes[:, corner], part, columns, rows) >= 0
             part, columns, rows = part[kept], columns[kept], rows[kept]  # noqa: PLW2901
         close = _value(planes[:, 3], part, columns, rows)
@@ -276,15 +267,15 @@ def rasterize(
 def _value(
     factors: NDArray[np.float64], part: NDArray[np.int64], columns: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the values of planes of triangles (n, 3) at pixels, each for one triangle."""
+    """Return the value of a triangle's plane at each pixel; ``part`` has the index of each pixel's triangle."""
     a, b, c = factors.T
     values: NDArray[np.float64] = a[part] * columns + b[part] * rows + c[part]
     return values
 
 
 def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first pixel along an axis whose center may be in each triangle, and the pixel after the last."""
-    a, b, c = axis.T  # corner by corner: several times as fast as along each row of three
+    """Return the first pixel along an axis whose center may be in each triangle, and the end of these pixels."""
+    a, b, c = axis.T  # minima of three columns are several times as fast as minima of rows
     low = np.ceil(np.clip(np.minimum(np.minimum(a, b), c), 0, limit)).astype(np.int64)
     high = np.floor(np.clip(np.maximum(np.maximum(a, b), c), -1, limit - 1)).astype(np.int64) + 1
     return low, high
@@ -297,12 +288,12 @@ def _bands(
     top: NDArray[np.int64],
     bottom: NDArray[np.int64],
 ) -> Iterator[tuple[int, int, int, int, int]]:
-    """Yield bands of rows of triangles, and the columns in them: number, rows, columns, each with its end excluded."""
+    """Yield parts of large triangles: index of the triangle, first row, end of rows, first column, end of columns."""
     counts = -(-(bottom - top) // _BAND)
     owner = np.repeat(np.arange(len(counts)), counts)
     low = top[owner] + _BAND * (np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts))
     high = np.minimum(low + _BAND, bottom[owner])
-    a, b, c = planes[owner, :3].transpose(2, 0, 1)  # an edge is where a * column + b * row + c is 0
+    a, b, c = planes[owner, :3].transpose(2, 0, 1)  # on an edge, a * column + b * row + c is 0
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([-(b * row[:, None] + c) / a for row in (low, high - 1)])
         slack = 1 + 1e-12 * (np.abs(b) * high[:, None] + np.abs(c)) / np.abs(a)  # possible rounding error
@@ -315,17 +306,17 @@ def _bands(
 
 
 def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return factors (n, 4, 3) of column, row and 1: for the weights of the corners, and for 1 / depth."""
+    """Return (n, 4, 3) factors of column, row and 1: three planes for the corners' weights, one for 1 / depth."""
     u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
     edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]  # not finite for an edge-on triangle
+        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]  # not finite for a triangle that is seen edge-on
         nearness = (weights * inverse[:, :, None]).sum(axis=1, keepdims=True)
     return np.concatenate([weights, nearness], axis=1)
 
 
 def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the parts of triangles beyond the near plane, as triangles, with the numbers of the original triangles."""
+    """Return the triangles beyond the near plane, without the parts before it, and their original indices."""
     beyond = triangles[:, :, 2] > near
     count = beyond.sum(axis=1)
     numbers = np.arange(len(triangles))
@@ -343,7 +334,7 @@ def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float
 
 
 def _odd_first(triangles: NDArray[np.float64], odd: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
-    """Return the corners of triangles, with the odd corner first."""
+    """Return the corners of triangles; the corner that differs in ``odd`` comes first."""
     rows = np.arange(len(triangles))
     start = odd.argmax(axis=1)
     return tuple(triangles[rows, (start + turn) % 3] for turn in range(3))
@@ -362,7 +353,7 @@ def _covered(
     top: NDArray[np.int64],
     bottom: NDArray[np.int64],
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
-    """Yield pixels in the bounds of triangles in batches: numbers of triangles, columns, rows."""
+    """Yield batches of pixels in the bounds of triangles: indices of triangles, columns, rows."""
     wide = right - left
     counts = wide[shown] * (bottom - top)[shown]
     cuts = np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH, prepend=0))
