@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.world.object import Object
-    from recorder.geometry import Pose
+    from recorder.geometry import Pose, Vector
 
 
 NEAR: Final = 0.02  # m, nearest visible distance
@@ -50,16 +50,34 @@ class Rendering:
         Args:
             up: unit vector in the camera's frame that points up in the world.
         """
-        rows = np.broadcast_to(np.linspace(*_SKY, self.seen.shape[0])[:, None], (*self.seen.shape, 3)).copy()
-        shown, numbers = self.seen >= 0, np.unique(self.seen[self.seen >= 0])
-        corners = self.triangles[numbers]
+        image = self._lit(up)[self.seen]
+        empty = self.seen < 0
+        sky = np.asarray(np.linspace(*_SKY, len(image)) * 255, dtype=np.uint8)
+        image[empty] = sky[np.nonzero(empty)[0]]
+        return image
+
+    def picture_before(
+        self, behind: NDArray[np.uint8], depth: NDArray[np.float64], up: Sequence[float]
+    ) -> NDArray[np.uint8]:
+        """Return a colour image before another one of the same camera, whose pixels have the given depth in m."""
+        nearer = self.depth < depth
+        image = behind.copy()
+        image[nearer] = self._lit(up)[self.seen[nearer]]
+        return image
+
+    def _lit(self, up: Sequence[float]) -> NDArray[np.uint8]:
+        """Return the colours of the triangles, RGB; only those of visible triangles are computed."""
+        used = np.zeros(len(self.triangles) + 1, dtype=bool)
+        used[self.seen] = True
+        used[-1] = False  # the sky
+        corners = self.triangles[used[:-1]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         normals *= -np.sign((normals * corners[:, 0]).sum(axis=1, keepdims=True))  # normals point to the camera
         light = 0.5 + 0.25 * normals @ np.asarray(up) + 0.35 * np.maximum(-normals[:, 2], 0.0)
-        lit = np.clip(self.colors[numbers] * light[:, None], 0.0, 1.0)
-        rows[shown] = lit[np.searchsorted(numbers, self.seen[shown])]
-        return np.asarray(rows * 255, dtype=np.uint8)
+        lit = np.zeros((len(used), 3), dtype=np.uint8)
+        lit[used] = np.clip(self.colors[used[:-1]] * light[:, None], 0.0, 1.0) * 255
+        return lit
 
     def before(self, other: Rendering) -> Rendering:
         """Return this picture merged with another picture of the same camera and size; nearer objects are in front."""
@@ -131,6 +149,11 @@ class Camera:
     def window(self) -> Window:
         """The part of the image plane in the camera's picture."""
         return Window(-self.right, -self.down, self.right, self.down)
+
+    @property
+    def up(self) -> Vector:
+        """The upward direction of the world, in the optical frame."""
+        return geometry.rotate(geometry.conjugate(self.pose[1]), (0.0, 0.0, 1.0))
 
     def to_frame(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return world points (..., 3) in the optical frame, m."""

@@ -17,7 +17,7 @@ from replay.history.steps import moment_of, step_of
 from replay.state.fold import last_open_step, state_at
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from PIL import Image
 
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from replay.history.blame import Blame
     from replay.report.question import QueryCall
     from replay.restore.ask import Move, QueryAnswer
+    from replay.restore.render import DrawnWorld
     from replay.state.state import RecordedBelief, State
 
 
@@ -164,11 +165,32 @@ class Recording(RecordReader):
 
         If no world is open any more, it shows the last step with an open world, which is ``picture.info["step"]``.
         """
+        return self._drawn_world(step, world).picture(camera=camera, eye=eye, target=target, size=size)
+
+    def film(
+        self,
+        steps: Iterable[int | str],
+        *,
+        eye: Sequence[float] | str | None = None,
+        target: Sequence[float] | str | Sequence[str] | None = None,
+        size: tuple[int, int] = (640, 480),
+        world: str | None = None,
+    ) -> Iterator[Image.Image]:
+        """Yield pictures of several steps, all from one viewpoint; each costs a fraction of a single picture.
+
+        See :meth:`render` for the arguments, and :func:`replay.restore.render.film`.
+        """
+        from replay.restore.render import film  # noqa: PLC0415
+
+        worlds = [self._drawn_world(step, world) for step in steps]
+        yield from film(worlds, eye=eye, target=target, size=size) if worlds else ()
+
+    def _drawn_world(self, step: int | str, world: str | None) -> DrawnWorld:
+        """Return a world to draw: after a step, else after the last step at which it was open."""
         from replay.restore.render import DrawnWorld  # noqa: PLC0415
 
         shown = last_open_step(self, self.step(step), world)
-        moment = moment_of(step) if shown == self.step(step) else None
-        return DrawnWorld(self, shown, world, moment).picture(camera=camera, eye=eye, target=target, size=size)
+        return DrawnWorld(self, shown, world, moment_of(step) if shown == self.step(step) else None)
 
     def ask(
         self,

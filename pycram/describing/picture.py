@@ -61,8 +61,7 @@ def draw(body: Object, file: Path) -> None:
     pixels = (_SIZE[0] * _OVERSAMPLING, _SIZE[1] * _OVERSAMPLING)
     with body.world.lock:
         sight = camera.draw([drawable(body)], camera.window, pixels)
-    up = geometry.rotate(geometry.conjugate(camera.pose[1]), (0.0, 0.0, 1.0))
-    image = Image.fromarray(sight.picture(up)).resize(_SIZE, Image.Resampling.BOX)
+    image = Image.fromarray(sight.picture(camera.up)).resize(_SIZE, Image.Resampling.BOX)
     pen = ImageDraw.Draw(image, "RGBA")
     for surface, outline in surfaces.items():
         color = _INSIDE[body.container(surface.container).kind] if surface.container else _OPEN

@@ -66,7 +66,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
         ),
         "render": (
             ("run.mcap failure -o failure.png", "a picture of the failure"),
-            ("run.mcap last --from above", "the end, seen from above"),
+            ("run.mcap 100 150 200 -o film/", "three moments, from one viewpoint"),
         ),
         "restore": (
             ("run.mcap failure --shell", "the live world in a Python shell"),

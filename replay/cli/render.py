@@ -1,4 +1,4 @@
-"""``render``: a picture of a step, without a viewer."""
+"""``render``: pictures of steps, without a viewer."""
 
 from __future__ import annotations
 
@@ -13,6 +13,9 @@ from replay.report.phrases import names
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Iterator
+
+    from PIL import Image
 
     from replay.recording import Recording
 
@@ -21,8 +24,10 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the file, and the viewpoint."""
-    parser.add_argument("step", metavar="STEP", help=HINT)
-    parser.add_argument("-o", dest="file", metavar="FILE", help="file of the picture (default: LOG_STEP.png)")
+    parser.add_argument("steps", metavar="STEP", nargs="+", help=f"{HINT}; of several steps, all from one viewpoint")
+    parser.add_argument(
+        "-o", dest="file", metavar="FILE", help="file of the picture, or folder of several (default: LOG_STEP.png)"
+    )
     parser.add_argument(
         "--camera", metavar="FRAME", help="draw the view from a frame of the robot, such as wide_stereo_optical_frame"
     )
@@ -46,33 +51,44 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the picture and print its name."""
     if options.camera and (options.eye or options.target):
         raise ReplayError("give either --camera, or --from and --to")
-    step = log.step(options.step)
-    size = numbers(options.size.lower(), "WIDTHxHEIGHT in pixels, such as 640x480", 2, separator="x", kind=int)
-    picture = log.render(
-        options.step,
-        camera=options.camera,
-        eye=_point(options.eye),
-        target=_point(options.target),
-        size=(int(size[0]), int(size[1])),
-        world=options.world,
-    )
-    shown, cut = picture.info["step"], picture.info["cut"]
-    if shown != step:
-        print_message(
-            f"no world is open after step {step}; the picture shows step {shown}, the last step with an open world"
+    steps = [log.step(step) for step in options.steps]
+    width, height = numbers(options.size.lower(), "WIDTHxHEIGHT in pixels, such as 640x480", 2, separator="x", kind=int)
+    eye, target, size = _point(options.eye), _point(options.target), (int(width), int(height))
+    pictures: Iterator[Image.Image]
+    if options.camera or len(steps) == 1:
+        pictures = (
+            log.render(name, camera=options.camera, eye=eye, target=target, size=size, world=options.world)
+            for name in options.steps
         )
     else:
-        print_moment(log, options.step)
-    if cut:
-        print_message(f"not drawn, because they would hide the scene: {names(cut)}")
-    file = Path(options.file or f"{log.path.stem}_{shown}.png")
+        pictures = log.film(options.steps, eye=eye, target=target, size=size, world=options.world)
+    rows: list[dict[str, object]] = []
+    for name, step, picture in zip(options.steps, steps, pictures, strict=True):
+        shown, cut = picture.info["step"], picture.info["cut"]
+        if shown != step:
+            print_message(
+                f"no world is open after step {step}; the picture shows step {shown}, the last step with an open world"
+            )
+        elif len(steps) == 1:
+            print_moment(log, name)
+        if cut and not rows:
+            print_message(f"not drawn, because they would hide the scene: {names(cut)}")
+        file = _saved(picture, options.file, f"{log.path.stem}_{shown}.png", several=len(steps) > 1)
+        rows.append({"step": shown, "file": file, "width": picture.width, "height": picture.height, "cut": list(cut)})
+    print_result(lambda: rows if len(rows) > 1 else rows[0], [str(row["file"]) for row in rows], as_json=options.json)
+    return 0
+
+
+def _saved(picture: Image.Image, given: str | None, name: str, *, several: bool) -> str:
+    """Write a picture to the given file, or to the given folder if there are several pictures; return its path."""
+    file = Path(given or "") / name if several or not given else Path(given)
     try:
+        if several:
+            file.parent.mkdir(parents=True, exist_ok=True)
         picture.save(file)
     except (OSError, ValueError) as error:
         raise ReplayError(f"{file}: can't be written: {error}") from error
-    data = {"step": shown, "file": str(file), "width": picture.width, "height": picture.height, "cut": list(cut)}
-    print_result(lambda: data, [str(file)], as_json=options.json)
-    return 0
+    return str(file)
 
 
 def _point(text: str | None) -> list[float] | str | None:

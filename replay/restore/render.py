@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import math
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -21,7 +23,7 @@ from recorder.packages import needed
 from replay.errors import Damaged, NoSuchName, ReplayError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -66,6 +68,7 @@ _ENOUGH: Final = 0.7  # the first viewpoint that shows at least this share of th
 #: If the best viewpoint shows less than this share of the pixels, the links that hide the target are cut away.
 _TOO_LITTLE: Final = 0.3
 _ROBOT_SHARE: Final = 0.4  # this share of a robot's pixels is enough, because objects of its work hide it
+_RATED: Final = 3  # number of moments of a film for which viewpoints are rated
 _GLANCE: Final = (40, 40)  # pixels of the window around an object
 _MAX_CUTS: Final = 6  # largest number of layers of furniture and walls that are cut away
 _ROOM: Final = 1.5  # in m; a fixed link that is smaller in any direction is furniture; no viewpoint may be inside it
@@ -94,7 +97,7 @@ class DrawnWorld:
         state = world_state(log, step, world, moment)
         self._step = step
         self._bodies: dict[str, _DrawnBody] = {}
-        self._parts: list[DrawnLink] = []
+        self.parts: list[DrawnLink] = []
         try:
             for body in state.bodies.values():
                 self._add(log, body)
@@ -107,8 +110,8 @@ class DrawnWorld:
         poses = model.urdf.link_poses(body.joints).items()
         frames = {link: geometry.multiply(body.pose, pose) for link, pose in poses}
         shapes = shapes_of(model.path)
-        first = len(self._parts)
-        self._parts += [
+        first = len(self.parts)
+        self.parts += [
             DrawnLink(drawable_link(shapes, at, frames[link], body.color or None, is_robot=body.type == "robot"), fixed)
             for at, link in enumerate(shapes.links)
             for fixed in [body.type == "environment"]
@@ -146,20 +149,33 @@ class DrawnWorld:
             NoSuchName: there is no such frame, object, link or side.
             ReplayError: the size or a point is impossible.
         """
-        if not all(isinstance(side, int) and 0 < side <= _MAX_SIDE for side in size):
-            raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; use 1 to {_MAX_SIDE} per side")
-        if camera is not None:
-            return self._draw(CutawayView(self._robot_camera(camera, size)), size)
-        subject, point = self._subject(target)
-        low, high = bounds(self._parts, subject)
+        _check_size(size)
+        own = None if camera is None else self._robot_camera(camera, size)
+        view = self.view([self], eye, target, size) if own is None else CutawayView(own)
+        cut = [name for name, at in self.numbers.items() if at in view.cut]
+        return self.finished(self.draw(view, size).picture(view.camera.up), size, cut)
+
+    def view(
+        self,
+        worlds: Sequence[DrawnWorld],
+        eye: Sequence[float] | str | None,
+        target: Sequence[float] | str | Sequence[str] | None,
+        size: tuple[int, int],
+    ) -> CutawayView:
+        """Return a view that shows a target in all given worlds; walls may be cut away as this world needs it."""
+        subject, point = self.subject(target)
+        scenes = []
+        for world in worlds:
+            with suppress(NoSuchName):  # the target isn't loaded yet
+                scenes.append((world.parts, world.subject(target)[0]))
+        corners = [bounds(*scene) for scene in scenes]
+        low, high = np.min([low for low, _ in corners], axis=0), np.max([high for _, high in corners], axis=0)
         aim = _vector((low + high) / 2) if point is None else point
         if eye is not None and not isinstance(eye, str):
             viewpoint = _point("eye", eye)
             if math.dist(viewpoint, aim) < 1e-6:
                 raise ReplayError(f"a picture from {list(viewpoint)} to the same point has no direction")
-            return self._draw(
-                CutawayView(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)), size
-            )
+            return CutawayView(_pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size))
         if eye is not None and eye not in SIDES:
             raise NoSuchName("side of the robot", eye, SIDES)
         heading = self._robot.body.orientation if self._robot else (0.0, 0.0, 0.0, 1.0)
@@ -168,7 +184,7 @@ class DrawnWorld:
             _pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)
             for viewpoint in viewpoints(aim, distance, heading, eye)
         ]
-        return self._draw(free_view(cameras, self._parts, subject), size)
+        return free_view(cameras, [*scenes[: -1 : max(1, len(scenes) // _RATED)], (self.parts, subject)])
 
     def subjects(self, why: Why) -> list[str] | None:
         """Return the robot and the objects of a failed task as targets of a picture; None if there are none.
@@ -188,21 +204,37 @@ class DrawnWorld:
                 targets += [f"{drawn.body.name}.{link}" for link in links]
         return targets or None
 
-    def _draw(self, view: CutawayView, size: tuple[int, int]) -> Image.Image:
-        up = geometry.rotate(geometry.conjugate(view.camera.pose[1]), (0.0, 0.0, 1.0))
+    def draw(self, view: CutawayView, size: tuple[int, int], numbers: Iterable[int] | None = None) -> Rendering:
+        """Draw parts by number, by default all parts, with more pixels than the picture has."""
         finer = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
-        sight = view.draw(self._parts, view.camera.window, finer)
-        picture = Image.fromarray(sight.picture(up)).resize(size, Image.Resampling.BOX)
-        names = (
-            f"{drawn.body.name}.{link}"
-            for drawn in self._bodies.values()
-            for link, number in drawn.parts.items()
-            if number in view.cut
-        )
-        picture.info |= {"step": self._step, "cut": tuple(names)}
+        return view.draw(self.parts, view.camera.window, finer, numbers)
+
+    def finished(self, image: NDArray[np.uint8], size: tuple[int, int], cut: Iterable[str]) -> Image.Image:
+        """Return a picture of the given size, of an image with more pixels."""
+        picture = Image.fromarray(image).resize(size, Image.Resampling.BOX)
+        picture.info |= {"step": self._step, "cut": tuple(cut)}
         return picture
 
-    def _subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[PictureSubject, Vector | None]:
+    @cached_property
+    def numbers(self) -> dict[str, int]:
+        """Numbers of the drawn links by name, such as "kitchen.sink_area"."""
+        return {f"{name}.{link}": at for name, drawn in self._bodies.items() for link, at in drawn.parts.items()}
+
+    @cached_property
+    def looks(self) -> dict[str, tuple[object, ...]]:
+        """Everything that the look of each drawn link depends on."""
+        return {
+            f"{name}.{link}": (drawn.body.models, drawn.body.color, drawn.frames[link])
+            for name, drawn in self._bodies.items()
+            for link in drawn.parts
+        }
+
+    def subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[PictureSubject, Vector | None]:
+        """Return the subject of a picture of a target, and the target if it is a point.
+
+        Raises:
+            NoSuchName: there is no such object or link.
+        """
         names = [target] if isinstance(target, str) else list(target or ())
         if names and all(isinstance(name, str) for name in names):
             return PictureSubject(tuple(self._parts_of(str(name)) for name in names), every=True), None
@@ -236,6 +268,36 @@ class DrawnWorld:
         return _pinhole(own.pose(self._robot.frames[frame]), own.horizontal_fov, size, max(own.near, _NEAR), own.far)
 
 
+def film(
+    worlds: Sequence[DrawnWorld],
+    *,
+    eye: Sequence[float] | str | None = None,
+    target: Sequence[float] | str | Sequence[str] | None = None,
+    size: tuple[int, int] = (640, 480),
+) -> Iterator[Image.Image]:
+    """Yield pictures of several moments, all from one viewpoint, which is clear at the last moment.
+
+    Links that look the same at all moments are drawn only once, so a picture costs a fraction of a single one.
+    See :meth:`DrawnWorld.picture` for the arguments and errors.
+    """
+    _check_size(size)
+    first, last = worlds[0], worlds[-1]
+    view = last.view(worlds, eye, target, size)
+    cut = [name for name, at in last.numbers.items() if at in view.cut]
+    still = {name for name, place in first.looks.items() if all(each.looks.get(name) == place for each in worlds)}
+
+    def draw(world: DrawnWorld, names: Iterable[str]) -> Rendering:
+        there = frozenset(at for name, at in world.numbers.items() if name in cut)
+        return world.draw(replace(view, cut=there), size, [world.numbers[name] for name in names])
+
+    standing, up = draw(first, sorted(still)), view.camera.up
+    behind = standing.picture(up)
+    for world in worlds:
+        moved = draw(world, sorted(world.numbers.keys() - still))
+        image = moved.picture_before(behind, standing.depth, up)
+        yield world.finished(image, size, cut)
+
+
 def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
     """Write the pictures of an explained failure, and return their files.
 
@@ -262,6 +324,11 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files
+
+
+def _check_size(size: tuple[int, int]) -> None:
+    if not all(isinstance(side, int) and 0 < side <= _MAX_SIDE for side in size):
+        raise ReplayError(f"a picture can't have {size[0]} x {size[1]} pixels; use 1 to {_MAX_SIDE} per side")
 
 
 def _pinhole(pose: Pose, angle: float, size: tuple[int, int], near: float = _NEAR, far: float = _FAR) -> Camera:
@@ -313,14 +380,21 @@ class CutawayView:
     cut: frozenset[int] = frozenset()  # numbers of the cut parts
     depth: float = 0.0  # depth of the cut, m along the camera's axis
 
-    def draw(self, parts: Sequence[DrawnLink], window: Window, size: tuple[int, int]) -> Rendering:
-        """Draw parts; the bodies of the rendering are numbers of parts."""
-        whole = [number for number in range(len(parts)) if number not in self.cut]
-        shown = _draw(self.camera, parts, whole, window, size)
-        if not self.cut:
+    def draw(
+        self,
+        parts: Sequence[DrawnLink],
+        window: Window,
+        size: tuple[int, int],
+        numbers: Iterable[int] | None = None,
+    ) -> Rendering:
+        """Draw parts by number, by default all parts; the bodies of the rendering are numbers of parts."""
+        drawn = range(len(parts)) if numbers is None else list(numbers)
+        shown = _draw(self.camera, parts, [number for number in drawn if number not in self.cut], window, size)
+        cut = sorted(self.cut.intersection(drawn))
+        if not cut:
             return shown
         behind = replace(self.camera, near=max(self.camera.near, self.depth))
-        return shown.before(_draw(behind, parts, sorted(self.cut), window, size))
+        return shown.before(_draw(behind, parts, cut, window, size))
 
 
 def _draw(
@@ -356,12 +430,20 @@ def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | No
             yield x, y, z
 
 
-def free_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Return the first camera that sees enough of a subject, else the best; if that sees too little, cut links away."""
+def free_view(cameras: Sequence[Camera], scenes: Sequence[tuple[Sequence[DrawnLink], PictureSubject]]) -> CutawayView:
+    """Return the first camera that sees enough of the subject in each scene, else the best.
+
+    If that sees too little, links are cut away as the last scene needs it.
+    """
+    parts, subject = scenes[-1]
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras
     best, most = cameras[0], -1.0
     for camera in cameras:
-        share = _seen(CutawayView(camera), parts, subject, most)
+        share = 1.0
+        for scene in reversed(scenes):
+            share = min(share, _seen(CutawayView(camera), *scene, most))
+            if share <= most:
+                break
         if share >= _ENOUGH:
             return CutawayView(camera)
         if share > most:

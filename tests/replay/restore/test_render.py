@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from typing import TYPE_CHECKING
 
@@ -53,6 +54,27 @@ def test_a_picture_shows_the_step_from_the_viewpoint(file: Path) -> None:
     assert wide.size == (100, 50)
     assert red(wide).any()  # by default it looks at what there is
     assert not open_worlds()
+
+
+def test_a_film_shows_each_moment_as_a_picture_of_its_own_does(tmp_path: Path) -> None:
+    path = tmp_path / "moves.mcap"
+    with recorder.record(path), BulletWorld():
+        Object("bowl", "bowl", "bowl.stl", [0, 0, 0], color=[1, 0, 0, 1])  # it stands
+        milk = Object("milk", "milk", "milk.stl", [0.1, 0.3, 0.1])  # it moves behind the bowl, and in front of it
+        for position in ([0.1, 0, 0.05], [-0.15, 0, 0.05]):
+            milk.set_position(position)
+        Object("cup", "cup", "cup.stl", [0, -0.2, 0])  # it comes later
+    with replay.open(path) as log:
+        steps = range(3, 7)
+        seen = {"eye": (-1, 0.1, 0.6), "target": (0, 0, 0), "size": (160, 120)}
+        film = [np.asarray(picture).astype(int) for picture in log.film(steps, **seen)]
+        alone = [np.asarray(log.render(step, **seen)).astype(int) for step in steps]
+        chosen = [*log.film(steps, size=SMALL)]
+    for moment, own in zip(film, alone, strict=True):
+        assert (np.abs(moment - own).max(axis=2) > 2).mean() < 0.001
+    changed = [(np.abs(one - other).max(axis=2) > 20).mean() for one, other in itertools.pairwise(film)]
+    assert min(changed) > 0.003
+    assert all(red(picture).any() for picture in chosen)  # its own viewpoint shows the scene at each moment
 
 
 @pytest.mark.parametrize("walls", [0, 1, 2])
@@ -185,6 +207,12 @@ def test_render_writes_a_picture(file: Path, tmp_path: Path, capsys: pytest.Capt
     assert red(Image.open(target)).any()
     assert main([*asked, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"step": 2, "file": str(target), "width": 80, "height": 60, "cut": []}
+    assert main(["render", str(file), "2", "3", "-o", str(tmp_path / "film"), "--size", "80x60"]) == 0
+    pictures = [tmp_path / "film" / f"run_{step}.png" for step in (2, 3)]
+    assert capsys.readouterr().out.splitlines() == [str(picture) for picture in pictures]
+    for picture in pictures:
+        with Image.open(picture) as written:
+            assert written.size == SMALL
     for wrong in (
         ["--size", "big"],
         ["--from", "1,2"],
