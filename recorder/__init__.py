@@ -13,8 +13,8 @@ from recorder.errors import RecordingError
 if TYPE_CHECKING:
     from recorder.recording import Recording, record, start, stop
 
-# Must be set before numpy is loaded. Our matrices are small: threads save no time on them, but spin for some 20 ms
-# after each shared product. That took a third of the processor time of a plan that reasons.
+# numpy reads the variable when it is loaded. Threads don't speed up products of our small matrices, but each thread
+# spins for 20 ms after a product. These spins took a third of a reasoning plan's processor time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __all__ = ["Recording", "RecordingError", "record", "start", "stop"]
@@ -22,7 +22,7 @@ __all__ = ["Recording", "RecordingError", "record", "start", "stop"]
 
 def __getattr__(name: str) -> object:
     if name in __all__:
-        from recorder import recording  # noqa: PLC0415  loads the file format and the viewer
+        from recorder import recording  # noqa: PLC0415  slow to load
 
         return getattr(recording, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

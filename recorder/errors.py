@@ -1,7 +1,4 @@
-"""The recorder's shared errors, hints for their messages ("did you mean ...?"), and closed pipes.
-
-If the reader has closed the pipe of the output, as ``| head`` does, further output is discarded without an error.
-"""
+"""The recorder's shared errors, hints for their messages ("did you mean ...?"), and closed pipes."""
 
 from __future__ import annotations
 
@@ -20,15 +17,15 @@ if TYPE_CHECKING:
     from typing import TextIO
 
 _MAX_SUGGESTED: Final = 3
-_MAX_LISTED: Final = 30  # up to this number, a hint lists all known names, such as the joints of a kitchen
-_MAX_FILES: Final = 2000  # largest number of a folder's files that are compared with a name
+_MAX_LISTED: Final = 30  # a hint lists at most this many names, such as the joints of a kitchen
+_MAX_FILES: Final = 2000  # a name is compared with at most this many files of a folder
 
 
 class PortableError(Exception):
-    """An error that pickles and copies with its fields; by default, Python would call its class with the message."""
+    """An error that keeps its fields when it is pickled or copied."""
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Return the function that restores the error, for example in another process, and its arguments."""
+        """Python's own method would call the class with the message only."""
         return _restored, (type(self), self.args, dict(vars(self)))
 
     def _render_traceback_(self) -> list[str]:
@@ -53,8 +50,11 @@ class RecordingError(PortableError, OSError):
 
 
 def nearest(name: object, known: Iterable[str]) -> list[str]:
-    """Return up to 3 known names that resemble a name, best first; if none resembles it, names that contain it."""
-    import difflib  # noqa: PLC0415  most processes suggest nothing
+    """Return the up to 3 most similar known names, best first.
+
+    If no name is similar, return known names that contain the name.
+    """
+    import difflib  # noqa: PLC0415  most processes make no suggestion
 
     names, given = list(known), str(name)
     close = difflib.get_close_matches(given, names, _MAX_SUGGESTED)
@@ -62,13 +62,13 @@ def nearest(name: object, known: Iterable[str]) -> list[str]:
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return "; did you mean ...?" with the nearest known names, to end a message; "" if no name is similar."""
+    """Return "; did you mean ...?" with similar known names for the end of a message; "" if no name is similar."""
     near = nearest(name, known)
     return f"; did you mean {' or '.join(near)}?" if near else ""
 
 
 def similar_files(path: Path, others: Iterable[str] = ()) -> str:
-    """Return "; did you mean ...?" for a missing file, with similar files of its folder and ``others``, or ""."""
+    """Return "; did you mean ...?" with the most similar names to a missing file, from its folder and ``others``."""
     names = list(others)
     with suppress(OSError):
         near = (file for file in islice(path.parent.iterdir(), _MAX_FILES) if file.suffix == path.suffix)
@@ -79,7 +79,7 @@ def similar_files(path: Path, others: Iterable[str] = ()) -> str:
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:
-    """Return a hint for an unknown name: the nearest known names, else all names if they are few, else their number."""
+    """Return a hint for an unknown name: similar known names, or else the list of known names, or else their number."""
     names = sorted(set(known))
     if near := did_you_mean(name, names):
         return near.removeprefix("; ")
@@ -104,7 +104,7 @@ def until_closed() -> Iterator[None]:
 
 
 def discard(stream: TextIO) -> None:
-    """Discard the text that a stream buffers, now and later; otherwise Python reports an error when it exits."""
+    """Discard the buffered text and all later text of a stream. Otherwise Python reports an error when it exits."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     with suppress(AttributeError, io.UnsupportedOperation):  # a plan may have replaced the standard stream
         os.dup2(nowhere, stream.fileno())

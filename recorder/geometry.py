@@ -1,8 +1,8 @@
 """Poses, rotations, and convex polygons of the plane.
 
 A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in the order xyzw. ``a_T_b`` is the pose of
-frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, where plain
-arithmetic is several times faster than with arrays of 3. For thousands of poses, use arrays of matrices.
+frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, because
+arithmetic on tuples is several times faster than on arrays of 3 numbers. Use arrays of matrices for thousands of poses.
 
 Quaternions must have unit length. A quaternion and its negative are the same rotation.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 Vector: TypeAlias = tuple[float, float, float]
-"""xyz; positions are in m."""
+"""A vector xyz; a position is in m."""
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
 """A rotation, xyzw."""
@@ -31,25 +31,26 @@ Pose: TypeAlias = tuple[Vector, Quaternion]
 """Position in m and orientation xyzw."""
 
 Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
-"""A vector or a quaternion, as arguments."""
+"""The type of arguments that are a vector or a quaternion."""
 
 PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
-"""A pose, as an argument."""
+"""The type of arguments that are a pose."""
 
 Point: TypeAlias = tuple[float, float]
 """A point of the plane."""
 
 Polygon: TypeAlias = "Sequence[Point]"
-"""Corners, counterclockwise; fewer than three if there is no area."""
+"""The counterclockwise corners of a polygon. A polygon without area has fewer than three corners."""
 
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 """The pose of a frame in itself."""
 
-_DECIMALS: Final = 6  # two points of the plane are equal if they agree to this number of decimals
+_DECIMALS: Final = 6  # points of the plane are rounded to this number of decimals
 _TINY = 1e-12
-_VERTICAL = 1e-9  # if the horizontal part of a unit axis is smaller, roll and yaw turn about the same axis
+_VERTICAL = 1e-9  # an axis with a smaller horizontal part is vertical: roll and yaw are then the same
 
-# The matrix of a rotation minus identity, row by row, is linear in the products of the quaternion's components.
+# A rotation matrix minus identity is linear in the products of the quaternion's components. Rows of _PRODUCTS are such
+# products; columns are elements of the matrix, row by row.
 _FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
 _PRODUCTS = 2.0 * np.array(
     [
@@ -67,7 +68,7 @@ _PRODUCTS = 2.0 * np.array(
 
 
 def product(a: Numbers, b: Numbers) -> Quaternion:
-    """Return the rotation that turns by b, then by a. Its matrix is the matrix of a times the matrix of b."""
+    """Return the rotation that first turns by b, then by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
     return (
@@ -122,7 +123,7 @@ def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
 
 
 def angle(a: Numbers, b: Numbers) -> float:
-    """Return the angle between two rotations in rad, 0..pi; exact also for tiny angles."""
+    """Return the angle between two rotations in rad, 0..pi. Tiny angles are exact, too."""
     x, y, z, w = product(conjugate(a), b)
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
@@ -134,13 +135,13 @@ def lean(a: Numbers, b: Numbers) -> float:
 
 
 def yaw_of(rotation: Numbers) -> float:
-    """Return the angle in rad about the vertical by which a rotation turns the x axis."""
+    """Return the heading of the rotated x axis: its angle about the vertical in rad."""
     x, y, _ = rotate(rotation, (1.0, 0.0, 0.0))
     return math.atan2(y, x)
 
 
 def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """Return the rotation for URDF's roll, pitch, yaw: about the fixed axes x, then y, then z, in rad."""
+    """Return the rotation of URDF angles in rad: roll, pitch and yaw turn about the fixed axes x, then y, then z."""
     sr, cr = math.sin(roll / 2.0), math.cos(roll / 2.0)
     sp, cp = math.sin(pitch / 2.0), math.cos(pitch / 2.0)
     sy, cy = math.sin(yaw / 2.0), math.cos(yaw / 2.0)
@@ -153,7 +154,7 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def to_rpy(rotation: Numbers) -> Vector:
-    """Return URDF's roll, pitch, yaw in rad; see :func:`from_rpy`. If the pitch is straight up or down, yaw is 0."""
+    """Return the roll, pitch and yaw of :func:`from_rpy`, rad. If the pitch is straight up or down, yaw is 0."""
     m = to_matrix(rotation).tolist()
     level = math.hypot(m[0][0], m[1][0])
     pitch = math.atan2(-m[2][0], level)
@@ -169,7 +170,7 @@ def to_matrix(rotation: Numbers) -> NDArray[np.float64]:
 
 
 def to_matrices(rotations: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the rotation matrices (n, 3, 3) of unit quaternions (n, 4) xyzw; see :func:`to_matrix`."""
+    """Return the rotation matrices (n, 3, 3) of unit quaternions xyzw (n, 4)."""
     products = rotations.take(_FIRST, axis=1) * rotations.take(_SECOND, axis=1)
     matrices: NDArray[np.float64] = (products @ _PRODUCTS).reshape(-1, 3, 3) + np.eye(3)
     return matrices
@@ -186,8 +187,8 @@ def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
 def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
     """Return a 3 x 3 rotation matrix as a unit quaternion xyzw with w >= 0."""
     (a, d, e), (f, b, g), (h, k, c) = matrix.tolist()
-    # ``outer`` is four times the outer product of the quaternion with itself. Each row is a multiple of the quaternion;
-    # normalizing the row with the largest diagonal element is stable for every rotation.
+    # ``outer`` is four times the outer product of the quaternion with itself, so each row is a multiple of the
+    # quaternion. The row with the largest diagonal element is numerically stable for every rotation.
     outer = (
         (1.0 + a - b - c, d + f, e + h, k - g),
         (d + f, 1.0 - a + b - c, g + k, e - h),
@@ -201,9 +202,10 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
 
 
 def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Quaternion:
-    """Return the orientation of an optical frame (z forward, x right, y down) that looks from one point at another.
+    """Return the orientation of an optical frame (z forward, x right, y down) that looks from ``eye`` at ``target``.
 
-    Points are xyz in m. ``up`` is up in the picture; if it is parallel to the view, a perpendicular is used.
+    Points are xyz in m. The vector ``up`` points up in the picture. If it is parallel to the view, another axis
+    replaces it.
 
     Raises:
         ValueError: eye and target coincide.
@@ -251,9 +253,9 @@ def polygon_intersection(polygon: Polygon, other: Polygon) -> Polygon:
 
 
 def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
-    """Return the distance of a point inside a convex polygon to its boundary, m.
+    """Return the distance in m from a point inside a convex polygon to the boundary.
 
-    The distance is negative for points outside, and minus infinity for a polygon without area.
+    The distance is negative for a point outside, and minus infinity for a polygon without area.
     """
     if len(polygon) < 3:
         return -math.inf
@@ -263,7 +265,7 @@ def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
 
 
 def narrowest_width(polygon: Polygon) -> tuple[float, float]:
-    """Return the smallest width of a convex polygon in m, and the direction of that width's side in rad."""
+    """Return the smallest width of a convex polygon in m, and the direction in rad of the side across that width."""
     sides = itertools.pairwise([*polygon, polygon[0]])
     return min(
         (max(_side(a, b, corner) for corner in polygon) / math.dist(a, b), math.atan2(b[1] - a[1], b[0] - a[0]))

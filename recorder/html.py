@@ -1,4 +1,4 @@
-"""Short HTML for notebooks: titles, tables, sections and pictures. All text is escaped here."""
+"""Short HTML for notebooks: titles, tables, sections and pictures. These functions escape all text."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-MAX_ROWS: Final = 20  # largest number of shown rows of a table
-_MAX_CELL: Final = 80  # largest number of characters in a cell
-_MAX_LINES: Final = 40  # largest number of shown lines of a section
+MAX_ROWS: Final = 20  # a table shows at most this many rows
+_MAX_CELL: Final = 80  # a cell shows at most this many characters
+_MAX_LINES: Final = 40  # a section shows at most this many lines
 _PRE: Final = (
     '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;word-break:normal;overflow-wrap:anywhere;line-height:1.3">'
 )
@@ -19,7 +19,7 @@ _HEAD: Final = '<th style="text-align:left">'
 
 
 def escape(text: str) -> str:
-    """Return text as HTML."""
+    """Return text with HTML's special characters escaped."""
     from html import escape  # noqa: PLC0415  only notebooks need it
 
     return escape(text)
@@ -27,17 +27,17 @@ def escape(text: str) -> str:
 
 @singledispatch
 def rendered(value: object) -> str:
-    """Return HTML of a value; modules register a function for each class that they can show."""
+    """Return the HTML of a value. Each module registers functions for its classes."""
     return page(repr(value))
 
 
 def page(title: str, *parts: str) -> str:
-    """Return a title and parts, which are HTML."""
+    """Return the HTML of a page with a title. The parts are HTML."""
     return f'<div style="overflow-x:auto"><b>{escape(title)}</b>{"".join(parts)}</div>'
 
 
 def table(columns: Sequence[str], rows: Sequence[Sequence[object]], limit: int = MAX_ROWS) -> str:
-    """Return rows as a table; of a long table, only the first rows are shown."""
+    """Return the HTML of a table with the first ``limit`` rows."""
     head = "".join(f"{_HEAD}{escape(column)}</th>" for column in columns)
     body = "".join(f"<tr>{''.join(f'{_CELL}{_cell(value)}</td>' for value in row)}</tr>" for row in rows[:limit])
     more = f"<div>... {len(rows) - limit} more rows</div>" if len(rows) > limit else ""
@@ -50,12 +50,12 @@ def _cell(value: object) -> str:
 
 
 def vector(values: Iterable[float]) -> str:
-    """Return numbers with three decimals, without trailing zeros."""
+    """Return "[1.5, 2, 0.333]": numbers with at most three decimals."""
     return f"[{', '.join(f'{round(value, 3) + 0.0:g}' for value in values)}]"
 
 
 def text(lines: Iterable[str]) -> str:
-    """Return lines unchanged; of a long text, only the first lines are shown."""
+    """Return the HTML of the first lines of a text."""
     shown = list(lines)
     if len(shown) > _MAX_LINES:
         shown[_MAX_LINES:] = [f"... {len(shown) - _MAX_LINES} more lines"]
@@ -63,9 +63,9 @@ def text(lines: Iterable[str]) -> str:
 
 
 def report(lines: Iterable[str], unfolded: int = 2) -> str:
-    """Return a report: its first lines, then its sections. The first sections are unfolded.
+    """Return the HTML of a report, with the first ``unfolded`` sections open.
 
-    A section is an empty line, a title and indented lines.
+    In the lines, a section is an empty line, a title and indented lines.
     """
     headlines: list[str] = []
     sections: list[tuple[str, list[str]]] = []
@@ -87,7 +87,7 @@ def report(lines: Iterable[str], unfolded: int = 2) -> str:
 
 
 def picture(png: bytes, what: str) -> str:
-    """Return a PNG as a picture."""
+    """Return the HTML of a PNG picture."""
     from base64 import b64encode  # noqa: PLC0415  only pictures need it
 
     return f'<div><img src="data:image/png;base64,{b64encode(png).decode()}" alt="{escape(what)}"></div>'

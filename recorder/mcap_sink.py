@@ -1,16 +1,8 @@
 """Write records into an MCAP file that survives the death of its process.
 
-A killed process loses the records that aren't in a closed and flushed chunk. So a chunk is closed
-
-- after 50 records, and 50 ms after its first record;
-- immediately after a failure, and after the start or end of the run;
-- before native code that blocks all threads (:meth:`McapSink.flush`).
-
-A thread keeps the 50 ms, so they don't count while the process gets no processor, or while native code of the plan
-holds the interpreter lock. The other rules hold always.
-
-Chunks are handed to the operating system unbuffered. After that, only a failure of the computer can lose them. With
-``durable``, such a failure can't lose them either.
+A killed process loses only records of the open chunk. :class:`McapSink` closes a chunk after 50 records, after 50 ms,
+after failures, and before native code that blocks all threads. A thread measures the 50 ms, so native code with the
+interpreter lock delays it. Chunks are handed to the operating system unbuffered.
 """
 
 from __future__ import annotations
@@ -49,31 +41,29 @@ if TYPE_CHECKING:
     from recorder.records.values import AssetFile
 
 
-_MAX_RECORDS: Final = 50  # largest number of records in a chunk
+_MAX_RECORDS: Final = 50  # a chunk has at most this many records
 _MAX_BYTES: Final = 1 << 20  # largest number of bytes in a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
-_Key: TypeAlias = tuple[
-    str, str, int
-]  # key of a channel: topic, world and the world's lifetime; "" and 0 for a channel of all worlds
-#: A buffered message: key of its channel, number and time of its record, bytes. The record itself is the last item
-#: if its log line is made when the chunk is closed.
+#: Key of a channel: topic, world and the world's lifetime. A channel of all worlds has "" and 0.
+_Key: TypeAlias = tuple[str, str, int]
+#: A buffered message: key of the channel, number and time of the record, bytes, and the record. The record is None if
+#: its log line was already made.
 _Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
 _LINES: Final = ("/log", "", 0)
 _TRANSFORMS: Final = ("/tf", "", 0)
 _FAILURES: Final = frozenset({Task.FAILED, Task.CANCELLED})
 _PER_WORLD: Final = frozenset(TOPICS[kind] for kind in (Mutation, Keyframe))  # topics with a channel for each world
-_MAX_CHANNELS: Final = 1000  # beyond this number, worlds share channels; MCAP allows 65,535
+_MAX_CHANNELS: Final = 1000  # all further worlds share channels; MCAP allows 65,535
 
 
 class McapSink:
     """A sink that is one MCAP file.
 
     Args:
-        path: the file to write; only an MCAP file may be replaced.
-        metadata: the run's metadata.
-        final_metadata: returns more metadata when the file ends.
-        models: a file of shared models; its models aren't attached again.
-        durable: wait for the disk after each chunk.
+        path: The file to write. An existing file is only replaced if it is an MCAP file.
+        final_metadata: A function that returns more metadata when the file ends.
+        models: A file of shared models. The recording doesn't contain these models again.
+        durable: Wait for the disk after each chunk, so that a power failure loses no closed chunk.
 
     Raises:
         RecordingError: the file can't be written.
@@ -94,22 +84,22 @@ class McapSink:
         self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # messages since the last chunk was closed
-        self._lines = Lines()  # makes the log lines of the records
+        self._lines = Lines()
         self._size = 0  # bytes in the buffer
         self._pending = 0  # records in the buffer
         self._count = 0
         self._now = 0
-        self._failed: tuple[str, str] | None = None  # the cause, and a hint
+        self._failed: tuple[str, str] | None = None  # cause and hint of the first error
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[_Key, int] = {}
-        self._lifetimes: dict[str, int] = {}  # number of worlds so far, by name
+        self._lifetimes: dict[str, int] = {}  # number of worlds so far with each name
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
-        # a daemon thread, so that a program can exit without closing its recording
+        # a daemon thread doesn't keep a program alive that exits without closing its recording
         self._timer = own(threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True))
-        start = io.BytesIO()  # prepared in memory: a process that is killed meanwhile leaves no empty file
+        start = io.BytesIO()  # prepared in memory, so that a killed process leaves no empty file
         self._begin(start, metadata)
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
@@ -148,7 +138,7 @@ class McapSink:
         return channel
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Buffer a record; see :class:`recorder.tracing.journal.Sink`."""
+        """Buffer a record."""
         seq, now = record.seq, record.wall_time_ns
         with self._lock:
             self._check()
@@ -159,7 +149,7 @@ class McapSink:
                 self._add_foxglove(record)
                 at_once = False
             else:
-                # queries are on their world's channel, because some are looks, from which readers fold beliefs
+                # readers fold beliefs from queries of perception, so queries are on the channel of their world
                 of_world = isinstance(record, Query) and record.world in self._lifetimes
                 key = (topic, record.world, self._lifetime(record)) if of_world else (topic, "", 0)
                 self._buffer.append((key, seq, now, payload, record))
@@ -174,7 +164,7 @@ class McapSink:
                 self._wake.set()
 
     def _lifetime(self, record: Record) -> int:
-        """Return the lifetime of the record's world: 1 for the first world of its name, 2 for the next, ..."""
+        """Return how many worlds have had the name of the record's world, 1 or more."""
         lifetime = self._lifetimes.get(record.world, 0)
         if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
             lifetime = self._lifetimes[record.world] = lifetime + 1
@@ -190,7 +180,6 @@ class McapSink:
             self._buffer.append((_LINES, record.seq, self._now, line, None))
 
     def _flush(self) -> None:
-        """Write the buffer as one chunk and hand it to the operating system; single records would take longer."""
         self._watched.check(self._writer.size)
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
@@ -198,7 +187,7 @@ class McapSink:
         for key, seq, time_ns, payload, record in buffered:
             messages.append((self._channels.get(key) or self._channel(key), seq, time_ns, payload))
             if record is not None and (line := lines.of(record, time_ns)) is not None:
-                messages.append((log, seq, time_ns, line))  # the line follows its record
+                messages.append((log, seq, time_ns, line))  # a log line follows its record
         self._writer.add_messages(messages)
         self._lines = Lines()
         self._writer.flush()
@@ -206,7 +195,7 @@ class McapSink:
             self._watched.sync()
 
     def flush(self) -> None:
-        """Write the buffered records; see :class:`recorder.tracing.journal.Sink`."""
+        """Write the buffered records."""
         with self._lock:
             if self._pending and not self._closed:
                 with self._guarded():
@@ -220,7 +209,7 @@ class McapSink:
         return self._register(*key) if channel is None else channel
 
     def attach(self, asset: AssetFile) -> None:
-        """Attach a file; see :class:`recorder.tracing.journal.Sink`."""
+        """Attach a file."""
         with self._lock, self._guarded():
             if self._models is None or asset.key not in self._models.keys:
                 self._flush()
@@ -230,7 +219,7 @@ class McapSink:
                 self._frames.add_urdf(asset.sha256, asset.content)
 
     def close(self) -> None:
-        """Complete the file; see :class:`recorder.tracing.journal.Sink`."""
+        """Complete the file."""
         with self._lock:
             if self._closed:
                 return
@@ -259,29 +248,29 @@ class McapSink:
 
     @property
     def lock(self) -> threading.Lock:
-        """The lock that is held during every change; :mod:`recorder.tracing.forking` holds it during a fork."""
+        """The lock of the file; :mod:`recorder.tracing.forking` holds it during a fork."""
         return self._lock
 
     @property
     def lost(self) -> str:
-        """Why records could not be written; "" if all were written."""
+        """The cause of the first write error; "" without an error."""
         return "" if self._failed is None else self._failed[0]
 
     def abandon(self) -> None:
-        """Stop writing, in a forked child: the file belongs to its parent."""
+        """Stop writing in a forked child, because the file belongs to the parent process."""
         self._closed = True
         self._failed = "this recording belongs to the parent process", ""
 
     def _flush_periodically(self) -> None:
-        """Flush records within the period; runs in the timer's thread."""
         while not self._closed:
             self._wake.wait()
             self._wake.clear()
             if self._ended.wait(_FLUSH_PERIOD):
                 return
-            with unrecorded(), self._lock:  # if a finalizer prints in this thread, its record would wait for this lock
+            # a finalizer may print in this thread; recording that text would wait for this lock
+            with unrecorded(), self._lock:
                 if self._pending and self._failed is None and not self._closed:
-                    with contextlib.suppress(RecordingError), self._guarded():  # the next write and close() raise it
+                    with contextlib.suppress(RecordingError), self._guarded():  # the next write raises the error
                         self._flush()
 
     def _check(self) -> None:
@@ -290,7 +279,7 @@ class McapSink:
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Raise an error of the file as a RecordingError; raise it again at each later use."""
+        """Raise an error of the file as a RecordingError, now and at each later use."""
         self._check()
         try:
             yield
@@ -303,16 +292,16 @@ class McapSink:
 
 
 def _descriptors(message: type[Message]) -> bytes:
-    """Return a message's definition and the definitions that it uses, without others; imported files come first."""
+    """Return the definition of a message with all definitions that it uses. Imported files come first."""
     needed = [message.DESCRIPTOR]
-    for descriptor in needed:  # the loop appends to it
+    for descriptor in needed:  # the loop appends to the list
         parts = (field.message_type for field in descriptor.fields)
         needed += [part for part in parts if part is not None and part not in needed]
     names = {descriptor.full_name for descriptor in needed}
     descriptors = FileDescriptorSet()
     added: set[str] = set()
 
-    def add(file: Any) -> None:  # protobuf's two runtimes have two types for it
+    def add(file: Any) -> None:  # protobuf's two runtimes have two types of files
         if file.name not in added:
             added.add(file.name)
             for dependency in file.dependencies:
@@ -333,9 +322,9 @@ _WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of
 
 
 def free_path(path: Path) -> Path:
-    """Return the path if it has no recording; else return RUN.2.mcap or a later number, and print that on stderr.
+    """Return the path, or RUN.2.mcap or a later number if the path has a recording. A new path is printed on stderr.
 
-    A path with another file is returned unchanged. It may be a device or an empty file; opening rejects other files.
+    Paths of other files are returned, too: :func:`open_output` rejects unsuitable files.
     """
     try:
         if not path.is_file():  # opening a pipe would block
@@ -343,7 +332,7 @@ def free_path(path: Path) -> Path:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 return path
-    except OSError:  # reported when the file is opened
+    except OSError:  # opening the file reports the error
         return path
     pattern = re.compile(rf"{re.escape(path.stem)}\.(\d+){re.escape(path.suffix)}")
     numbers = [int(match[1]) for each in path.parent.iterdir() if (match := pattern.fullmatch(each.name))]
@@ -353,7 +342,9 @@ def free_path(path: Path) -> Path:
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Open and lock a file for writing: a new file, an older recording, which is emptied, or a pipe with a reader.
+    """Open and lock a file for writing: a new file, an older recording or a pipe with a reader.
+
+    Older recordings are emptied.
 
     Raises:
         RecordingError: the file can't be written, another recording is writing it, or it isn't a recording.
@@ -393,7 +384,8 @@ def _open(path: Path) -> io.FileIO:
         is_pipe = False
     if not is_pipe:
         return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | system.OPENED, 0o666), "r+")
-    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)  # a blocking open would wait for a reader
+    # without O_NONBLOCK, this call would wait for a reader
+    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)
     os.set_blocking(pipe, True)
     return io.FileIO(pipe, "w")
 
@@ -403,7 +395,7 @@ class Changed(OSError):
 
 
 class WatchedFile:
-    """A file that only this process may change; pipes and devices have no content to check."""
+    """A file that no other process may change. Pipes and devices aren't checked."""
 
     def __init__(self, path: Path, file: io.FileIO) -> None:
         self._path = path.absolute()  # a plan may change the working directory
@@ -411,7 +403,10 @@ class WatchedFile:
         self.is_regular = stat.S_ISREG(os.fstat(self._number).st_mode)
 
     def check(self, size: int) -> None:
-        """Raise :class:`Changed` if the file was moved or replaced, or its size isn't the number of written bytes."""
+        """Raise :class:`Changed` if another program moved, replaced or resized the file.
+
+        ``size`` is the expected size in bytes.
+        """
         if not self.is_regular:
             return
         ours = os.fstat(self._number)
@@ -432,7 +427,7 @@ class WatchedFile:
             getattr(os, "fdatasync", os.fsync)(self._number)
 
     def sync_name(self) -> None:
-        """Wait until the folder is on the disk, so that it lists the new file after a power loss."""
+        """Wait until the folder is on the disk, so that the file isn't lost in a power failure."""
         if self.is_regular and hasattr(os, "O_DIRECTORY"):  # Windows doesn't open folders
             folder = os.open(self._path.parent, os.O_RDONLY | system.OPENED)
             try:
@@ -442,5 +437,5 @@ class WatchedFile:
 
 
 def reason(error: OSError) -> str:
-    """Return the operating system's message."""
+    """Return the operating system's message about an error."""
     return error.strerror or str(error)

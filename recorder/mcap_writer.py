@@ -1,14 +1,8 @@
-"""Write the MCAP container: chunks of messages with their indexes, attachments, metadata, and the summary at the end.
+"""Write the MCAP container: chunks of messages with their indexes, attachments, metadata and the summary.
 
-The ``mcap`` package serializes the container's records, except messages, which are packed here in one step. The
-package's own writer needs an object and a dozen calls for each message, and takes three times as long. Each of our
-records makes two or three messages.
-
-Every message is in a chunk. Every chunk is compressed with Zstandard and has a CRC and message indexes. The summary
-indexes everything, and all bytes before it have a CRC, too. Readers reject files that inflate too much, as these could
-be decompression bombs. So some chunks stay uncompressed if their records would compress too well.
-
-Several recordings can share the models of their robots and objects: :class:`SharedModels`.
+The ``mcap`` package serializes everything except messages. Its own writer takes three times as long for a message.
+Chunks are compressed with Zstandard. Readers refuse files that inflate too much as decompression bombs. So a chunk
+stays uncompressed if it would compress too well.
 """
 
 from __future__ import annotations
@@ -49,36 +43,36 @@ if TYPE_CHECKING:
 
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-#: Largest ratio of the inflated chunks to the file, for writers and readers. Usual ratios are 3 to 13.
+#: Inflated chunks have at most this many times the size of the file. Usual ratios are 3 to 13.
 MAX_RATIO: Final = 32
-FREE: Final = 4 << 20  # number of inflated bytes that are allowed for any file
-#: The fields: opcode, length of the rest, channel, sequence, log time, publish time.
+FREE: Final = 4 << 20  # bytes; chunks of any file may inflate to this size
+#: Fields of a message: opcode, length of the rest, channel, sequence, log time, publish time.
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE_HEAD: Final = 9  # bytes of the fields opcode and length
 _MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
-_INDEX: Final = struct.Struct("<BQHI")  # the fields: opcode, length, channel, bytes of entries
-_FOOTER_START: Final = struct.Struct("<BQQQ")  # the first part of the footer, which the summary's CRC covers
+_INDEX: Final = struct.Struct("<BQHI")  # fields: opcode, length, channel, size of the entries in bytes
+_FOOTER_START: Final = struct.Struct("<BQQQ")  # the summary's CRC covers this first part of the footer
 
-#: Name of the metadata in which a recording has the ``file`` of its shared models and the ``sha256`` of its content.
+#: Metadata of this name hold the name (``file``) and the hash (``sha256``) of a recording's file of shared models.
 MODELS_METADATA: Final = "pycram.models"
 MODELS_NAME: Final = re.compile(r"models-[0-9a-f]{12}\.mcap")
-MODELS_LIBRARY: Final = "pycram models"  # without a release number, so that the same models make the same file
-_SOURCE: Final = ".py"  # suffix of the plan's source, which isn't shared: each recording contains its own
+MODELS_LIBRARY: Final = "pycram models"  # the release number is left out: equal models make equal files
+_SOURCE: Final = ".py"  # suffix of the plan's source, which each recording contains
 
 
 class McapWriter:
-    """Writes one MCAP file; for one thread at a time. ``library`` names the writing software."""
+    """A writer of one MCAP file, for one thread at a time. ``library`` names the writing software."""
 
     def __init__(self, file: BinaryIO, library: str) -> None:
         self._file = file
         self._at = 0
-        self._crc = 0  # CRC of all written bytes
+        self._crc = 0
         # chunks are small: higher levels take longer and save nothing
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._chunk: list[bytes] = []
         self._chunk_size = 0
-        self._inflated = 0  # number of inflated bytes in all chunks
+        self._inflated = 0  # size of all chunks before compression, bytes
         # log time and offset of each message, by channel
         self._entries: defaultdict[int, list[int]] = defaultdict(list)
         self._first_ns = self._last_ns = 0
@@ -92,14 +86,14 @@ class McapWriter:
         self._write(_packed(Header(profile="", library=library)))
 
     def move(self, file: BinaryIO, start: bytes) -> None:
-        """Continue in another file; ``start`` is the content so far, which is written there first."""
+        """Continue in another file, after writing ``start``, the content so far, into it."""
         file.write(start)
         file.flush()
         self._file = file
 
     @property
     def size(self) -> int:
-        """Number of written bytes; the open chunk doesn't count."""
+        """Number of written bytes, without the open chunk."""
         return self._at
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
@@ -126,8 +120,8 @@ class McapWriter:
         """Add messages to the chunk.
 
         Args:
-            messages: tuples of channel id, number, time in ns since the Unix epoch, and bytes. The lowest 32 bits of
-                the number are kept. Times must not decrease within a chunk.
+            messages: Tuples of channel id, number, time and bytes. Only the lowest 32 bits of the number are kept.
+                Times are in ns since the Unix epoch, and must not decrease within a chunk.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
         for channel, sequence, time_ns, payload in messages:
@@ -216,7 +210,7 @@ class McapWriter:
         self._entries.clear()
 
     def finish(self) -> None:
-        """Write the summary; nothing can be added after that."""
+        """Write the summary, which ends the file."""
         self.flush()
         self._write(_packed(DataEnd(data_section_crc=self._crc)))
         summary_start = self._at
@@ -274,19 +268,18 @@ def _packed(record: McapRecord) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class SharedModels:
-    """A file of models that several recordings share. It is in the folder of the recordings, and has only attachments.
+    """A file of models that several recordings of a folder share. Recordings contain only their other models.
 
-    Models that aren't in it are attached to the run's own recording. The name contains the hash of the content. So
-    equal models make the same file, a file never changes, and a folder may have several.
+    The name of the file contains the hash of its content. So equal models make the same file, and a file never changes.
     """
 
     file: str
-    sha256: str  # hash of the file's content, in hex
+    sha256: str  # hash of the file's content in hex
     keys: frozenset[str]  # names of the attachments, ``<sha256>/<name>``
 
     @classmethod
     def of(cls, path: Path) -> SharedModels:
-        """Read an existing file."""
+        """Read an existing file of shared models."""
         from mcap.reader import SeekingReader  # noqa: PLC0415  readers of recordings use another reader
 
         content = path.read_bytes()
@@ -295,7 +288,7 @@ class SharedModels:
 
 
 def share_models(recording: Path) -> SharedModels | None:
-    """Write the models of a complete recording into a file in its folder; return None if it has no models."""
+    """Write the models of a complete recording into a file in its folder. Return None without models."""
     from mcap.reader import SeekingReader  # noqa: PLC0415  as above
 
     with recording.open("rb") as file:

@@ -1,7 +1,4 @@
-"""Support for notebooks: names of cells, IPython's own variables, and tracebacks with only the plan's lines.
-
-IPython is never imported here: a running IPython is already loaded.
-"""
+"""Support for notebooks: names of cells, IPython's own variables, and tracebacks with only the plan's lines."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "IPython", "ipyke
 
 
 def _shell() -> Any:
-    """Return IPython's shell; None outside of IPython."""
+    # IPython isn't imported here: a running IPython is already loaded
     ipython = sys.modules.get("IPython")
     return ipython.get_ipython() if ipython is not None and hasattr(ipython, "get_ipython") else None
 
@@ -39,14 +36,14 @@ def title() -> str:
 
 
 def cell_of(file: str) -> str:
-    """Return the cell, such as "In [3]", for the file name that its compiled code has; "" if the file isn't a cell."""
+    """Return the name of a cell, such as "In [3]", from the file name of its compiled code; "" for other files."""
     shell = _shell()
     number = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
     return f"In [{number}]" if number is not None else ""
 
 
 def source_of(file: str) -> bytes:
-    """Return the source of a cell, for the file name that its compiled code has."""
+    """Return the source of a cell from the file name of its compiled code."""
     import linecache  # noqa: PLC0415  slow to import; only notebooks need it
 
     return "".join(linecache.getlines(file)).encode("utf-8", "replace")
@@ -63,21 +60,20 @@ def is_cell(file: str) -> bool:
 
 
 def place(file: str, line: int) -> str:
-    """Return a line of a file as "file:line", or of a cell as "In [3], line 1"."""
+    """Return the place of a line: "file:line" for a file, "In [3], line 1" for a cell."""
     return f"{file}, line {line}" if is_cell(file) else f"{file}:{line}"
 
 
 def own_variables() -> Mapping[str, object]:
-    """Return IPython's own variables among the user's variables: In, Out, _i3, ..."""
+    """Return the variables that IPython adds to the user's variables: In, Out, _i3, ..."""
     hidden: Mapping[str, object] = getattr(_shell(), "user_ns_hidden", {})
     return hidden
 
 
 def traceback_lines(error: BaseException) -> list[str]:
-    """Return an error as IPython prints it, without the frames of packages that run the plan.
+    """Return the lines that IPython prints for an error, without the frames of PyCRAM and IPython.
 
-    Its causes, and the failures of a block's branches, lose these frames, too. If an error has only such frames, it
-    keeps them.
+    The causes of the error also lose these frames. An error with only such frames keeps them.
     """
     formatter = _shell().InteractiveTB
     with ExitStack() as undoing:
@@ -89,7 +85,6 @@ def traceback_lines(error: BaseException) -> list[str]:
 
 
 def _related(error: BaseException) -> list[BaseException]:
-    """Return an error, its causes, and the failures that these errors contain."""
     related = [error]
     for each in related:
         others = (each.__cause__, each.__context__, *vars(each).get("failures", ()))

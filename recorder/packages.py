@@ -1,7 +1,7 @@
 """Required packages: their versions, their extras of pyproject.toml, and how to install an extra.
 
-Reading recordings needs only the base dependencies. The engine, the viewer and pictures are extras. If a needed extra
-is missing, commands print one line and exit. It names a checkout, as the PyPI project of this name isn't ours.
+Reading recordings needs only the base dependencies. Error messages name a checkout, because PyPI's project "pycram"
+isn't ours.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
-#: The extra that installs each module. trimesh is in two extras: rendering names its extra explicitly.
+#: The extra that installs each module. trimesh is also in the extra "render", which the renderer requests by name.
 _EXTRAS: Final = {
     module: extra
     for extra, modules in {
@@ -34,11 +34,11 @@ _EXTRAS: Final = {
     }.items()
     for module in modules
 }  # fmt: skip
-#: Packages whose versions recordings hold.
+#: A recording has the versions of these packages.
 _RECORDED: Final = (
     "pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "ompl", "toppra", "rerun-sdk",
 )  # fmt: skip
-#: Releases whose effects are equal bit for bit: each release verified recordings of the others.
+#: These releases simulate bit for bit alike: each release verified recordings of the others.
 _SAME_ENGINE: Final = {"3.2.7", "3.2.7 (pybullet-arm64)", "3.2.8 (pybullet-arm64)"}
 
 
@@ -51,15 +51,15 @@ class NotInstalled(ModuleNotFoundError):
 
 
 def hint(extra: str) -> str:
-    """Return the command that installs an extra of pyproject.toml, or a note that it has no wheels for this system."""
+    """Return the command that installs an extra of pyproject.toml, or a note that there are no wheels."""
     if extra == "motion" and (sys.platform, platform.machine()) != ("linux", "x86_64"):
-        return "it has no wheels for this system; instant motions don't need it"
+        return "the extra 'motion' has no wheels for this system; instant motions don't need it"
     return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
 
 
 @contextlib.contextmanager
 def needed(extra: str | None = None) -> Iterator[None]:
-    """Run a block that imports a module that may not be installed; the error names ``extra``, or its first extra.
+    """Run a block that imports an optional module. The error names ``extra``, by default the module's first extra.
 
     Raises:
         NotInstalled: an extra installs the missing module.
@@ -79,17 +79,17 @@ def needed(extra: str | None = None) -> Iterator[None]:
 
 
 def require(*modules: str) -> None:
-    """Raise :class:`NotInstalled` if one of the modules isn't installed; no module is imported."""
+    """Raise :class:`NotInstalled` if a module isn't installed, without importing the modules."""
     for name in modules:
         if importlib.util.find_spec(name) is None:
             raise NotInstalled(name, _EXTRAS[name])
 
 
 class LazyModule:
-    """A module that is imported when an attribute is first read, because some modules load longer than a plan runs.
+    """A module that is imported when its first attribute is read. Some modules take longer to load than a plan to run.
 
     Raises:
-        ModuleNotFoundError: The module isn't installed; this is checked without importing it.
+        ModuleNotFoundError: The module isn't installed. The check doesn't import the module.
     """
 
     def __init__(self, name: str) -> None:
@@ -99,7 +99,7 @@ class LazyModule:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        with Uninterrupted():  # libraries that import each other lazily would swallow a Ctrl-C
+        with Uninterrupted():  # Ctrl-C would be lost inside of libraries with lazy imports
             value = getattr(importlib.import_module(self._name), attribute)
         setattr(self, attribute, value)
         return value
@@ -107,7 +107,7 @@ class LazyModule:
 
 @cache
 def _installed() -> dict[str, str]:
-    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow to import, and readers don't need it
+    from importlib.metadata import PackageNotFoundError, version  # noqa: PLC0415  slow
 
     def installed(package: str) -> str | None:
         try:
@@ -135,7 +135,7 @@ def versions() -> dict[str, str]:
 
 
 def other_versions(then: Mapping[str, str], *names: str) -> tuple[str, ...]:
-    """Return "NAME VERSION instead of RECORDED VERSION" for each name whose version differs from the metadata."""
+    """Return "NAME VERSION instead of RECORDED VERSION" for each package that now has another version."""
     now = versions()
     return tuple(
         f"{name} {now[name]} instead of {then[name]}"

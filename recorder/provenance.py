@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from recorder.records import Run
 
 
-_TIMEOUT: Final = 2.0  # seconds for git to answer
-_PACKAGES: Final = ("pycram", "recorder")  # the packages that run plans; the package replay only reads recordings
+_TIMEOUT: Final = 2.0  # s; git must answer in this time
+_PACKAGES: Final = ("pycram", "recorder")  # these packages run plans
 
 
 def describe(
@@ -35,9 +35,9 @@ def describe(
     order: str,
     parameters: Mapping[str, Any],
 ) -> None:
-    """Complete the record of a run's start with its inputs: arguments, plan, seed, order and named parameters.
+    """Add a run's inputs to the record of its start. A seed of None is unknown.
 
-    ``seed`` is None if it is unknown. ``order`` is "" if the seed determines the order of branches.
+    ``order`` is "" if the seed determines the order of branches.
     """
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     for name, value in parameters.items():
@@ -57,15 +57,15 @@ def describe(
 
 
 def main_program() -> Path | None:
-    """Return the file that this process runs; None for a prompt."""
+    """Return the program file of this process; None at a prompt."""
     file = getattr(sys.modules.get("__main__"), "__file__", None)
     return Path(file) if file else None
 
 
 def look_up_revisions(plan: Path | None = None) -> None:
-    """Look up the revisions before this process forks to record runs: git takes as long as a small plan.
+    """Look up revisions once, before this process forks for many runs: git takes as long as a small plan.
 
-    ``plan`` is the plan's file, by default the program's.
+    ``plan`` is the plan's file, by default the program.
     """
     pycram_revision()
     program = plan or main_program()
@@ -74,12 +74,12 @@ def look_up_revisions(plan: Path | None = None) -> None:
 
 
 def metadata(run: Run) -> dict[str, str]:
-    """Return a file's metadata for a run that begins now, as programs need it that can't read our records."""
+    """Return the metadata of a file for a run that begins now, for programs that can't read our records."""
     return {"plan": run.name, "plan_arguments": " ".join(run.arguments), "started_ns": str(time.time_ns())}
 
 
 def hash_seed() -> str:
-    """Return the seed of Python's hashes of texts, a number or "random"; the hashes determine the order of sets."""
+    """Return the seed of text hashes, a number or "random". The hashes determine the order of Python's sets."""
     seed = os.environ.get("PYTHONHASHSEED", "")
     if not sys.flags.hash_randomization:
         return "0"
@@ -98,7 +98,6 @@ def _cpu() -> str:
 
 @functools.lru_cache(maxsize=64)
 def _plan_revision(program: Path) -> Revision:
-    """Return the revision of a plan and its repository as they were when this process first looked them up."""
     return _revision(program, sha256(program.read_bytes()).hexdigest())
 
 
@@ -114,11 +113,14 @@ def pycram_revision() -> Revision:
 
 
 def _revision(file: Path, digest: str) -> Revision:
-    """Return the given hash, and the commit of the file's repository if git tracks the file."""
+    """Return a revision with the given hash.
+
+    If git tracks the file, the revision also has the commit of its repository.
+    """
     status = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
     tracked = _git(file, "ls-files", "--error-unmatch", "--", file.name)
     states, names = (_answer(process) for process in (status, tracked))
-    if not names:  # git doesn't track the file; an installed package may be inside an unrelated repository
+    if not names:  # a package may be installed inside an unrelated repository
         return Revision(sha256=digest)
     head = [line.removeprefix("# branch.oid ") for line in states if line.startswith("# branch.oid ")]
     commit = head[0] if head and head[0] != "(initial)" else ""
@@ -126,9 +128,9 @@ def _revision(file: Path, digest: str) -> Revision:
 
 
 def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
-    """Start git, read-only, in the folder of a file; return None if git isn't installed."""
+    """Start git without locks in the folder of a file. Return None if git isn't installed."""
     try:
-        return subprocess.Popen(  # noqa: S603  no text of users is a command
+        return subprocess.Popen(  # noqa: S603  the command is constant
             ["git", "-C", str(file.parent), *words],  # noqa: S607  git is found by PATH
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -142,7 +144,7 @@ def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
 
 
 def _answer(process: subprocess.Popen[str] | None) -> list[str]:
-    """Return the lines of git's output; an empty list if git failed or took too long."""
+    """Return the lines of git's output; an empty list after a failure or timeout."""
     if process is None:
         return []
     with process:

@@ -1,4 +1,4 @@
-"""``record``: record everything that happens in a block, and close the file however the block ends."""
+"""Record everything that happens in a block."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Sink
 
-#: Largest number of errors in a traceback that ends a plan or thread; tasks record fewer causes.
+#: The traceback of an error that ends a plan or thread has at most this many errors.
 _MAX_ERRORS: Final = 1000
 
 
@@ -45,15 +45,15 @@ class Recording:
     """A recording in progress."""
 
     path: Path
-    journal: Journal  # numbers its records
-    viewer: RerunSink | None = None  # the viewer that shows the recording live
+    journal: Journal
+    viewer: RerunSink | None = None
 
     def __repr__(self) -> str:
         return f"<Recording {self.path}: {self.length} record{'' if self.length == 1 else 's'}>"
 
     @property
     def length(self) -> int:
-        """Number of records so far: the step number of the next record."""
+        """Number of records so far, which is the step number of the next record."""
         return self.journal.length
 
 
@@ -76,34 +76,32 @@ def record(
 ) -> Iterator[Recording]:
     """Record all worlds and plans of this process while the block runs.
 
-    The recording of an existing world begins with a keyframe. The first records are the tasks that already run, such as
-    the motion that starts the recording. The last records are the tasks that still run when the recording ends.
+    The first records are keyframes of existing worlds and the tasks that already run. The last records are the tasks
+    that still run when the recording ends.
 
     Args:
-        path: the MCAP file to write. An existing recording is kept: if RUN.mcap exists, RUN.2.mcap is written and
-            named on stderr. :attr:`Recording.path` is the file that is written.
-        live: how to show the recording live in Rerun. "spawn" opens the viewer, or uses an open one. "connect" and
-            "connect:rerun+http://HOST:PORT/proxy" use a viewer that is started separately, now or later. "serve"
-            serves a page for browsers on this machine until this process ends, and prints its address. A viewer that
-            is slow, stalls, dies or is missing doesn't delay the plan.
-        name: name of the plan; by default the name of the program or notebook.
-        arguments: arguments of the plan, by default the program's; recorded only, not used.
-        source: the plan's file, which is attached; by default the program's file, if there is one.
-        seed: seed of random numbers; recorded only, not used.
-        order: order of branches, if the seed doesn't determine the order; recorded only, not used.
-        environment: execution environment of the plan, if one was requested; recorded only, not used.
-        output: record printed and logged lines, too.
-        locals: record the local variables of the plan's functions with failures.
-        overwrite: replace an existing recording.
-        durable: write each chunk of the file to the disk, so that records survive a power loss, too.
-        parameters: parameters of the plan, by name; recorded only, not used.
+        path: The MCAP file to write. If RUN.mcap exists, RUN.2.mcap is written instead, and its name is printed on
+            stderr. :attr:`Recording.path` is the name of the written file.
+        live: How to show the recording live in Rerun. "spawn" opens the viewer, or uses an open viewer. "connect" and
+            "connect:rerun+http://HOST:PORT/proxy" use a viewer that another program starts, now or later. "serve"
+            prints the address of a page for browsers on this machine, until this process ends. A slow or missing viewer
+            doesn't delay the plan.
+        name: Name of the plan, by default the name of the program or notebook.
+        arguments: Arguments of the plan, by default the arguments of the program.
+        source: The plan's file, which is attached. By default it is the program's file, if there is one.
+        seed, order, environment, parameters: More inputs of the plan. ``record`` only writes all inputs into the file.
+        output: Record printed and logged lines, too.
+        locals: Record the local variables of the plan's functions with failures.
+        overwrite: Replace an existing recording.
+        durable: Write each chunk of the file to the disk, so that a power loss loses few records.
 
     Raises:
-        RecordingError: the file can't be written, at the start or later, or another program has deleted, replaced or
-            changed it. Also raised for a missing source or an invalid argument, but not for a missing viewer.
-        Terminated: SIGTERM or SIGHUP has interrupted the plan, as Ctrl-C does, and the program doesn't handle it.
+        RecordingError: An argument is invalid, the source is missing, or the file can't be written, at the start or
+            later. The error is also raised if another program changes the file.
+        Terminated: SIGTERM or SIGHUP has interrupted the plan, and the program doesn't handle the signal.
     """
-    own = [] if notebook.is_running() else sys.argv[1:]  # the kernel's arguments aren't arguments of the plan
+    # in a notebook, the arguments of the process are the kernel's arguments
+    own = [] if notebook.is_running() else sys.argv[1:]
     given = own if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
     program = provenance.main_program() if source is None else Path(source)
@@ -125,7 +123,7 @@ def record(
         log, owner = recording.journal, process()
 
         def end(_: object, error: BaseException | None, __: object) -> None:
-            if process() != owner:  # this is a forked child: the file belongs to its parent
+            if process() != owner:  # in a forked child; the file belongs to the parent process
                 return
             try:
                 _finish(log, title, start, error)
@@ -133,7 +131,7 @@ def record(
                 if error is None:
                     raise
                 failed.__context__, error.__context__ = error.__context__, failed
-                # the plan's own error is raised; so the error of the recording is printed
+                # the plan's own error is raised, so the error of the recording is printed
                 if not isinstance(error, RecordingError):
                     print(f"recorder: {failed}", file=sys.stderr)
 
@@ -145,14 +143,14 @@ def record(
             yield recording
 
 
-_started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # holds at most one recording
+_started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # at most one recording
 
 
 def start(path: str | Path, live: str | None = None, **options: Any) -> Recording:
-    """Record until :func:`stop`. This is for notebooks, where a ``with`` block can't be longer than a cell.
+    """Record until :func:`stop` or the end of the process, for notebooks.
 
-    It takes the arguments of :func:`record` and raises its errors. An earlier started recording is stopped first. The
-    recording also stops when the process ends.
+    Arguments and errors are those of :func:`record`. A ``with`` block can't span several cells of a notebook. A
+    recording that was started earlier stops first.
     """
     stop()
     block = record(path, live, **options)
@@ -163,11 +161,7 @@ def start(path: str | Path, live: str | None = None, **options: Any) -> Recordin
 
 
 def stop() -> Recording | None:
-    """Stop and return the recording that :func:`start` has started; return None if there is none.
-
-    Raises:
-        RecordingError: as :func:`record`.
-    """
+    """Stop and return the recording that :func:`start` has started. Return None if there is none."""
     if not _started:
         return None
     block, recording = _started.pop()
@@ -188,24 +182,24 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-#: Number of recordings that this process has begun, by name.
+#: Number of recordings that this process has begun with each name.
 _numbers: Final[Counter[str]] = Counter()
-#: Returns the sink of a recording in place of a file; see :func:`redirected`.
+#: The function of :func:`redirected` that returns sinks.
 _redirect: Callable[[Run], Sink | None] | None = None
 
 
 @contextmanager
 def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
-    """Write recordings that begin inside the ``with`` block to other sinks, instead of files and viewers.
+    """Write the recordings that begin inside the block to other sinks instead of files and viewers.
 
-    The block runs a program from its start, so its recordings are numbered from 1. Recordings of forked processes, such
-    as projections, aren't redirected.
+    The block runs a program from its start, so its recordings are numbered from 1. Recordings of forked processes
+    aren't redirected.
 
     Args:
-        sink_of: receives the record of the run's start, which it may complete, and returns the sink; None for an
+        sink_of: A function of the record of the run's start, which it may complete. It returns the sink, or None for an
             ordinary recording.
     """
-    global _redirect  # noqa: PLW0603  recordings are the process's
+    global _redirect  # noqa: PLW0603  the process has one redirection
     owner = process()
     before, _redirect = _redirect, lambda run: sink_of(run) if process() == owner else None
     numbers = Counter(_numbers)
@@ -228,12 +222,12 @@ def _begin(
     local_variables: bool,
     durable: bool,
 ) -> Recording:
-    """Open the file and the viewer, and record the existing worlds; after an error, nothing stays open."""
+    """Open the file and the viewer, and record the existing worlds. After an error, both are closed."""
     with ExitStack() as undoing:
         viewer = sink = None
         if other is None:
             if live is not None and find_spec("rerun") is None:
-                raise RecordingError(live, f"needs the viewer, which isn't installed; {hint('viewer')}")
+                raise RecordingError(live, f"the viewer isn't installed; {hint('viewer')}")
             if live is not None:
                 viewer = RerunSink(live, began.name)
                 undoing.callback(viewer.close)
@@ -252,7 +246,7 @@ def _begin(
 
 @contextmanager
 def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
-    """Record the errors that end threads while the block runs; the previous hook is still called."""
+    """Record the errors that end threads while the block runs. The previous hook is still called."""
     before = threading.excepthook
     ended = False
 
@@ -299,11 +293,11 @@ def _finish(log: Journal, title: str, start: int, error: BaseException | None) -
                     setattr(left, field, getattr(began, field))
                 log.append(left)
             log.append(end)
-            journal.forget_journal(log)  # tasks that end from now on aren't recorded
+            journal.forget_journal(log)
 
 
 def _leave_to_parent(sink: McapSink | None, log: Journal) -> None:
-    """Keep forked children from writing into this file."""
+    """Stop recording in forked children, because the file belongs to this process."""
     sink_reference = (lambda: None) if sink is None else weakref.ref(sink)
     log_reference = weakref.ref(log)
     owner = process()

@@ -1,7 +1,6 @@
 """Properties: statements about the states of a run, such as ``never contact(pr2, kitchen)``.
 
-:mod:`.expressions` has the terms about one state, :mod:`.language` the words about time, and :mod:`.monitor` follows
-the records of a run. The same code checks a recording and watches a running plan (docs/properties.md).
+The same code checks a recording and watches a running plan (docs/properties.md).
 """
 
 from recorder.properties.expressions import BadProperty

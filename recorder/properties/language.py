@@ -1,12 +1,12 @@
 """The words about time: ``never contact(pr2, kitchen) after task:place``, ``eventually on(milk, island) within 2 s``.
 
-A property is an expression, with words in any order that say when it has to hold::
+A property is an expression, and words in any order that say when the expression has to hold::
 
     property := [always | never | eventually | at end] EXPRESSION [until EXPRESSION] [stays TIME] {when}
     when     := within TIME | during MOMENTS | after MOMENTS | before MOMENTS
     MOMENTS  := task:PATH | EXPRESSION
 
-Without a word, the expression must hold always. Words in quotes or brackets belong to expressions.
+The default word is "always". Words in quotes or brackets belong to expressions.
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ class Property:
     text: str
     kind: str  # "always", "never", "eventually" or "at end"
     body: PropertyExpression
-    until: PropertyExpression | None = None  # the body must hold until this does
-    stays: float = 0.0  # s for which the body must hold without interruption
-    within: float | None = None  # s, length of the episode's part that counts; None for the whole episode
+    until: PropertyExpression | None = None  # the body must hold until this expression holds
+    stays: float = 0.0  # time in s for which the body must hold without interruption
+    within: float | None = None  # first part of each episode that counts, s; None for whole episodes
     during: Moments | None = None
     after: Moments | None = None
     before: Moments | None = None
-    source: str = ""  # file and line
+    source: str = ""  # file and line of the property
 
     def __str__(self) -> str:
         return self.text
 
     @property
     def moments(self) -> tuple[Moments, ...]:
-        """The tasks or conditions that limit its episodes."""
+        """The tasks and conditions that limit the property's episodes."""
         return tuple(each for each in (self.during, self.after, self.before) if each is not None)
 
     @property
     def expressions(self) -> Iterator[PropertyExpression]:
-        """All its expressions."""
+        """All expressions of the property."""
         for each in (self.body, self.until, *(moments.expression for moments in self.moments)):
             if each is not None:
                 yield each
@@ -72,30 +72,20 @@ class Moments:
     """The executions of a task, or the periods in which an expression holds."""
 
     text: str
-    task: tuple[
-        str, ...
-    ] = ()  # names of the task and the tasks around it, outermost first, in any case; outer names may be left out
+    task: tuple[str, ...] = ()  # names of outer tasks and the task, in small letters; outer names are optional
     expression: PropertyExpression | None = None
 
 
 def parse(text: str, source: str = "") -> Property:
-    """Parse a property.
-
-    Args:
-        source: the property's file and line, for messages.
-
-    Raises:
-        BadProperty: the text isn't in the language.
-    """
+    """Parse a property; raise BadProperty for other texts. ``source`` is its file and line, for messages."""
     return _Parser(" ".join(text.split()), source).parse()
 
 
 def parse_file(path: str | Path) -> list[Property]:
-    """Parse the properties of a file: one on each line; ``#`` begins a comment.
+    """Parse the properties of a file: one property on each line. ``#`` begins a comment.
 
     Raises:
-        BadProperty: a line isn't a property, or the file has none.
-        OSError: the file can't be read.
+        BadProperty: A line isn't a property, or the file has no properties.
     """
     file = Path(path)
     try:
@@ -116,7 +106,7 @@ def _uncommented(line: str) -> str:
 
 
 def _hidden(text: str) -> str:
-    """Return the text with everything in quotes or brackets replaced by spaces."""
+    """Return the text with spaces in place of everything in quotes or brackets."""
     shown, depth, end = [], 0, 0
     for match in _HIDDEN.finditer(text):
         between = text[end : match.start()]
@@ -142,11 +132,11 @@ class _Parser:
         for word, end in zip(words, ends, strict=bool(words)):
             name = " ".join(word[0].split())
             if name in self._found:
-                self._refuse(f"it says {name!r} twice")
+                self._refuse(f"the word {name!r} occurs twice")
             self._found[name] = self._text[word.end() : end].strip(" ,")
         kinds = [each for each in _KINDS if each in self._found]
         if len(kinds) > 1:
-            self._refuse(f"it says both {kinds[0]!r} and {kinds[1]!r}")
+            self._refuse(f"{kinds[0]!r} and {kinds[1]!r} can't be combined")
         kind = kinds[0] if kinds else ALWAYS
         stated = self._found.pop(kind, "")
         if body and stated:
@@ -156,7 +146,7 @@ class _Parser:
         until = self._expression("until")
         stays, within = self._time("stays") or 0.0, self._time("within")
         if until is not None and (kind != ALWAYS or stays):
-            self._refuse(f"'until' doesn't go with {'stays' if stays else kind!r}")
+            self._refuse(f"'until' and {'stays' if stays else kind!r} can't be combined")
         scopes = {name: self._moments(name) for name in _SCOPES if name in self._found}
         return Property(
             self._text,

@@ -1,11 +1,9 @@
-"""Follows the records of a run, and reports where properties are violated.
+"""A monitor follows the records of a run, and reports where properties are violated.
 
-The values of a world change only at records, and at the samples of a simulation, of which there are 30 for each
-simulated second. Times are in simulated seconds, summed over all worlds.
-
-An episode is a part of the run in which a property has to hold: the whole run, or the parts that ``during``, ``after``
-and ``before`` select. In an episode, the margin of "always" is the smallest margin of all moments, and that of
-"eventually" is the largest. The margin of a property is the smallest margin of its episodes.
+The values of a world change at records, and at 30 samples in each simulated second. Times are in simulated seconds,
+summed over all worlds. An episode is a part of the run in which a property has to hold. By default, it is the whole
+run; ``during``, ``after`` and ``before`` select others. The margin of "always" is the smallest margin of the episode's
+moments, the margin of "eventually" is the largest. The margin of a property is the smallest margin of its episodes.
 """
 
 from __future__ import annotations
@@ -30,7 +28,7 @@ if TYPE_CHECKING:
 
 _BEST, _WORST = Truth(math.inf, True), Truth(-math.inf, False)
 FOLLOWED: Final = (Task, Mutation, Keyframe)
-"""The records that a monitor follows."""
+"""The kinds of records that a monitor follows."""
 _ENDS: Final = (Task.FINISHED, Task.LEFT)
 
 
@@ -38,15 +36,15 @@ class CheckedMoment(NamedTuple):
     """A moment of a run."""
 
     step: int
-    sim_step: int  # simulated steps of the record's world, up to this moment
+    sim_step: int  # simulated steps of the record's world up to this moment
     time: float  # simulated time in s, summed over all worlds
-    world: str = ""  # the world of the record
-    task: int = 0  # the record's task
-    sampled: bool = False  # whether the moment is a sample within the record
+    world: str = ""
+    task: int = 0
+    sampled: bool = False  # whether the moment is a sample within a simulation's record
 
     @property
     def seconds(self) -> float:
-        """The simulated time of the record's world, s."""
+        """The simulated time of the record's world in s."""
         return self.sim_step / STEPS_PER_SECOND
 
 
@@ -56,9 +54,9 @@ class Violation:
 
     statement: Property
     moment: CheckedMoment
-    margin: float  # negative, or 0 if a value equals a limit that it must not reach
-    values: dict[str, Any]  # values of the property's quantities, by their texts
-    cause: str = ""  # why the moment is a violation, if the values aren't the reason
+    margin: float  # negative; 0 if a value equals a limit that it must not reach
+    values: dict[str, Any]  # values of the property's quantities by the texts of the quantities
+    cause: str = ""  # cause of a violation that the values don't show
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,12 +64,12 @@ class PropertyVerdict:
     """The result of a property for a whole run."""
 
     statement: Property
-    margin: float  # distance of the run from the other answer, in the property's unit; infinite if only names matter
-    closest: CheckedMoment | None  # moment of this margin; None without an episode
-    values: dict[str, Any]  # values of the quantities at this moment
+    margin: float  # distance of the run from the other answer, in the property's unit; may be infinite
+    closest: CheckedMoment | None  # moment with this margin; None without episodes
+    values: dict[str, Any]  # values of the quantities at the moment ``closest``
     violations: list[Violation]
-    episodes: int  # number of parts of the run in which the property had to hold
-    note: str = ""  # why there was no such part of the run
+    episodes: int  # number of episodes
+    note: str = ""  # why there was no episode
 
     @property
     def holds(self) -> bool:
@@ -80,10 +78,10 @@ class PropertyVerdict:
 
 
 class Monitor:
-    """Watches properties over the records of a run, from its first record or from keyframes of all worlds.
+    """A monitor of properties over the records of a run, from the first record or from keyframes of all worlds.
 
     Args:
-        geometry: measures contacts; None without the executor.
+        geometry: It measures contacts. None without the executor.
     """
 
     def __init__(self, properties: Sequence[Property], geometry: Geometry | None = None) -> None:
@@ -91,13 +89,13 @@ class Monitor:
         scene = Scene(self.worlds, geometry)
         self._watches = [_Watch(each, scene) for each in properties]
         self._clocks: dict[str, int] = {}
-        self._total = 0  # simulated steps of all worlds
+        self._total = 0
         self._names: dict[int, tuple[str, ...]] = {}  # names of the running tasks, outermost first
         self._last = CheckedMoment(0, 0, 0.0)
         self._known: dict[str, None] = {}  # names of all tasks
 
     def feed(self, record: Record) -> list[Violation]:
-        """Follow the next record, and return the violations at it."""
+        """Follow the next record, and return its violations."""
         if isinstance(record, Task):
             return self._task(record)
         if not isinstance(record, Mutation | Keyframe):
@@ -116,14 +114,14 @@ class Monitor:
         return found + self._look(record, record.sim_step)
 
     def finish(self) -> list[Violation]:
-        """End the run, and return the violations that only the end shows."""
+        """End the run, and return the violations that were unknown before the end."""
         return [violation for watch in self._watches for violation in watch.finish(self._last)]
 
     def verdicts(self) -> list[PropertyVerdict]:
-        """Return the results after the end.
+        """Return the results of all properties after the end of the run.
 
         Raises:
-            BadProperty: a property never had a value, for example because of an unknown name.
+            BadProperty: A property never had a value, for example because of an unknown name.
         """
         return [watch.verdict(self._known) for watch in self._watches]
 
@@ -162,22 +160,20 @@ class Monitor:
 
 @dataclass(slots=True)
 class _Episode:
-    """A part of a run in which a property has to hold."""
-
     start: float  # s
-    key: object = None  # number of the task that began the episode; None for other episodes
+    key: object = None  # number of the task that began the episode, if a task did
     margin: Truth = _BEST
     closest: CheckedMoment | None = None
     values: dict[str, Any] = field(default_factory=dict)
-    bad: bool = False  # whether the property is violated now
-    held: Truth = _BEST  # for "until": the smallest margin of the body so far
-    done: bool = False  # for "until" and "eventually": whether the condition was fulfilled
-    past: deque[tuple[float, Truth]] = field(default_factory=deque)  # for "stays": values, and until when they held
+    bad: bool = False
+    held: Truth = _BEST  # for "until": smallest margin of the body so far
+    done: bool = False  # for "until" and "eventually": whether the condition has held
+    past: deque[tuple[float, Truth]] = field(default_factory=deque)  # for "stays": the end of a period, and its value
     latest: Truth | None = None
 
 
 class _Watch:
-    """The state of one property."""
+    """The state of a property."""
 
     def __init__(self, watched: Property, scene: Scene) -> None:
         self._property = watched
@@ -185,13 +181,13 @@ class _Watch:
         self.has_tasks = any(each.task for each in watched.moments)
         self._episodes: list[_Episode] = []
         self._ended: list[_Episode] = []
-        self._were: dict[str, bool] = {}  # whether the expressions of scopes held
-        self._over = False  # whether the moment of ``before`` has passed, if there is no ``after``
+        self._were: dict[str, bool] = {}  # whether the expressions of ``during``, ``after`` and ``before`` held
+        self._over = False  # whether a property without ``after`` has passed its moment of ``before``
         self._violations: list[Violation] = []
         self._missing: NoValue | None = None
         self._known: dict[str, None] = {}
         self._begun = False
-        self._valued: CheckedMoment | None = None  # the last moment at which the property had a value
+        self._valued: CheckedMoment | None = None  # last moment at which the property had a value
 
     # --- episodes -----------------------------------------------------------------------------------------------------
 
@@ -228,7 +224,7 @@ class _Watch:
             yield from self._end_all(moment)
 
     def task(self, number: int, path: tuple[str, ...], moment: CheckedMoment, *, started: bool) -> Iterator[Violation]:
-        """Notice the start or end of a task."""
+        """Begin and end episodes at the start or end of a task."""
         watched = self._property
         for word in ("during", "after", "before"):
             moments: Moments | None = getattr(watched, word)
@@ -314,7 +310,7 @@ class _Watch:
                 yield self._violated(moment, value)
 
     def _stayed(self, episode: _Episode, now: float, value: Truth | None) -> Truth | None:
-        """Return the smallest margin of the last ``stays`` seconds before now; None before an episode is that long."""
+        """Return the smallest margin of the last ``stays`` seconds; None at the start of an episode."""
         length, past = self._property.stays, episode.past
         if episode.latest is not None:
             while past and past[-1][1] >= episode.latest:
@@ -358,7 +354,7 @@ class _Watch:
             yield self._violated(at or moment, episode.margin, cause, episode.values)
 
     def verdict(self, tasks: dict[str, None]) -> PropertyVerdict:
-        """Return the result after the end."""
+        """Return the property's result after the end of the run."""
         watched = self._property
         if self._missing is not None and self._valued is None:
             missing = self._missing

@@ -1,7 +1,7 @@
-"""The records: their Python names, their topics, and which definitions (``log.proto``) this release knows.
+"""The records: their Python names, their topics, and the definitions (``log.proto``) that this release knows.
 
-A record is one step. Definitions are added and never removed, so the release with the larger number of definitions
-knows more. Recordings have this number in their metadata, and the definitions themselves in their schemas.
+A step of a recording is a record. Definitions are added and never removed, so a release with more definitions is newer.
+Recordings have the number of definitions in their metadata, and the definitions in their schemas.
 """
 
 from __future__ import annotations
@@ -108,21 +108,21 @@ TOPICS: Mapping[type[Record], str] = {
     Output: "/output",
     Check: "/check",
 }
-"""The MCAP topic of each record type."""
+"""The MCAP topic of each type of record."""
 
 UNKNOWN: Final = "/unknown"
-"""Replaces the topic of records whose type only a newer release knows."""
+"""The topic of records with a type of a newer release."""
 
 STEPS_PER_SECOND: Final = 240
-"""Simulation steps in a second of simulated time, in every world; a record's ``sim_step`` counts them."""
+"""Number of simulation steps in a simulated second. The ``sim_step`` of a record counts simulation steps."""
 
 PACKAGE: Final = log_pb2.DESCRIPTOR.package
-"""Name of the protobuf package that contains the definitions in the schemas of recordings."""
+"""The protobuf package of the definitions in recordings."""
 
 
 @cache
 def known_definitions() -> frozenset[str]:
-    """Return the names of all messages, fields and enum values: ``Mutation``, ``Mutation.effect``, ``Task.LEFT``."""
+    """Return the names of all messages, fields and enum values, such as ``Mutation.effect``."""
     from google.protobuf.descriptor_pb2 import FileDescriptorProto  # noqa: PLC0415  few readers need it
 
     own = FileDescriptorProto()
@@ -131,12 +131,12 @@ def known_definitions() -> frozenset[str]:
 
 
 def format_number() -> int:
-    """Return the format that this release writes: the number of its definitions."""
+    """Return the format number of this release: the number of its definitions."""
     return len(known_definitions())
 
 
 def unknown_definitions(definitions: Iterable[bytes]) -> list[str]:
-    """Return the names in the schemas of a recording that this release doesn't know; unreadable schemas are skipped."""
+    """Return the unknown names in the schemas of a recording. Unreadable schemas are skipped."""
     from google.protobuf.descriptor_pb2 import FileDescriptorSet  # noqa: PLC0415  few readers need it
 
     names: dict[str, None] = {}

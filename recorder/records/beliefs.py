@@ -1,11 +1,8 @@
 """The beliefs of robots about objects: a fold of the records of their world.
 
-A robot believes that an object is where the robot's latest look showed it. After the robot takes an object, it believes
-that the object is in its hand. After it puts the object down, it believes that the object is where it was released. It
-doesn't notice other movements until it looks again. It has no beliefs about objects that it has neither seen nor held.
-A reset clears its beliefs; restoring a saved state restores the beliefs of that time.
-
-The running plan and readers of recordings fold with the same functions.
+A robot believes that an object is where its latest look showed the object, in its hand after a grasp, and where it was
+put down after a release. Other movements of the object don't change the belief until the next look. A robot has no
+beliefs about objects that it has neither seen nor held. A reset clears beliefs; restoring a saved state restores them.
 """
 
 from __future__ import annotations
@@ -20,15 +17,15 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike
     from recorder.records import Plain
 
-#: A robot and an object, by their names.
+#: The names of a robot and an object.
 Key: TypeAlias = tuple[str, str]
-#: Beliefs in the order in which they were learned.
+#: Beliefs by robot and object, in the order of learning.
 Beliefs: TypeAlias = dict[Key, Belief]
 
 ROBOT: Final = "robot"
-"""Name of the part of a look's evidence that contains the robot's name."""
+"""Name of a look's evidence that is the robot's name."""
 SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
-"""Sources of beliefs, by the name of the part of a look's evidence that contains the poses of objects."""
+"""Sources of beliefs by the name of a look's evidence that contains the poses of objects."""
 _NAMES: Final = tuple(name.encode() for name in SOURCES)
 _WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
 _FORGETTING: Final = frozenset({"reset", "close_world"})
@@ -37,27 +34,25 @@ _MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # range of the squared length of a unit q
 
 
 def is_look(query: Query) -> bool:
-    """Return whether a query is a look. In a look, a robot learns where objects are."""
+    """Return whether a query is a look, in which a robot learns where objects are."""
     return any(fact.name in SOURCES for fact in query.evidence)
 
 
 def may_be_look(payload: bytes) -> bool:
-    """Return whether a serialized query may be a look; most queries are ruled out without parsing."""
+    """Return whether a serialized query may be a look. This function rules out most queries without parsing."""
     return any(name in payload for name in _NAMES)
 
 
 def word(source: int) -> str:
-    """Return a belief's source as "seen", "told", "held" or "placed"; as a number if only a newer release knows it."""
+    """Return a belief's source as "seen", "told", "held" or "placed". Sources of newer releases are numbers."""
     return _WORDS.get(source, str(source))
 
 
 def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[str, Plain]:
-    """Return the evidence of a look.
+    """Return the evidence of a look. ``source`` is "seen" or "told".
 
     Args:
-        robot: name of the robot that looked.
-        source: "seen" or "told".
-        poses: poses of objects in the world, by their names: xyz in m, xyzw.
+        poses: Poses of objects in the world by name: xyz in m, xyzw.
     """
     found: dict[str, Plain] = {
         name: {"position": list(position), "orientation": list(orientation)}
@@ -67,7 +62,7 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
 
 
 def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: int = -1) -> list[Key]:
-    """Fold the evidence of a query; return the keys of new beliefs. Beliefs about held objects don't change.
+    """Fold the evidence of a query, and return the keys of new beliefs. Beliefs about held objects don't change.
 
     Raises:
         ValueError: the evidence is malformed.
@@ -78,7 +73,7 @@ def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: 
         if found is None:
             continue
         if not isinstance(found, dict) or not isinstance(robot, str):
-            raise ValueError(f"{fact}={found!r} isn't evidence of a perception by {robot!r}")  # noqa: TRY004  data, not a type
+            raise ValueError(f"{fact}={found!r} isn't evidence of a perception by {robot!r}")  # noqa: TRY004
         for name, pose in found.items():
             key = robot, name
             known = beliefs.get(key)
@@ -101,18 +96,16 @@ def follow(
     robots: Collection[str] = (),
     pose_of: Callable[[str], PoseLike],
 ) -> list[Key]:
-    """Fold a change of the world; return the keys of new beliefs.
+    """Fold a change of the world, and return the keys of new beliefs. ``step`` is the record's number.
 
     Args:
-        beliefs: the beliefs before the change.
-        record: the change; only its command is needed.
-        sim_step: steps of simulated time of the world after the change.
-        step: number of the record.
-        removed: names of removed bodies.
-        carriers: names of carriers by the names of the bodies that a robot carries after the change, directly or not.
-            It may have further bodies. None if no attachment changes.
-        robots: names of the robots after the change.
-        pose_of: returns the pose of a body after the change, by name.
+        record: The change; only its command is needed.
+        sim_step: Simulated steps of the world after the change.
+        removed: Names of removed bodies.
+        carriers: The carrier of each body that a robot carries after the change, directly or not. Further bodies are
+            ignored. None if no attachment changes.
+        robots: Names of the robots after the change.
+        pose_of: A function from a body's name to its pose after the change.
     """
     command = record.WhichOneof("command")
     if command in _FORGETTING:
@@ -142,7 +135,7 @@ def follow(
 
 
 def restore(beliefs: Beliefs, recorded: Iterable[Belief]) -> None:
-    """Replace all beliefs with recorded beliefs; raise ValueError if a belief is malformed."""
+    """Replace all beliefs with recorded beliefs. A malformed belief raises ValueError."""
     beliefs.clear()
     for belief in recorded:
         if belief.source != Belief.HELD:
@@ -158,20 +151,20 @@ def _learn(beliefs: Beliefs, key: Key, belief: Belief, sim_step: int, step: int)
 
 
 def _holder(body: str, carriers: Mapping[str, str], robots: Collection[str]) -> str:
-    """Return the robot that carries a body, directly or through other bodies; "" if no robot does."""
+    """Return the robot that carries a body, directly or through other bodies; "" without a robot."""
     seen = {body}
     while body in carriers:
         body = carriers[body]
         if body in robots:
             return body
-        if body in seen:  # the attachments of a malformed recording form a circle
+        if body in seen:  # attachments of a malformed recording may form a circle
             break
         seen.add(body)
     return ""
 
 
 def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
-    """Return position and orientation of a recorded pose; raise ValueError if it isn't a pose."""
+    """Return position and orientation of a recorded pose. Other values raise ValueError."""
     numbers = []
     for part, count in (("position", 3), ("orientation", 4)):
         values = pose.get(part) if isinstance(pose, dict) else None

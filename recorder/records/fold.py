@@ -1,6 +1,6 @@
-"""Folds records into worlds: each world is its last keyframe, changed by the effects that follow. No physics runs.
+"""Fold records into worlds: each world is its last keyframe, changed by the effects that follow.
 
-Effects hold the values that were read back from the engine, with all bits, so a folded world is exact.
+Effects have the exact values of the engine, so folded worlds are exact. No physics runs.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from recorder.geometry import Quaternion, Vector
 
 FAR: Final = 1e9
-"""Largest allowed number in a state (m, rad, m/s or rad/s), far beyond an object that has fallen for hours."""
+"""Largest allowed number in a state (m, rad, m/s or rad/s): more than an object that has fallen for hours."""
 
-_NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a body whose loading is lost
+_NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # pose of a body without the record of its loading
 _AT_REST: Final = (0.0,) * 6
-_SHORTEST, _LONGEST = 0.99, 1.01  # squared lengths of a unit quaternion
+_SHORTEST, _LONGEST = 0.99, 1.01  # range of the squared length of a unit quaternion
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,16 +31,16 @@ class Attachment:
     """The attachment of a body to its carrier."""
 
     carrier: str
-    carrier_link: str  # "": its base
+    carrier_link: str  # "" for the base
     body: str
-    body_link: str  # the held link; "": its base
+    body_link: str  # "" for the base
     position: Vector  # position of the carried body's base in the carrier's link, m
     orientation: Quaternion  # orientation of the carried body's base in the carrier's link, xyzw
-    loose: bool = False  # whether the body only lies in or on the carrier, and is released together with it
+    loose: bool = False  # whether the body lies in or on the carrier; it is released with the carrier
 
 
 def apply(worlds: dict[str, FoldedWorld], record: records.Record) -> None:
-    """Apply a record to worlds, by name; records that don't change worlds are ignored."""
+    """Apply a record to worlds by name. Records that don't change worlds are ignored."""
     name, before = record.world, worlds.get(record.world)
     if isinstance(record, Query) and before is not None and beliefs.is_look(record):
         before.look(record)
@@ -50,7 +50,7 @@ def apply(worlds: dict[str, FoldedWorld], record: records.Record) -> None:
     if isinstance(record, Keyframe):
         worlds[name] = FoldedWorld.of_keyframe(record)
     elif record.HasField("open_world"):
-        worlds.pop(name, None)  # keeps the order of opening if a name is reused
+        worlds.pop(name, None)  # worlds stay in the order of opening if a name is reused
         worlds[name] = FoldedWorld(name, record.open_world.mode)
         lifetime += before is not None
     elif before is None:
@@ -98,7 +98,7 @@ class FoldedWorld:
         beliefs.look(self.beliefs, argument_values(record.evidence), record.sim_step, record.seq)
 
     def apply(self, record: Mutation) -> None:
-        """Apply a mutation: first its command, for changes that the effect doesn't contain, then its effect."""
+        """Apply the command of a mutation, and then its effect. Some changes are only in the command."""
         self.sim_step = record.sim_step
         command = record.WhichOneof("command")
         if command == "load_body":
@@ -146,7 +146,7 @@ class FoldedWorld:
         elif command == "stop_trajectory":
             number = record.stop_trajectory.number
             known = self.following.pop(number, None)
-            # a trajectory whose beginning is lost stays unknown; a trajectory that hasn't moved yet ends
+            # without the record of its beginning, a trajectory stays unknown; a trajectory that hasn't moved yet ends
             if known is not None and known.began < self.sim_step:
                 self.following[number] = stopped = Following(begin=known.begin, began=known.began)
                 stopped.stopped = known.stopped or self.sim_step
@@ -183,14 +183,14 @@ class FoldedWorld:
             self.attachments[held.carrier, held.body] = attachment
 
     def _set_states(self, states: Iterable[records.BodyState]) -> None:
-        """Set the states of bodies; a body whose loading is lost stays unknown."""
+        """Set the states of bodies. Bodies without the record of their loading are skipped."""
         for state in states:
             if state.body in self.bodies:
                 self.bodies[state.body].set_state(state)
 
 
 class FoldedBody:
-    """The state of a body; fields as in :class:`replay.state.state.Body`."""
+    """The state of a body, with the fields of :class:`replay.state.state.Body`."""
 
     __slots__ = ("color", "joint_velocities", "joints", "loaded", "orientation", "position", "velocity", "version")
 
@@ -202,7 +202,7 @@ class FoldedBody:
         self.joints = dict.fromkeys(loaded.joints, 0.0)
         self.joint_velocities = dict.fromkeys(loaded.joints, 0.0)
         self.color = tuple(loaded.color)
-        self.version = 0  # changes whenever the body's state changes
+        self.version = 0  # number of changes of the body's state
 
     def set_state(self, state: records.BodyState) -> None:
         """Set the fields that a record contains."""
@@ -223,7 +223,7 @@ class FoldedBody:
 
 
 def vector(values: Sequence[float]) -> Vector:
-    """Return three numbers within ``FAR``; raise ValueError for other values."""
+    """Return three numbers. Numbers beyond ``FAR`` raise ValueError."""
     x, y, z = numbers = values[:]
     if not (-FAR <= x <= FAR and -FAR <= y <= FAR and -FAR <= z <= FAR):
         raise _beyond(numbers)
@@ -231,7 +231,7 @@ def vector(values: Sequence[float]) -> Vector:
 
 
 def quaternion(values: Sequence[float]) -> Quaternion:
-    """Return a unit quaternion; raise ValueError for other numbers."""
+    """Return a unit quaternion. Other numbers raise ValueError."""
     x, y, z, w = values[:]
     if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
         raise ValueError(f"{[x, y, z, w]} isn't a unit quaternion")
@@ -239,7 +239,7 @@ def quaternion(values: Sequence[float]) -> Quaternion:
 
 
 def _checked_numbers(values: Sequence[float]) -> Sequence[float]:
-    """Return finite numbers within ``FAR``; other numbers would make the engine loop."""
+    """Return finite numbers within ``FAR``. Other numbers raise ValueError, because the engine would loop."""
     numbers = values[:]
     if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
         raise _beyond(numbers)

@@ -1,13 +1,9 @@
 """Motion, computed from records alone: frames of bodies and links, and progress on trajectories.
 
-Frames of a record are also ``foxglove.FrameTransforms`` on /tf. They are named ``BODY`` for a body's base and
-``BODY/LINK`` for its other links, with ``WORLD//`` before them in all worlds but the first. The root is ``world``. No
-two frames share a name: ambiguous characters in names of worlds, bodies and links are percent-encoded (``/`` as
-``%2F``). A transform's timestamp is simulated time, so that the steps of a simulation, which is one record, can be
-watched.
-
-This code runs for every change of a plan. So lists of records are copied (``[:]``) for iteration: protobuf's own
-iterators take three times as long.
+/tf has the frames as ``foxglove.FrameTransforms``. A base is named ``BODY``, another link ``BODY/LINK``; outside of the
+first world, ``WORLD//`` precedes the name. The root is ``world``. Frames have unique names, because ``/`` and ``%`` in
+names are percent-encoded. Timestamps are simulated time. This code runs for every change of a plan, so it copies lists
+of records (``[:]``): protobuf's iterators take three times as long.
 """
 
 from __future__ import annotations
@@ -28,21 +24,21 @@ if TYPE_CHECKING:
 
 ROOT: Final = "world"
 _FIRST_WORLD: Final = "world_1"
-_RERUN_PREFIX: Final = "tf#/"  # prefix of the viewer Rerun's own frames
+_RERUN_PREFIX: Final = "tf#/"  # prefix of Rerun's own frames
 _NS: Final = 1_000_000_000
 
 
 class Frame(NamedTuple):
     """The frame of a body or link."""
 
-    parent: str  # name of the frame in which the pose is given
+    parent: str  # name of the frame that contains the pose
     child: str
     body: str
-    link: str  # name of the link; "" for the base
+    link: str  # "" for the base
 
 
 def frame_name(world: str, body: str, link: str = "") -> str:
-    """Return the name of a link's frame; without a link, the name of the base's frame."""
+    """Return the name of the frame of a link, or of the base without a link."""
     name = _escaped(body) if world == _FIRST_WORLD else f"{_escaped(world)}//{_escaped(body)}"
     name = f"{name}/{_escaped(link)}" if link else name
     reserved = name == ROOT or name.startswith(_RERUN_PREFIX)
@@ -58,22 +54,22 @@ class BodyMotion(NamedTuple):
 
     sim_step: int
     body: str
-    frames: list[tuple[Frame, Pose]]  # the changed frames, with their poses in their parents
-    joints: dict[str, float]  # positions of the changed joints in rad or m, by name of the joint
+    frames: list[tuple[Frame, Pose]]  # the changed frames, and their poses in their parents
+    joints: dict[str, float]  # positions of the changed joints in rad or m by name
 
 
 class _Body:
-    """The names of a body's frames, and its model, if known."""
+    """A body's frames and its model."""
 
     def __init__(self, world: str, name: str, model: Urdf | None) -> None:
         self.model = model
         self.frame = Frame(ROOT, frame_name(world, name), name, "")
         self._names = world, name
-        # the frame of each joint's child link, by the joint's name
+        # frames of the joints' child links by joint name
         self._links: dict[str, tuple[UrdfJoint, Frame]] = {}
 
     def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[UrdfJoint, Frame]]:
-        """Yield the joints with these names, and the frames of their child links."""
+        """Yield the named joints and the frames of their child links."""
         for name in joints:
             link = self._links.get(name)
             if link is None:
@@ -85,25 +81,25 @@ class _Body:
 
 
 class FrameTree:
-    """The models and frames of all bodies, from the records."""
+    """The models and frames of all bodies in a recording."""
 
     def __init__(self) -> None:
         self._models: dict[str, Urdf] = {}
         self._bodies: dict[tuple[str, str], _Body] = {}
 
     def add_urdf(self, sha256: str, content: bytes) -> None:
-        """Add a model, before the records that use it."""
+        """Add a model. It must precede the records that use the model."""
         from recorder.urdf import Urdf  # noqa: PLC0415  loads NumPy
 
         self._models[sha256] = Urdf.parse(content)
 
     def model(self, world: str, body: str) -> Urdf | None:
-        """Return the model of a loaded body; None if it is unknown."""
+        """Return the model of a loaded body; None if the model is unknown."""
         loaded = self._bodies.get((world, body))
         return loaded.model if loaded is not None else None
 
     def motions(self, record: Record) -> list[BodyMotion]:
-        """Return the moved bodies of a record, in the order of simulated time, with their changed frames."""
+        """Return the motions of bodies in a record, in the order of simulated time."""
         world = record.world
         return [
             self._motion(world, sim_step, state, whole=whole)
@@ -112,7 +108,7 @@ class FrameTree:
         ]
 
     def transforms(self, record: Record) -> Iterator[FrameTransforms]:
-        """Yield a message of the changed frames for each simulated step of a record with motion."""
+        """Yield a message of the changed frames for each simulated step of a record."""
         for sim_step, states, whole in self._states(record):
             motions = [self._motion(record.world, sim_step, state, whole=whole) for state in states]
             frames = [frame for motion in motions for frame in motion.frames]
@@ -129,7 +125,7 @@ class FrameTree:
             yield message
 
     def _states(self, record: Record) -> list[tuple[int, Sequence[BodyState], bool]]:
-        """Return each simulated step of a record: its number, the states of bodies, and whether these are complete."""
+        """Return the simulated steps of a record: number, states of bodies, and whether the states are complete."""
         if isinstance(record, Mutation):
             loading = record.HasField("load_body")
             if loading:
@@ -169,14 +165,17 @@ class FrameTree:
 
 
 BASE_COORDINATES: Final = ("x", "y", "yaw")
-"""The coordinates of a base's trajectory: x and y in m, and the heading in rad, in the world frame."""
+"""The coordinates of a base's trajectory in the world: x and y in m, and the heading in rad."""
 
 STOPPING_STEPS: Final = 36
-"""Simulated steps, 0.15 s, in which a stopped trajectory slows down. Never changes: recordings are executed again."""
+"""A stopped trajectory slows down for this number of simulated steps (0.15 s).
+
+The number must never change, because recordings are executed again.
+"""
 
 
 def time_of(following: Following, sim_step: int) -> float:
-    """Return the time on a trajectory in s at a simulated step; a stopped trajectory decelerates evenly."""
+    """Return the time on a trajectory in s at a simulated step. A stopped trajectory decelerates evenly."""
     if not following.stopped or sim_step <= following.stopped:
         return (sim_step - following.began) / STEPS_PER_SECOND
     slowing = min(sim_step - following.stopped, STOPPING_STEPS)
@@ -185,7 +184,7 @@ def time_of(following: Following, sim_step: int) -> float:
 
 
 def has_ended(following: Following, sim_step: int) -> bool:
-    """Return whether a trajectory has been completed, or has stopped, by a simulated step."""
+    """Return whether a trajectory is complete or has stopped by a simulated step."""
     if following.stopped and sim_step >= following.stopped + STOPPING_STEPS:
         return True
     times = following.begin.trajectory.times

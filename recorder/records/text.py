@@ -1,7 +1,4 @@
-"""Records in words: one line for each record, also for other tools (``foxglove.Log`` on /log).
-
-In this order: lines of records, changes of mutations, decisions of motions, rejected candidates of queries, the results
-of considered places, outcomes of projections, and values.
+"""Records in words: a line of text for each record, also for other tools (``foxglove.Log`` on /log).
 
 Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
 """
@@ -40,30 +37,30 @@ if TYPE_CHECKING:
 
     from recorder.records import Argument, BeginTrajectory, Candidate, Decision, Record, Simulate
 
-    Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text, and its level in the log
+    Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text and its level in the log
 
 _NS: Final = 1_000_000_000
-# module variables, because looking them up in the class is slow
+# module variables, because attributes of protobuf's classes are slow
 _ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT
 _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
-_LEVELS: Final = {  # levels by the names of Python's logging levels
+_LEVELS: Final = {
     "DEBUG": _DEBUG,
     "INFO": _INFO,
     "WARNING": _WARNING,
     "ERROR": _ERROR,
     "CRITICAL": _ERROR,
 }
-_LITTLE: Final = 0.005  # share that a text leaves out
-_NOTABLE_ERROR: Final = 0.01  # rad or m; motors usually lag by smaller errors
-_THREE: Final = "[%.3f, %.3f, %.3f]"  # a fast path for three numbers
+_LITTLE: Final = 0.005  # texts omit a smaller share of an object outside of the picture
+_NOTABLE_ERROR: Final = 0.01  # rad or m; a motor's usual error is smaller
+_THREE: Final = "[%.3f, %.3f, %.3f]"  # faster than a loop for the most frequent length
 
 
 class Lines:
-    """Makes the lines of a few records with a shared message object, which is twice as fast as an object for each line.
+    """The serialized lines of a few records. A shared message object is twice as fast as an object for each line.
 
-    The object keeps the memory of all its texts, so it must not be used for many records.
+    But the object keeps the memory of all its texts, so it must not serve many records.
     """
 
     def __init__(self) -> None:
@@ -71,7 +68,7 @@ class Lines:
         self._moment = self._line.timestamp
 
     def of(self, record: Record, time_ns: int) -> bytes | None:
-        """Return the serialized line of a record; the time is in ns since the Unix epoch. None if it has no line."""
+        """Return the serialized line of a record; None without a line. The time is in ns since the Unix epoch."""
         if not has_line(record):
             return None
         kind, line, moment = type(record), self._line, self._moment
@@ -82,14 +79,14 @@ class Lines:
 
 
 def has_line(record: Record) -> bool:
-    """Return whether a record has a line. Keyframes and requests for tasks have no line."""
-    if type(record) is Task:  # isinstance takes five times as long for other types
+    """Return whether a record has a line: all records except keyframes and requests for tasks."""
+    if type(record) is Task:  # isinstance takes five times as long
         return record.phase != _ASKED
     return type(record) is not Keyframe
 
 
 def text_of(record: Record) -> Line:
-    """Return the line of a record, with its level."""
+    """Return the text and level of a record's line."""
     return _TEXTS[type(record)](record)
 
 
@@ -116,7 +113,7 @@ def _task(record: Task) -> Line:
         return f"{name} was cancelled after {took}", _WARNING
     decided = ""
     if record.kind == "motion" and record.HasField("decision") and (text := decision_text(record.decision)):
-        decided = f", {text}"  # the record of its process module has the same decision
+        decided = f", {text}"  # the process module's record has the same decision
     if status == _SUCCEEDED:
         return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
     return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
@@ -183,7 +180,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
 
 
 def mutation_text(record: Mutation) -> str:
-    """Return the change of a mutation, in a few words."""
+    """Return the change of a mutation in a few words."""
     name = str(record.WhichOneof("command") or "change")
     command = getattr(record, name, None)
     details = _DETAILS.get(name)
@@ -225,7 +222,7 @@ def _began(command: BeginTrajectory) -> str:
     return f"{text}, {'along a given path' if search.planner == 'given' else search.planner}{checks}"
 
 
-_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # details by command; other commands have none
+_DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # details by command
     "open_world": lambda command: str(command.mode),
     "load_body": lambda command: (
         f"{command.body} {_numbers(command.position)}"
@@ -266,7 +263,7 @@ _OWN_ENVIRONMENT: Final = "simulated"
 
 
 def decision_text(decision: Decision, *, full: bool = False) -> str:
-    """Return the decision of a motion in words; ``full`` includes the defaults."""
+    """Return the decision of a motion in words. ``full`` includes the defaults."""
     parts = []
     if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
         which = f"solution {decision.solution + 1} of {decision.known}{'' if decision.complete else ' or more'}"
@@ -284,27 +281,27 @@ def decision_text(decision: Decision, *, full: bool = False) -> str:
 
 # Candidates of queries
 
-_ANSWERS: Final = ("true", "false", "[")  # yes, no and lists, as JSON
+_ANSWERS: Final = ("true", "false", "[")  # beginnings of yes, no and lists in JSON
 
 
 def is_choice(query: Query) -> bool:
-    """Return whether a process module chose a candidate with the query; plans' queries may have candidates, too."""
+    """Return whether a process module chose a candidate with this query."""
     return query.HasField("chosen") and not query.answer_json.startswith(_ANSWERS)
 
 
 def chosen_name(query: Query) -> str:
-    """Return the name of the chosen candidate of a query; empty without a chosen candidate."""
+    """Return the name of a query's chosen candidate; "" without a chosen candidate."""
     known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
     return ", ".join(query.candidates[query.chosen].names) if known else ""
 
 
 def rejections(query: Query) -> str:
-    """Return why a query rejected candidates, in a line; empty if it rejected none. Places are only counted."""
+    """Return a line of the reasons for which a query rejected candidates; "" without rejections. Places are counted."""
     return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
 
 
 def rejection_lines(query: Query) -> Iterator[str]:
-    """Yield a line for each reason, with the candidates that a query rejected for this reason."""
+    """Yield a line for each rejection of a query, with the rejected candidates and the reason."""
     if query.grid.spots:
         yield fates_text(query)
     chosen = query.chosen if query.HasField("chosen") else -1
@@ -322,7 +319,7 @@ def _named(candidate: Candidate) -> str:
 
 
 def reason_text(candidate: Candidate) -> str:
-    """Return the reason for a rejection in words; for a user's own reason, its type and values."""
+    """Return the reason for a rejection in words. A reason that a user defined is its type and values."""
     data: Mapping[str, Any] = argument_values(candidate.data)
     text = rejection_text(candidate.reason, data)
     several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
@@ -330,7 +327,7 @@ def reason_text(candidate: Candidate) -> str:
 
 
 def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
-    """Return a reason for a rejection in words, from its type and data; "" for a user's own type or unexpected data."""
+    """Return the words for a rejection's type and data; "" for types that a user defined and for damaged data."""
     phrase = _REASONS.get(reason)
     try:
         return phrase(data) if phrase is not None else ""
@@ -341,8 +338,8 @@ def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
 def pair_text(pair: Mapping[str, object]) -> str:
     """Return a collision pair as text, such as "milk in the left gripper would touch sink_area_surface of kitchen".
 
-    pair: ``mover`` is the moving body, ``link`` its link, and ``gripper`` the gripper that holds it. ``body`` is the
-        touched body, and ``body_link`` its link. "" means the only link of a body, or no gripper.
+    In the pair, ``mover`` and ``link`` are the moving body and its link; ``gripper`` is the gripper that holds the
+    body. ``body`` and ``body_link`` are the touched body and its link. A body with a single link has the link "".
     """
     mover, link, body, body_link = (str(pair.get(key) or "") for key in ("mover", "link", "body", "body_link"))
     moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
@@ -352,7 +349,7 @@ def pair_text(pair: Mapping[str, object]) -> str:
 
 
 def link_text(body: str, link: str) -> str:
-    """Return "LINK of BODY"; the body's name alone if the link has the same name, or "" as the only one."""
+    """Return "LINK of BODY", or only the body if the link is "" or has the name of the body."""
     return f"{link} of {body}" if link not in ("", body) else body
 
 
@@ -368,13 +365,11 @@ def _out_of_reach(data: Mapping[str, Any]) -> str:
 
 
 def unseen_text(data: Mapping[str, Any], reason: str = "") -> str:
-    """Return a text of an object of which too little is seen, by the fields of its rejection.
+    """Return the text of a rejected object from the fields of its rejection.
 
-    Args:
-        data: The fields.
-        reason: Why nothing is seen: "is hidden"; "" if unknown.
+    ``reason`` is the cause, such as "is hidden"; "" for an unknown cause.
     """
-    links = data.get("hiding_links", {})  # older recordings have none
+    links = data.get("hiding_links", {})  # recordings of older releases have no such field
     hiders = [link_text(name, links.get(name, "")) for name in data["hidden_by"]]
     text = f"only {data['share']:.0%} visible" if data["share"] else reason.removeprefix("is ") or "not seen"
     if hiders:
@@ -421,7 +416,7 @@ TAKEN: Final = "taken"
 NOT_TRIED: Final = "not tried"
 _OUT_OF_REACH: Final = "is out of reach|are out of reach"
 _NO_GRASP: Final = "offers no grasp|offer no grasp"
-#: Results of places by the type of the rejection: words for one place, then for several places.
+#: Results of places by the type of the rejection: words for a single place, "|", and words for several places.
 _FATES: Final = {
     "": NOT_TRIED,
     "Untried": NOT_TRIED,
@@ -435,13 +430,13 @@ _FATES: Final = {
     "Uneven": _NO_GRASP,
 }
 _MAX_LETTERS: Final = 80
-_MAX_FATES: Final = 4  # largest number of different results in a line
+_MAX_FATES: Final = 4  # a line has at most this many different results
 
 
 def fates(query: Query) -> Iterator[str]:
-    """Yield the result of each place that a query considered, in order: "taken", or why the place was rejected.
+    """Yield the result of each considered place of a query: "taken", or why the place was rejected.
 
-    If the words for one place and for several places differ, the text contains both, separated by "|".
+    Words for a single place and for several places may differ. Then the result has both, with "|" between.
     """
     names = [_fate(candidate) for candidate in query.candidates]
     if query.HasField("chosen") and 0 <= query.chosen < len(names):
@@ -451,7 +446,7 @@ def fates(query: Query) -> Iterator[str]:
 
 
 def fates_text(query: Query) -> str:
-    """Return how many of a query's places had each result; empty if it considered no places.
+    """Return the number of considered places with each result; "" without places.
 
     For example "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
     """
@@ -476,7 +471,7 @@ def _fate(candidate: Candidate) -> str:
     data, reason = argument_values(candidate.data), candidate.reason
     if reason == "Touching":
         pairs = data.get("pairs")
-        # the deepest contact
+        # the first pair has the deepest contact
         first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}
         touched = first.get("body") or "something"
         return f"collides with {touched}|collide with {touched}"
@@ -491,7 +486,7 @@ def _fate(candidate: Candidate) -> str:
 
 
 def foreseen(record: Task) -> str:
-    """Return the outcome of a projection and the name of its recording; empty for a task that has no outcome."""
+    """Return the outcome of a projection and the name of its recording; "" for a task without an outcome."""
     outcome = _outcome(record)
     if "succeeded" not in outcome:
         return ""
@@ -502,9 +497,10 @@ def foreseen(record: Task) -> str:
 
 
 def recording_name(record: Task) -> str:
-    """Return the file name of a projection's recording, in the folder of the run's recording; "" if there is none.
+    """Return the file name of a projection's recording; "" without a recording.
 
-    Folders are ignored: users move recordings together, and an untrusted recording must not name another folder.
+    The file is in the folder of the run's recording. Recorded folders are ignored: recordings are moved together, and
+    an untrusted recording must not name another folder.
     """
     recording = _outcome(record).get("recording")
     return PurePath(recording).name if isinstance(recording, str) else ""
@@ -521,7 +517,7 @@ def _outcome(record: Task) -> dict[str, Any]:
 
 
 def timeout_text(name: str, clock: object) -> str:
-    """Return a timeout in words; ``name`` is the limit as the task's name contains it."""
+    """Return a timeout in words. ``name`` is the limit in the task's name."""
     return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
 
 
@@ -529,10 +525,10 @@ _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|
 
 
 def values(arguments: Sequence[Argument]) -> str:
-    """Return recorded values in a line; objects are replaced by their names."""
+    """Return recorded values in a line. Names replace objects."""
     return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
 
 
 def by_name(text: str) -> str:
-    """Return a recorded value (JSON) as text; objects are replaced by their names."""
+    """Return a recorded JSON value as text. Names replace objects."""
     return _OBJECT.sub(r"\1", text) if '{"object":' in text else text

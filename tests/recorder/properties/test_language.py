@@ -103,12 +103,12 @@ def test_conditions_have_margins(scene: Scene, text: str, margin: float) -> None
         ("uprigth(milk)", r"there is no function uprigth; did you mean upright\?"),
         ("milk.z >", "it isn't an expression"),
         ("always", "it has no expression"),
-        ("always milk.z > 1 never milk.z > 2", "it says both 'always' and 'never'"),
+        ("always milk.z > 1 never milk.z > 2", "'always' and 'never' can't be combined"),
         ("milk.z > 1 always milk.z > 2", "two expressions"),
         ("eventually milk.z > 1 within 2 m", "a time such as 2 s must follow 'within', not '2 m'"),
         ("milk.z > 1 during", "an expression is missing after 'during'"),
         ("milk.z > 1 during task:", "the name of a task is missing"),
-        ("eventually milk.z > 1 until milk.z > 2", "'until' doesn't go with 'eventually'"),
+        ("eventually milk.z > 1 until milk.z > 2", "'until' and 'eventually' can't be combined"),
     ],
 )
 def test_mistakes_are_refused_with_their_cause(text: str, cause: str) -> None:
