@@ -1,17 +1,16 @@
 """Expressions: the variables, pulse counters and operations behind fluents.
 
-Leaves hold values: a variable its value, a counter the number of its unhandled pulses. The value of an operation is
-computed from a state, the values of all its leaves at one moment, so it never mixes two moments. Operations refer to
-their operands, and counters to their expression; references in the other direction are weak, so unused networks are
-freed.
+Leaves hold values: a variable holds a value, a counter the number of unhandled pulses. A state has the values of all
+leaves at one moment. An operation computes its value from a state, so it never mixes two moments. References from
+operands to their operations are weak, so unused networks are freed.
 
-A pulse means that something happened to a fluent, whether or not its value changed. It pulses all expressions that have
-the fluent's expression as an operand. A change counts once, however many paths lead from it to a counter.
+A pulse means that something happened to a fluent, whether or not its value changed. Pulses spread from an expression to
+all operations on it. A counter counts a change once, however many paths lead to the counter.
 
-One lock guards all leaves of the process, for the few assignments of a change. While it is held, no user code runs: no
-function of a network, no ``__eq__``, no conversion to JSON, no finalizer of an old value. It is acquired after a
-world's lock and before a journal's, so the order of records is the order of changes. It is re-entrant, because the
-garbage collector may run finalizers anywhere, and they may set fluents.
+One lock guards all leaves of the process. While a thread holds it, no user code runs: no function of a network, no
+``__eq__``, no conversion to JSON, no finalizer of an old value. A thread acquires it after a world's lock and before a
+journal's lock, so the order of records is the order of changes. The lock is re-entrant, because the garbage collector
+may run finalizers anywhere, and finalizers may set fluents.
 """
 
 from __future__ import annotations
@@ -38,25 +37,25 @@ if TYPE_CHECKING:
     from pycram.scheduling.strikes import Clock
 
 
-#: Any value that a plan gives to a fluent.
+#: Any value of a fluent.
 Value: TypeAlias = Any
-#: Values of leaves at one moment; operations add their values, so that each is computed once.
+#: Values of leaves at one moment. Each operation adds its value, and so computes it once.
 State: TypeAlias = dict["Expression", Value]
 
 lock: Final = shared_lock()
-_MAX_NAME_DEPTH: Final = 4  # nested operations that a name spells out
-_MAX_RECURSION: Final = 100  # nested operations that are computed by recursive calls
+_MAX_NAME_DEPTH: Final = 4  # number of nested operations that a name shows
+_MAX_RECURSION: Final = 100  # largest number of nested operations that recursive calls compute
 
 
 class Ended(NamedTuple):
-    """Held by a leaf instead of a value when the object or world that it followed is gone."""
+    """Replaces the value of a leaf when the object or world that the leaf followed is gone."""
 
     world: str  # name of the world
     what: str  # the object or world that is gone, for messages
 
 
 class LeafListener(Protocol):
-    """Registered at leaves, and notified of all their changes."""
+    """Receives all changes of the leaves at which it is registered."""
 
     def state_changed(self) -> None:
         """Handle a change; called with the lock held."""
@@ -68,17 +67,17 @@ class Expression(ABC):
     __slots__ = ("__weakref__", "counters", "operands")
 
     waiters: Iterable[LeafListener] = ()
-    """The waiters that changes notify; only leaves have waiters."""
+    """The listeners that changes notify; only leaves have listeners."""
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
         self.operands = operands  # the expressions from which the value is computed
-        #: Counters of the expression's pulses by their ids; None before the first.
+        #: Counters of the expression's pulses by id(); None before the first counter.
         self.counters: WeakValueDictionary[int, PulseCounter] | None = None
 
     @property
     @abstractmethod
     def leaves(self) -> tuple[Leaf, ...]:
-        """The leaves among the operands, at any depth, each once; for a leaf, the leaf itself."""
+        """All leaves below this expression, each once; for a leaf, the leaf itself."""
 
     @abstractmethod
     def value(self, state: State) -> Value:
@@ -91,19 +90,19 @@ class Expression(ABC):
 
     @abstractmethod
     def text(self, depth: int = 0) -> str:
-        """Return the expression's name, inside of ``depth`` operations."""
+        """Return the expression's name as an operand below ``depth`` operations."""
 
     def variables(self) -> Iterator[Variable]:
-        """Yield the variables from which the value follows, also through counters."""
+        """Yield all variables that determine the value, also variables behind counters."""
         leaves: list[Expression] = [*self.leaves]
-        for leaf in leaves:  # the loop appends to it
+        for leaf in leaves:  # the loop appends to the list
             if isinstance(leaf, Variable):
                 yield leaf
             for operand in leaf.operands:
                 leaves.extend(operand.leaves)
 
     def state(self) -> State:
-        """Return the present values of the leaves, all of the same moment."""
+        """Return the values of all leaves at the present moment."""
         with lock:
             return {leaf: leaf.held for leaf in self.leaves}
 
@@ -115,12 +114,12 @@ class Leaf(Expression):
 
     def __init__(self, operands: tuple[Expression, ...], held: Value) -> None:
         super().__init__(operands)
-        self.held = held  # a value, or Ended
+        self.held = held  # the value, or Ended
         self.waiters: list[LeafListener] = []
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
-        """The leaf itself; not stored, because a reference to itself would delay its freeing."""
+        """The leaf itself. A stored reference would delay its freeing, so this is a property."""
         return (self,)
 
     def value(self, state: State) -> Value:
@@ -146,13 +145,13 @@ class Constant(Expression):
         """Return the value in a state."""
         return self._value
 
-    def text(self, depth: int = 0) -> str:  # noqa: ARG002  as above
+    def text(self, depth: int = 0) -> str:  # noqa: ARG002  constants need no parentheses
         """Return the name."""
         return reprlib.repr(self._value)
 
 
 class Operation(Expression):
-    """A function of the values of other expressions."""
+    """An expression that applies a function to the values of other expressions."""
 
     __slots__ = ("form", "function", "height", "leaves")
 
@@ -163,9 +162,9 @@ class Operation(Expression):
     ) -> None:
         super().__init__(operands)
         self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
-        self.form = form  # the name, with ``{}`` for each operand
-        self.function = function  # takes an iterator over the operands' values, which computes them on demand
-        #: Number of nested operations, this one included.
+        self.form = form  # the name, with ``{}`` in place of each operand
+        self.function = function  # its argument is an iterator, which computes the operands' values on demand
+        #: Number of nested operations, including this operation.
         self.height: int = 1 + max(
             (operand.height for operand in operands if isinstance(operand, Operation)), default=0
         )
@@ -179,7 +178,7 @@ class Operation(Expression):
         return state[self]
 
     def _value_iteratively(self, state: State) -> Value:
-        """Compute the value without recursion: a function that needs an unknown operand is called again later."""
+        """Compute the value without recursion. A function is called again when a missing operand is computed."""
         pending: list[Operation] = [self]
         while pending:
             operation = pending[-1]
@@ -191,7 +190,7 @@ class Operation(Expression):
         return state[self]
 
     def text(self, depth: int = 0) -> str:
-        """Return the name, in parentheses inside of another operation; cut off if it is nested too deep."""
+        """Return the name, in parentheses if it is an operand; "..." if it is nested too deep."""
         if depth > _MAX_NAME_DEPTH:
             return "..."
         text = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
@@ -199,7 +198,7 @@ class Operation(Expression):
 
 
 class _NotComputed(BaseException):
-    """A function needs the value of an operation that is nested too deep to be computed recursively."""
+    """A function needs an operand that is nested too deep for recursive calls."""
 
     def __init__(self, operation: Operation) -> None:
         super().__init__()
@@ -213,7 +212,7 @@ def _computed(operand: Expression, state: State) -> Value:
 
 
 def notify(changed: Iterable[Expression]) -> None:
-    """Notify the waiters of these expressions, each once; the lock is held."""
+    """Notify each listener of the changed expressions once; the caller holds the lock."""
     for waiter in dict.fromkeys([waiter for expression in changed for waiter in expression.waiters]):
         waiter.state_changed()
 
@@ -222,37 +221,34 @@ class Behavior(Enum):
     """How ``whenever`` handles pulses that come while its body handles an earlier pulse."""
 
     NEVER = 1
-    """The pulses are ignored."""
+    """Ignore the pulses."""
     ONCE = 2
-    """The body runs once more for all of the pulses."""
+    """Run the body once for all of the pulses together."""
     ALWAYS = 3
-    """The body runs once more for each of the pulses."""
+    """Run the body once for each of the pulses."""
 
 
 class _Seen:
-    """A state that a counter of changes has seen, after an earlier one.
-
-    Its pulses are counted when they are read, because the functions of networks never run while a fluent changes.
-    """
+    """A state that a counter has seen. Its pulses are counted later: no network function runs during a change."""
 
     __slots__ = ("before", "count", "state", "value")
 
     def __init__(self, state: State, before: _Seen | None) -> None:
-        self.state: State | None = state  # None once the value is known
+        self.state: State | None = state  # None after the value was computed
         self.before = before
         self.value: Value = None
-        self.count = 0  # pulses up to here
+        self.count = 0  # number of pulses up to this state
 
     def read(self, of: Expression, is_pulse: Callable[[Value, Value], bool]) -> int:
-        """Return the number of pulses up to this state; an error of a network's function is raised once."""
+        """Return the number of pulses up to this state. Each error of a network's function is raised once."""
         unread = [self]
         while (before := unread[-1].before) is not None and before.state is not None:
             unread.append(before)
         for seen in reversed(unread):
-            state, before = seen.state, seen.before  # once each: another thread may read them as well
+            state, before = seen.state, seen.before  # read each attribute once: another thread may clear both
             if state is None:
                 continue
-            # kept if the function of a network raises an error; it may succeed in the next state
+            # these results stay if a network's function fails; it may succeed in the next state
             value, count = (None, 0) if before is None else (before.value, before.count)
             try:
                 now = of.value(state)
@@ -264,19 +260,19 @@ class _Seen:
 
 
 class Pulses(NamedTuple):
-    """Value of a counter: the pulses counted directly minus the handled pulses, and states to read."""
+    """Value of a counter: the number of its unhandled pulses, without the pulses of states that nobody has read."""
 
     direct: int
     seen: _Seen | None
 
 
 def changes(before: Value, after: Value) -> bool:
-    """Whether a value differs from the value before."""
+    """Whether the value ``after`` a change differs from the value ``before`` it."""
     if before is after:
         return False
     try:
         return bool(before != after)
-    except ValueError:  # arrays, which compare element by element
+    except ValueError:  # arrays compare element by element
         return True
 
 
@@ -291,13 +287,11 @@ def falls(before: Value, after: Value) -> bool:
 
 
 class PulseCounter(Leaf):
-    """Counts the unhandled pulses of an expression; its value is True while there are any, else None.
+    """Counts the unhandled pulses of an expression; its value is True while a pulse is unhandled, else None.
 
     Args:
-        of: The expression.
-        missed: How ``whenever`` handles pulses that come while it handles an earlier pulse.
-        is_pulse: :func:`changes`, :func:`rises` or :func:`falls`: whether a new value is a pulse, given the old value.
-            By default each assignment to a variable is a pulse, and each change of a network's own value.
+        is_pulse: :func:`changes`, :func:`rises` or :func:`falls`: whether two successive values are a pulse. By default
+            each assignment to a variable is a pulse, and each change of a network's value.
     """
 
     __slots__ = ("is_pulse", "kind", "missed")
@@ -308,7 +302,7 @@ class PulseCounter(Leaf):
         self.missed = missed
         self.kind = "pulsed" if is_pulse is None else _METHODS[is_pulse]
         counted = isinstance(of, Variable) or (isinstance(of, PulseCounter) and of.is_pulse is None)
-        #: None if pulses are counted directly.
+        #: None if every change is a pulse, so that no values need to be compared.
         self.is_pulse: Callable[[Value, Value], bool] | None = changes if is_pulse is None and not counted else is_pulse
         with lock:
             super().__init__((of,), Pulses(0, None if self.is_pulse is None else _Seen(of.state(), None)))
@@ -328,7 +322,7 @@ class PulseCounter(Leaf):
         return f"{self.operands[0].text(depth + 1)}.{self.kind}({self.missed.name})"
 
     def pulse(self, without_change: bool) -> None:
-        """Count a pulse, or note the new state, which may be a pulse; the lock is held."""
+        """Count a pulse, or keep the new state to look for a pulse later; the caller holds the lock."""
         direct, seen = self.held
         if self.is_pulse is None or (without_change and self.kind == "pulsed"):
             self.held = Pulses(direct + 1, seen)
@@ -336,11 +330,11 @@ class PulseCounter(Leaf):
             self.held = Pulses(direct, _Seen({leaf: leaf.held for leaf in self.operands[0].leaves}, seen))
 
     def take(self) -> None:
-        """Start handling a pulse, if there is one."""
+        """Mark one pulse as handled, if a pulse is unhandled."""
         self._handle(lambda count: min(count, 1))
 
     def settle(self) -> None:
-        """Finish handling a pulse, and drop the pulses that came meanwhile, depending on the behavior."""
+        """Finish handling a pulse. Drop later pulses as the behavior says."""
         if self.missed is not Behavior.ALWAYS:
             kept = 1 if self.missed is Behavior.ONCE else 0
             self._handle(lambda count: max(count - kept, 0))
@@ -351,19 +345,19 @@ class PulseCounter(Leaf):
     def _handle(self, handled: Callable[[int], int]) -> None:
         held = self.held
         if not isinstance(held, Ended):
-            number = handled(self._count(held))  # functions of the plan may run, so without the lock
+            number = handled(self._count(held))  # outside the lock, because functions of the plan may run
             with lock:
                 if not isinstance(self.held, Ended):
                     self.held = self.held._replace(direct=self.held.direct - number)
                     notify((self,))
 
 
-#: Methods of fluents that make counters, by their pulses.
+#: Names of the fluents' methods that make counters, by the counted pulses.
 _METHODS: Final[dict[object, str]] = {changes: "changed", rises: "rising", falls: "falling"}
 
 
 def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
-    """Return the given expressions, which are distinct, and all expressions reachable from them, each once."""
+    """Return the given distinct expressions, followed by all expressions reachable from them, each once."""
     queue = list(given)
     reached = set(queue)
     for expression in queue:
@@ -382,12 +376,12 @@ def _counters(expression: Expression) -> Collection[PulseCounter]:
 
 
 def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
-    """Return the counters of pulses of these expressions, and the counters of pulses of these counters, each once."""
+    """Return the counters of these expressions' pulses, and the counters of the counters' pulses, each once."""
     return cast("list[PulseCounter]", _reachable(pulsed, _counters)[len(pulsed) :])
 
 
 def pulse(pulsed: Collection[Expression], *, without_change: bool = False) -> None:
-    """Count one pulse in every counter of these expressions, and notify waiters; the lock is held."""
+    """Count one pulse in every counter of these expressions, and notify listeners; the caller holds the lock."""
     counters = [counter for counter in counters_on(pulsed) if not isinstance(counter.held, Ended)]
     for counter in counters:
         counter.pulse(without_change)
@@ -405,21 +399,21 @@ class Variable(Leaf):
     def __init__(self, value: Value, name: str | None = None, source: str = "", bodies: tuple[str, ...] = ()) -> None:
         super().__init__((), value)
         self.name = f"fluent_{next(_numbers)}" if name is None else name
-        self.source = source  # the quantity of a world that it follows ("pose", "joint", ...); "" if a plan sets it
-        self.bodies = bodies  # names of the objects that it follows
+        self.source = source  # the followed quantity of a world ("pose", "joint", ...); "" if a plan sets the value
+        self.bodies = bodies  # names of the followed objects
         self.json: str | None = None  # the value as JSON, for the record; None if unknown
-        self.set_by = ""  # name of the branch or thread that set it last; "" if none did
+        self.set_by = ""  # name of the branch or thread that set the value last; "" before the first setting
 
-    def text(self, depth: int = 0) -> str:  # noqa: ARG002  names have no depth
+    def text(self, depth: int = 0) -> str:  # noqa: ARG002  names need no parentheses
         """Return the name."""
         return self.name
 
     def clock(self) -> Clock | None:
-        """Return the simulated time that waits for the variable let pass; None if time doesn't change it."""
+        """Return the clock that runs during waits for the variable; None if time doesn't change the value."""
         return None
 
     def serialize(self) -> None:
-        """Convert the value to JSON; never with a lock held, because the value may have its own conversion."""
+        """Convert the value to JSON. The caller holds no lock, because conversions may be user code."""
         if self.json is None and not isinstance(self.held, Ended):
             held = self.held
             json = records.to_json(held)
@@ -428,21 +422,21 @@ class Variable(Leaf):
                     self.json = json
 
     def record(self, after: str) -> records.Fluent:
-        """Return the record of the next value, given as JSON."""
+        """Return the record of an assignment; ``after`` is the new value as JSON."""
         return records.Fluent(
             name=self.name, before_json=self.json or "", after_json=after, source=self.source, bodies=self.bodies
         )
 
 
 def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0) -> None:
-    """Give variables new values at the same moment, record the changes, and pulse the variables.
+    """Set variables at the same moment, record the changes, and pulse the variables.
 
     Args:
         world: Name of the world that the variables follow.
-        sim_step: Simulated steps of that world at the change.
+        sim_step: Number of simulated steps of that world at the change.
 
     Raises:
-        RecordingError: A change can't be recorded, and isn't made.
+        RecordingError: The recording failed; no variable is set.
     """
     name = current_name()
     serialized: dict[Variable, str] = {}
@@ -451,7 +445,7 @@ def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0)
             variable.serialize()
             serialized[variable] = records.to_json(value)
     with Uninterrupted():
-        old = []  # freed after the lock is released
+        old = []  # frees the old values after the lock is released
         with lock:
             for variable, json in serialized.items():
                 span.emit(variable.record(json), world=world, sim_step=sim_step)
@@ -463,20 +457,17 @@ def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0)
 
 
 def pulse_unchanged(expression: Expression) -> None:
-    """Pulse an expression without changing any value; recorded as an assignment of the same value.
+    """Pulse an expression without changing its value; the record is an assignment of the same value.
 
     Raises:
-        RecordingError: The pulse can't be recorded, and isn't made.
+        RecordingError: The recording failed; nothing is pulsed.
     """
     record = None
     if journal.recording():
+        record = records.Fluent(name=expression.text())
         if isinstance(expression, Variable):
             expression.serialize()
-        record = (
-            expression.record(expression.json or "")
-            if isinstance(expression, Variable)
-            else records.Fluent(name=expression.text())
-        )
+            record = expression.record(expression.json or "")
     with Uninterrupted(), lock:
         if record is not None:
             record.before_json = record.after_json
@@ -485,7 +476,7 @@ def pulse_unchanged(expression: Expression) -> None:
 
 
 def end(leaves: Collection[Leaf], ended: Ended) -> None:
-    """End leaves: reading them and waiting for them raises an error from now on."""
+    """End leaves: from now on, reading or awaiting these leaves raises an error."""
     with lock:
         all_ended = (*leaves, *counters_on(leaves))
         for leaf in all_ended:

@@ -1,6 +1,6 @@
 """Fluents: values that the branches of a plan share, wait for and react to (thesis 3.5.3).
 
-A fluent has a value; any branch or thread may read it, set it, and wait until it is not None::
+Any branch or thread may read the value of a fluent, set it, and wait until it is not None::
 
     battery = Fluent(100, "battery")
     low = (battery < 20).OR(battery.IS(None))
@@ -9,19 +9,18 @@ A fluent has a value; any branch or thread may read it, set it, and wait until i
         s(plan)
         s(low.wait_for)
 
-Operators make networks, whose values are computed from their operands at one moment. Comparisons and AND, OR, NOT, IS,
-IS_NOT give True or None, never False, because waits end at a value that is not None. None means that there is no value
-(yet): every order relation with None is None, and so is a sum with None. AND and OR read their second operand only if
-they have to, as in ``(speed != 0).AND(distance / speed < 10)``.
+Operators make networks. A network computes its value from the values of its operands at one moment. Comparisons and
+AND, OR, NOT, IS, IS_NOT return True or None, never False, because waits end at a value that is not None. None means
+that there is no value (yet): comparisons and sums with None are None. AND and OR read their second operand only if they
+need it, as in ``(speed != 0).AND(distance / speed < 10)``.
 
-Setting a fluent pulses it, even if the value stays the same; a network pulses when its own value changes.
-:meth:`Fluent.pulsed` counts pulses, :meth:`Fluent.rising`, :meth:`Fluent.falling` and :meth:`Fluent.changed` count
-changes, and :func:`~pycram.fluents.whenever.whenever` handles them.
+Setting a fluent pulses it, even if the value stays the same. A network pulses when its value changes.
+:meth:`Fluent.pulsed` counts pulses; :meth:`Fluent.rising`, :meth:`Fluent.falling` and :meth:`Fluent.changed` count
+changes. :func:`~pycram.fluents.whenever.whenever` handles pulses and changes.
 
-A wait never misses a value, however short it lasts, and ends immediately when the branch is cancelled: a change only
-appends the new state, and the waiting thread computes the values. Functions of networks run in the thread that reads or
-waits, without any lock held. They should be quick and depend only on their arguments. :mod:`pycram.fluents.world` has
-fluents that follow a world.
+A wait never misses a value, however short it lasts. A change only appends a new state, and the waiting thread computes
+the values. Functions of networks run in the thread that reads or waits, without any lock held. They should be quick and
+depend only on their arguments. :mod:`pycram.fluents.world` has fluents that follow a world.
 """
 
 from __future__ import annotations
@@ -68,35 +67,35 @@ if TYPE_CHECKING:
 
 __all__ = ["Behavior", "FalseEndsWait", "Fluent", "NotSettable", "NotTrueOrFalse", "network"]
 
-_MAX_NAME: Final = 60  # characters of a network in a message
+_MAX_NAME: Final = 60  # maximum length of a network's name in messages
 
 
 class NotSettable(UsageError):
-    """A fluent can't be set, because its value is computed from other fluents or a world."""
+    """A plan set a fluent whose value follows a world or other fluents."""
 
     def __init__(self, fluent: str, of_world: bool) -> None:
         cause = "follows a world; change the world" if of_world else "is computed from other fluents; set these fluents"
         super().__init__(f"{fluent} can't be set: its value {cause}")
-        self.fluent = fluent  # its name
-        self.of_world = of_world  # whether it follows a world
+        self.fluent = fluent  # name of the fluent
+        self.of_world = of_world  # whether the fluent follows a world
 
 
 class FalseEndsWait(RuntimeWarning):
-    """A wait ended immediately, because the value was False."""
+    """A wait for a fluent ended immediately, because False is a value."""
 
 
 class NotTrueOrFalse(UsageError):
-    """A fluent was used as a condition, instead of its value."""
+    """A plan used a fluent as a condition, instead of its value."""
 
     def __init__(self, fluent: str) -> None:
         super().__init__(
             f"{fluent} is a fluent, neither true nor false; use its get_value(), and combine fluents with AND, OR, NOT"
         )
-        self.fluent = fluent  # its name
+        self.fluent = fluent  # name of the fluent
 
 
 def _order(sign: str, test: Callable[[Value, Value], object]) -> Callable[[Fluent, object], Fluent]:
-    """Return the method of an order relation, which is None if one of the values is None."""
+    """Return the method of an order relation; the relation is None if one of the values is None."""
 
     def compare(self: Fluent, other: object) -> Fluent:
         return _comparison(sign, lambda a, b: a is not None and b is not None and test(a, b), self, other)
@@ -107,7 +106,7 @@ def _order(sign: str, test: Callable[[Value, Value], object]) -> Callable[[Fluen
 def _arithmetic(
     sign: str, function: Callable[[Value, Value], Value]
 ) -> tuple[Callable[[Fluent, object], Fluent], Callable[[Fluent, object], Fluent]]:
-    """Return the methods of an arithmetic operator, with the fluent on its left and on its right."""
+    """Return the two methods of an arithmetic operator: the fluent is its left operand, or its right operand."""
 
     def left(self: Fluent, other: object) -> Fluent:
         return _network(f"{{}} {sign} {{}}", _unless_none(function), self, other)
@@ -119,7 +118,7 @@ def _arithmetic(
 
 
 def _unless_none(function: Callable[..., Value]) -> Callable[[Iterator[Value]], Value]:
-    """Return a function of all operands' values that gives None if one of them is None."""
+    """Return a function of the operands' values; its result is None if one of the values is None."""
 
     def compute(values: Iterator[Value]) -> Value:
         given = tuple(values)
@@ -131,12 +130,11 @@ def _unless_none(function: Callable[..., Value]) -> Callable[[Iterator[Value]], 
 class Fluent:
     """A value that branches share.
 
-    Fluents are hashable and equal only to themselves, although ``==`` makes a network: they can be members of sets,
-    dictionaries and lists of fluents, and ``in`` finds them there. In a list with other values, ``in`` raises
-    NotTrueOrFalse, as ``if fluent == 3`` does; use ``any(value is fluent for value in values)`` instead.
+    Fluents are hashable: sets, dictionaries and lists can contain fluents, and ``in`` finds them by identity. If a list
+    also contains other values, ``in`` raises NotTrueOrFalse; use ``any(value is fluent for value in values)`` there.
 
     Args:
-        value: The first value; a branch's future stands for its result.
+        value: The first value; of a future, its result.
         name: Name in recordings; "fluent_1", "fluent_2", ... by default.
 
     Raises:
@@ -144,24 +142,24 @@ class Fluent:
     """
 
     __slots__ = ("__weakref__", "expression")
-    __array_ufunc__ = None  # NumPy's arrays leave operators to us
+    __array_ufunc__ = None  # operators of NumPy arrays call the methods of Fluent
 
     expression: Expression
-    """The expression that has the value."""
+    """The expression that computes or holds the value."""
 
     def __init__(self, value: Value = None, name: str | None = None) -> None:
         self.expression = Variable(_checked(value), None if name is None else checks.text("name", name))
 
     @property
     def name(self) -> str:
-        """The fluent's name; the name of a network is its operation."""
+        """Name of the fluent; for a network, its operation as text."""
         return self.expression.text()
 
     def __repr__(self) -> str:
         return f"Fluent({self.name})"
 
     def __record__(self) -> object:
-        """Return the fluent's reference in records."""
+        """Return the reference to the fluent that records contain."""
         return {"fluent": self.name}
 
     # --- value -----------------------------------------------------------------------------------------------------
@@ -177,23 +175,19 @@ class Fluent:
 
     @refusing("fluent")
     def set_value(self, value: Value) -> None:
-        """Set the value, pulse the fluent, and wake the waits for it; a future stands for its result.
+        """Set the value, pulse the fluent, and wake branches that wait for it; a future is replaced by its result.
 
         Raises:
             NotSettable: The fluent is a network, counts pulses or follows a world.
             BadArgument: The value is a function.
-            RecordingError: The change can't be recorded, and isn't made.
+            RecordingError: The recording failed; the value stays.
         """
-        assign({self._variable: _checked(value)})
-
-    @property
-    def _variable(self) -> Variable:
-        if isinstance(self.expression, Variable) and not self.expression.source:
-            return self.expression
-        raise NotSettable(self.name, isinstance(self.expression, Variable))
+        if not isinstance(self.expression, Variable) or self.expression.source:
+            raise NotSettable(self.name, isinstance(self.expression, Variable))
+        assign({self.expression: _checked(value)})
 
     def wait_for(self, timeout: float | None = None) -> bool:
-        """Wait until the value is not None; after :meth:`pulsed`, until there is a pulse to handle.
+        """Wait until the value is not None; for a counter of pulses, until a pulse is unhandled.
 
         False and 0 are values: ``Fluent(False).wait_for()`` returns immediately, and warns. To wait for a true value,
         start with None, or wait for ``fluent == True``.
@@ -202,7 +196,7 @@ class Fluent:
             timeout: In seconds; None for no limit.
 
         Returns:
-            True if the value is, or was for a moment, not None; False after the timeout.
+            True if the value is not None, or wasn't None for a moment during the wait; False after the timeout.
 
         Raises:
             BadArgument: The timeout isn't a number.
@@ -233,10 +227,9 @@ class Fluent:
         pulse_unchanged(self.expression)
 
     def pulsed(self, handle_missed: Behavior = Behavior.ONCE) -> Fluent:
-        """Return a fluent that counts the pulses of this one from now on: True while any pulse is unhandled, else None.
+        """Return a fluent that counts later pulses of this fluent: True while a pulse is unhandled, else None.
 
-        A fluent with a value of its own pulses whenever it is set, also to the same value; a network when its value
-        changes. Each ``whenever`` needs a fluent of its own; two with the same fluent would share the pulses.
+        Each ``whenever`` needs its own counter; two ``whenever`` with the same counter would share the pulses.
 
         Args:
             handle_missed: How to handle pulses that come while an earlier pulse is handled.
@@ -251,9 +244,9 @@ class Fluent:
         return self._counted(handle_missed, changes)
 
     def rising(self, handle_missed: Behavior = Behavior.ONCE) -> Fluent:
-        """Return a fluent that counts how often the value becomes true: not None, False, 0 or empty.
+        """Return a fluent that counts how often the value becomes true; None, False, 0 and empty values aren't true.
 
-        Run a body once each time that a condition becomes true::
+        This loop runs its body each time that a condition becomes true::
 
             for _ in whenever((battery < 20).rising()):
                 charge()
@@ -272,15 +265,15 @@ class Fluent:
     # --- networks --------------------------------------------------------------------------------------------------
 
     def AND(self, other: object) -> Fluent:  # noqa: N802  the original's name
-        """True if both values are true, else None; the second is read only if the first is true."""
+        """True if both values are true, else None; ``other`` is read only if the fluent's value is true."""
         return _network("{} AND {}", lambda values: True if all(values) else None, self, other)
 
     def OR(self, other: object) -> Fluent:  # noqa: N802  the original's name
-        """True if one of the values is true, else None; the second is read only if the first isn't true."""
+        """True if one of the values is true, else None; ``other`` is read only if the fluent's value isn't true."""
         return _network("{} OR {}", lambda values: True if any(values) else None, self, other)
 
     def NOT(self) -> Fluent:  # noqa: N802  the original's name
-        """True if the value is false (None, False, 0, empty), else None."""
+        """True if the value isn't true (None, False, 0 or empty), else None."""
         return _network("NOT {}", lambda values: None if any(values) else True, self)
 
     def IS(self, other: object) -> Fluent:  # noqa: N802  the original's name
@@ -294,7 +287,7 @@ class Fluent:
     def __eq__(self, other: object) -> Fluent:  # type: ignore[override]  # returns a network
         return _comparison("==", operator.eq, self, other, same=self.is_same(other))
 
-    def __ne__(self, other: object) -> Fluent:  # type: ignore[override]  # as above
+    def __ne__(self, other: object) -> Fluent:  # type: ignore[override]  # returns a network
         same = self.is_same(other)
         return _comparison("!=", operator.ne, self, other, same=None if same is None else not same)
 
@@ -302,7 +295,7 @@ class Fluent:
         return hash(self.expression)
 
     def is_same(self, other: object) -> bool | None:
-        """Return whether another fluent is this one, regardless of their values; None for other objects."""
+        """Return whether ``other`` is this fluent, regardless of values; None if ``other`` isn't a fluent."""
         return self.expression is other.expression if isinstance(other, Fluent) else None
 
     def __bool__(self) -> bool:
@@ -334,9 +327,8 @@ class Derived(Fluent):
     """A fluent whose value is computed from other fluents or from a world.
 
     Args:
-        expression: The expression that has the value.
-        same: Truth value for lists and ``in``, if the fluent is ``==`` or ``!=`` of two fluents: whether they are the
-            same fluent, or not.
+        same: Truth value for ``in``, if the network compares two fluents: whether they are the same fluent (for ``==``)
+            or two fluents (for ``!=``).
     """
 
     __slots__ = ("_same",)
@@ -352,10 +344,10 @@ class Derived(Fluent):
 
 
 def network(function: Callable[..., Value], *operands: object) -> Fluent:
-    """Return a fluent whose value a function computes from the operands' values, all of the same moment.
+    """Return a fluent whose value a function computes from the operands' values at one moment.
 
     Args:
-        function: Takes one value for each operand; called whenever the network's value is needed.
+        function: Called with one value for each operand, whenever the network's value is needed.
         operands: Fluents or plain values.
 
     Raises:
@@ -392,7 +384,7 @@ export("pycram.fluent", FalseEndsWait, NotSettable, NotTrueOrFalse)
 
 
 class StateStream:
-    """The state of an expression when its ``with`` block begins, and every later state until the block ends."""
+    """The states of an expression from the beginning of the ``with`` block to its end."""
 
     __slots__ = ("_expression", "_news", "_states")
 
@@ -414,17 +406,17 @@ class StateStream:
                 leaf.waiters.remove(self)
 
     def state_changed(self) -> None:
-        """Append the state; called with the lock held."""
+        """Append the present state; the caller holds the lock."""
         self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
-        self._news.notify_all()  # each time: the branch takes states without the lock, and may have checked just before
+        self._news.notify_all()  # always, because the branch takes states without the lock
 
     def states(self, limit: Deadline | None = None) -> Iterator[State]:
-        """Yield the states in order, and end at a deadline, however fast states come; None for no deadline."""
+        """Yield the states in order; end at the deadline, even if new states keep coming."""
         clock = next(filter(None, (variable.clock() for variable in self._expression.variables())), None)
         while True:
             late = limit is not None and limit.has_come
             if self._states:
-                checkpoint()  # one for all: a simulation assigns 30 states a second, and a reaction must not lag behind
+                checkpoint()  # one for all states: a reaction must keep up with 30 states a second
             for _ in range(len(self._states)):
                 raise_if_cancelled()
                 yield self._states.popleft()
@@ -443,10 +435,10 @@ class StateStream:
 
 
 def first_value(expression: Expression, timeout: float | None = None) -> Value:
-    """Wait until the value of an expression is not None, if only for a moment, and return that value.
+    """Wait until the value of an expression is not None, at least for a moment, and return that value.
 
     Args:
-        timeout: In seconds; None for no limit. After the timeout the result is None.
+        timeout: In seconds; None for no limit. After the timeout, the function returns None.
 
     Raises:
         Cancelled: The branch is cancelled.

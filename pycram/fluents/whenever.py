@@ -1,4 +1,4 @@
-"""``whenever``: runs a body each time that a fluent has a value, until the block around it is decided."""
+"""The function ``whenever`` runs a body each time that a fluent has a value, until the surrounding block is decided."""
 
 from __future__ import annotations
 
@@ -27,13 +27,12 @@ def whenever(fluent: Fluent) -> Iterator[Value]: ...
 def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 
-@lazy("`s(whenever, fluent, body)`: without a body it returns an iterator for a `for` loop")
+@lazy("`s(whenever, fluent, body)`: without a body, `whenever` returns an iterator for a `for` loop")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
-    """Run a body whenever a fluent's value is not None, again and again while it stays so.
+    """Run a body whenever a fluent's value is not None; repeat the body while the value stays so.
 
-    To run the body once each time that a condition becomes true, count its changes: :meth:`Fluent.rising`,
-    :meth:`Fluent.falling`, :meth:`Fluent.changed` and :meth:`Fluent.pulsed`. Each of them is handled by one run,
-    or several of them by one run, depending on their behavior::
+    To run the body once for each change, use a counter: :meth:`Fluent.rising`, :meth:`Fluent.falling`,
+    :meth:`Fluent.changed` or :meth:`Fluent.pulsed`. Its behavior says whether one run handles several changes::
 
         for _ in whenever(door.pulsed()):
             look_at(door)
@@ -42,11 +41,8 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
             s(whenever, (battery < 20).rising(), charge)
             s(plan)
 
-    Both forms run in the thread that calls them. They end when the branch is cancelled because the block around it is
-    decided, and when the body raises an error. A loop also ends by ``break``.
-
-    Args:
-        body: The function to run; None for a ``for`` loop.
+    Both forms run in the calling thread. They end when the surrounding block is decided and so cancels the branch, and
+    when the body raises an error. A loop also ends by ``break``.
 
     Returns:
         Without a body, an iterator that waits and yields each value that isn't None.

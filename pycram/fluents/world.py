@@ -1,13 +1,12 @@
 """Fluents that follow a world: poses, joints, held objects and contacts.
 
-Each world transaction updates all fluents of the world at the same moment, with the world's lock held, and their
-records follow the change's record. No user code is called then; waiting threads are only notified. During a simulation
-the values are read 30 times a simulated second, and assigned in order when the simulation has ended.
+A transaction updates all fluents of its world at the same moment, and their records follow the record of the change. A
+simulation reads the values 30 times a simulated second, and assigns all of them when it ends.
 
-If an object was removed or a world has ended, its fluents raise :class:`~pycram.failures.WorldClosed` when they are
-read or awaited. A world that no fluent follows has no extra cost.
+If an object was removed or a world has ended, reading or awaiting its fluents raises WorldClosed. All functions here
+raise BadArgument for an argument that isn't an object, and UnknownName for a link, joint or arm that doesn't exist.
 
-Values are plain: tuples in m and xyzw, floats in rad or m, names. They are assigned only when they have changed::
+Values are tuples in m and xyzw, floats in rad or m, or names. They are assigned only when they have changed::
 
     height = network(itemgetter(2), position(milk))
     (height < 0.5).OR(holding(robot, "left") == "milk").wait_for()
@@ -42,39 +41,21 @@ __all__ = ["contact", "holding", "joint", "pose", "position"]
 
 @refusing(name="fluents.pose")
 def pose(body: Object, link: str | None = None) -> Fluent:
-    """Follow the pose of an object's base link, or of another link: ((x, y, z), (x, y, z, w)) in the world frame.
-
-    Raises:
-        BadArgument: ``body`` isn't an object.
-        UnknownName: There is no such link.
-        WorldClosed: The object or its world is gone.
-    """
+    """Follow the pose of an object's base link, or of another link: ((x, y, z), (x, y, z, w)) in the world frame."""
     owner, name = _link(body, link)
     return _follow("pose", name, lambda: _pose(owner, link), owner)
 
 
 @refusing(name="fluents.position")
 def position(body: Object, link: str | None = None) -> Fluent:
-    """Follow the position of an object's base link, or of another link: (x, y, z) in m in the world frame.
-
-    Raises:
-        BadArgument: ``body`` isn't an object.
-        UnknownName: There is no such link.
-        WorldClosed: The object or its world is gone.
-    """
+    """Follow the position of an object's base link, or of another link: (x, y, z) in m in the world frame."""
     owner, name = _link(body, link)
     return _follow("position", name, lambda: _pose(owner, link)[0], owner)
 
 
 @refusing(name="fluents.joint")
 def joint(body: Object, name: str) -> Fluent:
-    """Follow the position of an object's joint, in rad or m.
-
-    Raises:
-        BadArgument: ``body`` isn't an object.
-        UnknownName: There is no such movable joint.
-        WorldClosed: The object or its world is gone.
-    """
+    """Follow the position of an object's movable joint, in rad or m."""
     owner = _object(body)
     owner.check_joint(name)
     return _follow("joint", f"{name} of {owner.name}", lambda: owner.get_joint_position(name), owner)
@@ -82,16 +63,11 @@ def joint(body: Object, name: str) -> Fluent:
 
 @refusing(name="fluents.holding")
 def holding(robot: Object, arm: str | None = None) -> Fluent:
-    """Follow the object that a robot holds: its name, None if there is none; the first of several.
+    """Follow the name of the first object that a robot holds; None if the robot holds no object.
 
     Args:
         robot: A robot, or any other object that carries objects.
-        arm: Name of one of its arms; all links by default.
-
-    Raises:
-        BadArgument: ``robot`` isn't an object, or has no arms.
-        UnknownName: There is no such arm.
-        WorldClosed: The object or its world is gone.
+        arm: Name of an arm of the robot; by default, all links are considered.
     """
     carrier = _object(robot)
     links: frozenset[str] | None = None
@@ -109,12 +85,7 @@ def holding(robot: Object, arm: str | None = None) -> Fluent:
 
 @refusing(name="fluents.contact")
 def contact(object1: Object, object2: Object) -> Fluent:
-    """Follow whether two objects of the same world touch: True or None.
-
-    Raises:
-        BadArgument: One of the two isn't an object, or they are in different worlds.
-        WorldClosed: One of the two, or the world, is gone.
-    """
+    """Follow whether two objects of the same world touch: True or None."""
     a, b = _object(object1), _object(object2)
     return _follow("contact", f"{a.name} and {b.name}", lambda: True if touches(a, b) else None, a, b)
 
@@ -126,20 +97,20 @@ class _WorldVariable(Variable):
 
     def __init__(self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]) -> None:
         super().__init__(read(), f"{source} of {name}", source, tuple(body.name for body in objects))
-        self.read = read  # returns the present value; called with the world's lock held, while the objects exist
+        self.read = read  # returns the present value; the caller holds the world's lock, and the objects exist
         self.objects = objects
 
     def clock(self) -> WorldClock | None:
-        """Return the world's time, if motions take time."""
+        """Return the clock of the world, if motions take time."""
         return WorldClock(self.objects[0].world, last=False) if current_environment() == CONTINUOUS else None
 
     def gone(self) -> str:
-        """Return the object that has been removed; "" for none."""
+        """Return the name of a followed object that was removed; "" if all objects exist."""
         return next((f"object {body.name}" for body in self.objects if not body.alive), "")
 
 
 class WorldVariables:
-    """The variables that follow one world; the observer of its transactions."""
+    """All variables that follow one world. Their world's transactions notify them."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
@@ -149,7 +120,7 @@ class WorldVariables:
     def variable(
         self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]
     ) -> _WorldVariable:
-        """Return the variable of a source, shared by all fluents that follow it; the world's lock is held."""
+        """Return the variable of a quantity, shared by all of its fluents; the caller holds the world's lock."""
         key = f"{source} of {name}"
         known = self._variables.get(key)
         if known is None:
@@ -157,18 +128,18 @@ class WorldVariables:
         return known
 
     def time_passed(self) -> None:
-        """Read all variables within a simulation; the values are assigned at the end of its transaction."""
+        """Read the values of all variables during a simulation; the end of its transaction assigns the values."""
         values = {variable: variable.read() for variable in self._variables.values() if not variable.gone()}
         if values:
             self._passed.append((self._world.sim_step, values))
 
     def has_news(self) -> bool:
-        """Return whether a variable with waits or counters has another value now, within a simulation."""
+        """Return whether the simulation has changed a value that a wait or a counter needs."""
         followed = [each for each in self._variables.values() if (each.waiters or each.counters) and not each.gone()]
         return any(each.read() != each.held for each in followed)
 
     def committed(self, transaction: Transaction) -> None:
-        """Update the variables that a recorded transaction affects; the world's lock is held."""
+        """Update the variables that a recorded transaction affects; the caller holds the world's lock."""
         variables = list(self._variables.values())
         if not variables:
             return

@@ -1,7 +1,7 @@
 """Checks of arguments before anything changes: numbers, positions, orientations, colours, names.
 
-Each function takes the parameter's name and the given value, returns plain Python values, which don't alias the
-caller's arrays, and raises BadArgument for an impossible value.
+Each function takes the name of a parameter and its value. It returns plain Python values that don't alias the caller's
+arrays, and raises BadArgument for an impossible value.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Table: TypeAlias = dict[str, object]
 
 _MAX_COUNT = 2**53  # JSON has no larger whole numbers
-_MAX_COORDINATE = 1e6  # m; beyond it the engine's arithmetic has no millimetres left
-_UNIT_TOLERANCE = 1e-9  # within which a quaternion's length is 1
+_MAX_COORDINATE = 1e6  # m; at larger coordinates the engine's arithmetic can't resolve millimetres
+_UNIT_TOLERANCE = 1e-9  # a quaternion whose length differs from 1 by less stays unchanged
 
 
 def number(argument: str, value: object) -> float:
@@ -40,7 +40,7 @@ def number(argument: str, value: object) -> float:
 
 
 def in_range(argument: str, value: object, low: float, high: float = math.inf) -> float:
-    """Return a finite number from low to high, both included."""
+    """Return a finite number from ``low`` to ``high``, both included."""
     result = number(argument, value)
     if not low <= result <= high:
         raise BadArgument(argument, value, f"a number from {low:g} {'up' if high == math.inf else f'to {high:g}'}")
@@ -56,7 +56,7 @@ def count(argument: str, value: object) -> int:
 
 
 def switch(argument: str, value: object) -> bool:
-    """Return True or False; 1 and 0 are accepted, too."""
+    """Return True or False; the numbers 1 and 0 are also accepted."""
     if isinstance(value, bool | int | np.bool_ | np.integer) and value in (0, 1):
         return bool(value)
     raise BadArgument(argument, value, "True or False")
@@ -71,7 +71,7 @@ def vector(argument: str, value: object) -> Vector:
 
 
 def quaternion(argument: str, value: object) -> Quaternion:
-    """Return 4 numbers x, y, z, w as a unit quaternion; if the length is 1 already, the numbers stay unchanged."""
+    """Return 4 numbers x, y, z, w as a unit quaternion; if their length is 1, they stay unchanged."""
     expected = "4 finite numbers x, y, z, w that aren't all zero"
     x, y, z, w = _numbers(argument, value, 4, expected)
     length = math.hypot(x, y, z, w)
@@ -92,14 +92,14 @@ def color(argument: str, value: object) -> tuple[float, float, float, float]:
 
 
 def text(argument: str, value: object) -> str:
-    """Return a string that isn't empty and has no lone surrogates, so that files can hold it."""
+    """Return a non-empty string without lone surrogates, which files can't hold."""
     if not isinstance(value, str) or not value.strip() or any("\ud800" <= letter <= "\udfff" for letter in value):
         raise BadArgument(argument, value, "a string that isn't empty")
     return value
 
 
 def one_of(argument: str, value: object, options: Collection[str]) -> str:
-    """Return a value that is one of these texts."""
+    """Return a text if it is one of the options."""
     for option in options:
         if option == value:
             return option
@@ -122,14 +122,14 @@ def table(parent: Table, key: str) -> Table:
 
 
 def only(table: Table, *keys: str) -> None:
-    """Reject a TOML table with entries other than these."""
+    """Reject a TOML table that has keys other than ``keys``."""
     for key in table:
         if key not in keys:
             raise BadArgument(key, table[key], f"only {', '.join(keys)} here")
 
 
 def pose_entry(parent: Table, key: str) -> Pose:
-    """Return a pose from a TOML table with xyz in m and roll, pitch, yaw in rad; both are zero by default."""
+    """Return a pose from a TOML table with "xyz" in m and "rpy" (roll, pitch, yaw) in rad; both are zero by default."""
     offset = table(parent, key) if key in parent else {}
     only(offset, "xyz", "rpy")
     position = vector(f"{key}.xyz", offset.get("xyz", (0.0, 0.0, 0.0)))

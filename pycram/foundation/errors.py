@@ -1,11 +1,8 @@
 """Errors: base classes, usage errors, and chains of errors.
 
 A :class:`PlanFailure` means that the world prevents an action: a plan may catch it and try something else. A
-:class:`UsageError` means that the program is wrong: nothing should catch it. Every error keeps its data as attributes,
-which are recorded with the message. Errors of a plan may be dataclasses, also frozen ones: Python can still set the
-traceback and the context while the error propagates.
-
-An error of PyCRAM is a dataclass of its data, with a template for the message::
+:class:`UsageError` means that the program is wrong: nothing should catch it. Attributes of an error are recorded with
+its message. An error of PyCRAM is a dataclass with a template for its message::
 
     @dataclass_error
     class GraspFailed(PlanFailure):
@@ -16,10 +13,10 @@ An error of PyCRAM is a dataclass of its data, with a template for the message::
 
         _template = "{arm} gripper can't grasp {body}"
 
-- Fields are the constructor's parameters, and the recorded data in the same order. ``kept_as`` copies a given value.
-- If the message needs more than a template, override ``_message()``, which returns it from the fields.
-- If a field depends on others, set it in ``_complete()``, which runs before the message is made.
-- If parameters and fields differ, write ``__init__`` instead, and call ``super().__init__(message)``.
+- The fields are parameters of the constructor, and are recorded in the same order. ``kept_as`` copies a given value.
+- If a message needs more than a template, override ``_message()``.
+- If a field depends on other fields, set it in ``_complete()``, which runs before ``_message()``.
+- If the parameters differ from the fields, write ``__init__`` instead, and call ``super().__init__(message)``.
 """
 
 from __future__ import annotations
@@ -48,22 +45,22 @@ ErrorType = TypeVar("ErrorType", bound=BaseException)
 class PycramError(Exception):
     """Base of all errors that PyCRAM defines."""
 
-    _template: ClassVar[str] = ""  # message of a dataclass error, with its fields in braces
+    _template: ClassVar[str] = ""  # message of a dataclass error, with field names in braces
 
     def __new__(cls, *args: object, **kwargs: object) -> Self:
-        """Make an instance that can be raised even if its class refuses assignments."""
+        """Make an instance. It can be raised even if its class rejects assignments, as frozen dataclasses do."""
         if cls not in _raisable:
             _make_raisable(cls)
         return super().__new__(cls, *args, **kwargs)
 
     @property
     def data(self) -> Mapping[str, object]:
-        """The error's fields by name."""
+        """Values of the error's fields by name."""
         slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
         return {name: value for name, value in (slots | vars(self)).items() if not name.startswith("_")}
 
     def _complete(self) -> None:
-        """Set fields that depend on others."""
+        """Set the fields that depend on other fields."""
 
     def _message(self) -> str:
         return self._template.format_map(vars(self))
@@ -73,7 +70,7 @@ class PycramError(Exception):
         return notebook.traceback_lines(self)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle and copy the error with its fields, as the class can't be called with the message alone."""
+        """Pickle and copy the error with its fields: the constructor may need more than the message."""
         slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
         return _restored, (type(self), self.args, slots, dict(vars(self)))
 
@@ -87,12 +84,12 @@ class UsageError(PycramError):
 
 
 def kept_as(convert: Callable[[Given], object], **default: Given | None) -> Given:
-    """Return a field of a dataclass error that stores the result of ``convert`` (list, dict, ...); None stays None."""
-    return cast("Given", field(**default, metadata={"convert": convert}))  # type: ignore[call-overload]  # default is the only keyword
+    """Return a field of a dataclass error that converts its value by ``convert`` (list, dict, ...); None stays None."""
+    return cast("Given", field(**default, metadata={"convert": convert}))  # type: ignore[call-overload]  # ``default`` is the only keyword
 
 
 def floats(values: Sequence[float]) -> list[float]:
-    """Return numbers, which may be given as an array, as Python floats."""
+    """Return a list of Python floats; ``values`` may be an array."""
     return [float(value) for value in values]
 
 
@@ -100,12 +97,12 @@ def floats(values: Sequence[float]) -> list[float]:
 def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
     """Make an error a dataclass whose message comes from its template or its ``_message()``.
 
-    The traces of the dataclass are removed, so a dataclass that a plan derives from it may be frozen, and has only its
-    own fields. Errors stay equal by identity, and print like other exceptions.
+    A plan may derive a frozen dataclass from the error: the error doesn't keep the attributes that mark a dataclass.
+    Errors stay equal by identity, and print like other exceptions.
     """
     dataclass(eq=False, repr=False, match_args=False)(kind)
     conversions = {each.name: each.metadata["convert"] for each in fields(cast("Any", kind)) if each.metadata}
-    del kind.__dataclass_fields__, kind.__dataclass_params__  # type: ignore[attr-defined]  # made above
+    del kind.__dataclass_fields__, kind.__dataclass_params__  # type: ignore[attr-defined]  # the decorator above has set them
     set_fields = kind.__init__
 
     @functools.wraps(set_fields)
@@ -118,23 +115,22 @@ def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
         self._complete()
         super(PycramError, self).__init__(self._message())
 
-    kind.__init__ = init  # type: ignore[method-assign, assignment]  # with the same parameters
+    kind.__init__ = init  # type: ignore[method-assign, assignment]  # ``init`` has the same parameters
     return kind
 
 
 def _restored(
     kind: type[PycramError], args: tuple[object, ...], slots: Mapping[str, object], fields: Mapping[str, object]
 ) -> PycramError:
-    """Return an error from its pickled parts."""
     error = kind.__new__(kind, *args)
-    vars(error).update(fields)  # assignments could be rejected by the error's class
+    vars(error).update(fields)  # the error's class may reject assignments
     for name, value in slots.items():
         getattr(kind, name).__set__(error, value)
     return error
 
 
 def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
-    """Yield the slots of an error's fields, which dataclasses with ``slots=True`` have."""
+    """Yield the slots of an error whose class is a dataclass with ``slots=True``."""
     for base in type(error).__mro__:
         if issubclass(base, PycramError):
             for slot in vars(base).values():
@@ -142,17 +138,14 @@ def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
                     yield slot
 
 
-#: Attributes that Python and context managers set on an exception that propagates.
+#: Attributes that Python sets on an exception while it propagates.
 _SET_BY_PYTHON: Final = frozenset({"__cause__", "__context__", "__notes__", "__suppress_context__", "__traceback__"})
 
 _raisable: Final[WeakSet[type[PycramError]]] = WeakSet()
 
 
 def _make_raisable(kind: type[PycramError]) -> None:
-    """Let Python set its attributes on instances of a class that prevents assignments, as frozen dataclasses do.
-
-    This is done with the first instance: a dataclass gets its ``__setattr__`` only after ``__init_subclass__``.
-    """
+    # not in __init_subclass__: it runs before a dataclass gets its __setattr__
     for base in kind.__mro__:
         if issubclass(base, PycramError) and base not in _raisable:
             _raisable.add(base)
@@ -170,14 +163,14 @@ def _allow_python(kind: type[PycramError]) -> None:
         else:
             assign(error, name, value)
 
-    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]  # wraps the method of the class
+    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]  # mypy forbids assigning to a method
 
 
 @dataclass_error
 class BadArgument(UsageError, ValueError):
     """An impossible value of an argument (NaN, wrong length, zero quaternion, ...)."""
 
-    argument: str  # name of the parameter
+    argument: str  # name of the parameter that has the value
     value: object
     expected: str  # description of accepted values
 
@@ -185,7 +178,7 @@ class BadArgument(UsageError, ValueError):
 
 
 class JointLimitError(BadArgument):
-    """A joint value outside the limits of the model, in rad or m."""
+    """A joint value in rad or m that is outside the limits of the joint's model."""
 
     def __init__(self, body: str, joint: str, value: float, lower: float, upper: float) -> None:
         super().__init__(f"joint {joint} of {body}", value, f"a value from {lower:g} to {upper:g}")
@@ -204,7 +197,7 @@ class UnknownName(UsageError, LookupError):
         self.kind = kind  # "joint", "link", "object", ...
         self.name = name
         self.owner = owner
-        self.nearest = nearest(name, names)  # the most similar names that the owner has
+        self.nearest = nearest(name, names)  # names of the owner that are the most similar to ``name``
 
 
 class AssetError(UsageError):
@@ -218,7 +211,7 @@ class AssetError(UsageError):
 
 @dataclass_error
 class AttachmentError(UsageError):
-    """An attachment that is impossible (cycle, itself, another world, already carried)."""
+    """An impossible attachment: a cycle, or an object that is carried already or belongs to another world."""
 
     carrier: str
     body: str
@@ -229,7 +222,7 @@ class AttachmentError(UsageError):
 
 @dataclass_error
 class ReadOnly(UsageError, AttributeError):
-    """A read-only attribute was assigned; methods change it, and record the change."""
+    """A plan assigned a read-only attribute; only methods change it, and record the change."""
 
     owner: str  # the world or object
     attribute: str
@@ -239,7 +232,7 @@ class ReadOnly(UsageError, AttributeError):
 
 
 class WorldClosed(UsageError):
-    """An action was tried in a world after its end, or on an object after its removal."""
+    """An action on a world that has ended, or on an object that was removed."""
 
     def __init__(self, world: str, action: str, what: str = "the world") -> None:
         super().__init__(f"can't {action} in {world}: {what} is gone")
@@ -261,7 +254,7 @@ class NoWorld(UsageError):
 
 @dataclass_error
 class ChangeRefused(UsageError):
-    """A change of a world was tried inside a reasoning query."""
+    """A reasoning query tried to change a world."""
 
     change: str
     query: str
@@ -271,11 +264,11 @@ class ChangeRefused(UsageError):
 
 @dataclass_error
 class ObjectsChanged(UsageError):
-    """A state of a world can't be restored, as it was saved with other objects."""
+    """A saved state can't be restored, because the world has other objects now."""
 
     world: str
-    added: Sequence[str] = kept_as(tuple)  # names of the objects that were loaded since
-    removed: Sequence[str] = kept_as(tuple)  # names of the objects that were removed since
+    added: Sequence[str] = kept_as(tuple)  # names of the objects that were loaded after the state was saved
+    removed: Sequence[str] = kept_as(tuple)  # names of the objects that were removed after the state was saved
 
     def _message(self) -> str:
         changes = ((self.added, "loaded"), (self.removed, "removed"))
@@ -292,7 +285,7 @@ class FollowsTrajectory(UsageError):
     action: str
     body: str
     number: int  # number of the trajectory in its world
-    joints: Sequence[str] = kept_as(tuple, default=())  # names of the joints that it moves; none for the base
+    joints: Sequence[str] = kept_as(tuple, default=())  # names of the moved joints; empty for the base
 
     def _message(self) -> str:
         joints = self.joints
@@ -312,10 +305,7 @@ class DisplayError(UsageError):
 
 
 def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
-    """Append other errors to an error's context chain, so that tracebacks print all of them, and return the error.
-
-    Errors that the chain already has are left out.
-    """
+    """Append errors to the context chain of ``error``, each once, so that tracebacks print all; return ``error``."""
     for other in others:
         last: BaseException = error
         known = {id(last)}
@@ -334,16 +324,16 @@ def call_all(calls: Iterable[Callable[[], object]]) -> list[Exception]:
     for call in calls:
         try:
             call()
-        except Exception as error:  # noqa: BLE001  any error: the caller raises them after all calls
+        except Exception as error:  # noqa: BLE001  the caller raises the errors after all calls
             errors.append(error)
     return errors
 
 
 class OnError:
-    """Calls a function with an error of its ``with`` block, also with an interrupt; then the error propagates.
+    """Calls a function with an error or an interrupt of its ``with`` block; then the error propagates.
 
-    An error that a signal handler raises at the end of the block, after its last statement, may pass without a call:
-    code that must not miss it needs ``except``.
+    A signal handler may raise an error after the last statement of the block. The function may miss that error, so code
+    that mustn't miss an error needs ``except``.
     """
 
     __slots__ = ("_call", "_kind")
@@ -370,10 +360,9 @@ def raise_unchanged(error: BaseException) -> NoReturn:
 
 
 def _detached(error: BaseException, known: set[int]) -> bool:
-    """Cut an error's context chain before the known errors, so that appending it to them makes no circle.
+    """Cut an error's context chain before the first known error; return False if the error was raised ``from`` it.
 
-    Returns:
-        False if it was raised explicitly ``from`` one of them: such a chain isn't cut.
+    Without the cut, appending the error to the known errors would make a circle.
     """
     seen: set[int] = set()
     later = error
@@ -392,7 +381,7 @@ def _detached(error: BaseException, known: set[int]) -> bool:
 
 
 def qualified_name(function: object) -> str:
-    """Return module and qualified name of a callable; for a partial, of the wrapped function."""
+    """Return the module and the qualified name of a callable; a partial has the name of its function."""
     while isinstance(function, partial):
         function = function.func
     named = function if hasattr(function, "__qualname__") else type(function)
@@ -400,6 +389,6 @@ def qualified_name(function: object) -> str:
 
 
 def export(module: str, *classes: type) -> None:
-    """Set the module from which users import classes, for tracebacks and pickles."""
+    """Set the module that tracebacks and pickles name for classes: the module from which users import them."""
     for exported in classes:
         exported.__module__ = module

@@ -1,16 +1,12 @@
 """Failures of worlds and motions (out of reach, not seen, in collision), and all usage errors.
 
-See :mod:`pycram.foundation.errors` for how to write a failure. By default, lengths are in m, angles in rad,
-positions xyz in the world frame, and orientations quaternions xyzw.
+:mod:`pycram.foundation.errors` describes how to write a failure. Lengths are in m and angles in rad. Positions xyz are
+in the world frame, and orientations are quaternions xyzw.
 """
 
 from __future__ import annotations
 
-from dataclasses import (
-    KW_ONLY,
-    asdict,
-    dataclass,
-)
+from dataclasses import KW_ONLY, asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.foundation.errors import (
@@ -83,23 +79,23 @@ __all__ = [
     "WorldClosed",
 ]
 
-_MAX_DIGITS: Final = 3  # maximum number of decimals of mm in messages
-_MAX_LISTED: Final = 3  # pairs that fit into a message
+_MAX_DIGITS: Final = 3  # maximum number of decimal places of millimetres in messages
+_MAX_LISTED: Final = 3  # maximum number of collision pairs in a message
 
 
 @dataclass(frozen=True, slots=True)
 class CollisionPair:
-    """A link of a robot, or of an object that it holds, and the link that it touches."""
+    """Two links that touch: a link of a robot or of an object that the robot holds, and a link of any object."""
 
     mover: str  # name of the object that moves: the robot, or an object that it holds
-    link: str  # the mover's link; "" if it has only one
-    body: str  # name of the touched object; the robot itself, if it touches a link of its own
-    body_link: str  # the touched link; "" if the object has only one
+    link: str  # link of the mover; "" if the mover has only one link
+    body: str  # name of the touched object, which may be the robot itself
+    body_link: str  # touched link; "" if the object has only one link
     depth: float = 0.0  # depth of the overlap, m
-    gripper: str = ""  # name of the arm whose gripper holds the mover; "" for the robot's own links
+    gripper: str = ""  # name of the arm whose gripper holds the mover; "" if the mover is the robot
 
     def __record__(self) -> Mapping[str, object]:
-        """Return the fields, for records."""
+        """Return the names and values of the fields, for records."""
         return asdict(self)
 
     def __str__(self) -> str:
@@ -107,7 +103,7 @@ class CollisionPair:
 
 
 def phrases(pairs: Sequence[CollisionPair]) -> str:
-    """Return a text of the first few pairs."""
+    """Return the first three collision pairs as text, and the number of the other pairs."""
     listed = ", ".join(map(str, pairs[:_MAX_LISTED]))
     return f"{listed}, and {len(pairs) - _MAX_LISTED} more" if len(pairs) > _MAX_LISTED else listed
 
@@ -129,7 +125,7 @@ class PerceptionError(PlanFailure):
 
     def __init__(self, object_type: str = "", reasons: Mapping[str, str] | None = None) -> None:
         self.object_type = object_type
-        self.reasons = dict(reasons or {})  # why each object of that type isn't seen, by name
+        self.reasons = dict(reasons or {})  # why each object of that type isn't seen, by the object's name
         why = "; ".join(f"{name} {reason}" for name, reason in self.reasons.items())
         super().__init__(f"no {object_type or 'object'} found: {why or 'the world has none'}")
 
@@ -138,10 +134,10 @@ class PerceptionError(PlanFailure):
 class Unreachable(PlanFailure):
     """No posture of the arm brings the tool to the target; see :class:`Blocked` for an obstacle."""
 
-    arm: str  # name of the arm (or the tool frame)
+    arm: str  # name of the arm, or of the tool frame
     target: Sequence[float] = kept_as(floats)
-    distance: float | None = None  # between the target and the nearest posture's tool, m
-    reason: str = ""  # another cause
+    distance: float | None = None  # distance in m from the target to the tool in the nearest posture; None if unknown
+    reason: str = ""  # cause, if the distance isn't the cause
 
     def _message(self) -> str:
         near = f"; the nearest posture stays {self.distance:.3f} m away" if self.distance is not None else ""
@@ -154,7 +150,7 @@ class Blocked(Unreachable):
 
     def __init__(self, arm: str, target: Sequence[float], pairs: Sequence[CollisionPair], reason: str = "") -> None:
         super().__init__(arm, target, None, f"{phrases(pairs)}{'; ' + reason if reason else ''}")
-        self.pairs = list(pairs)  # the links that would overlap most, one pair for each object
+        self.pairs = list(pairs)  # for each object the pair of links that would overlap most
         self.bodies = _bodies(pairs)
 
 
@@ -164,8 +160,8 @@ class InCollision(PlanFailure):
 
     position: Sequence[float] = kept_as(floats)  # position of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
-    bodies: Sequence[str] = kept_as(list)  # names of the objects that would be touched
-    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # the most overlapping links, one pair for each object
+    bodies: Sequence[str] = kept_as(list)  # names of the objects that the robot would touch
+    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # for each object the links that overlap most
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
@@ -174,7 +170,7 @@ class InCollision(PlanFailure):
 
 @dataclass_error
 class NotDrivable(PlanFailure):
-    """The pose is impossible for a base: it drives upright on its ground."""
+    """The robot's base can't have the pose, because it drives upright on its ground."""
 
     position: Sequence[float] = kept_as(floats)  # position of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
@@ -186,14 +182,14 @@ class NotDrivable(PlanFailure):
 
 @dataclass_error
 class PostureInCollision(PlanFailure):
-    """Arms in a posture would touch objects that they don't touch now."""
+    """In the posture, the arms would touch objects that they don't touch now."""
 
     arms: Sequence[str] = kept_as(list)
-    bodies: Sequence[str] = kept_as(list)  # names of the objects that they would touch; the robot's name for itself
-    # The links that would overlap most, one pair for each object; for the robot itself all pairs
+    bodies: Sequence[str] = kept_as(list)  # names of the objects that the arms would touch; may include the robot
+    # For each object the pair of links that would overlap most; for the robot itself all pairs of links
     pairs: Sequence[CollisionPair] = kept_as(list, default=())
     _: KW_ONLY
-    # Joint of the torso, and its height in m at which the arms would touch nothing; None if there is no such height
+    # Name of the torso's joint, and the height in m at which the arms would touch nothing; None without such a height
     torso: tuple[str, float] | None = None
 
     def _message(self) -> str:
@@ -204,14 +200,14 @@ class PostureInCollision(PlanFailure):
 
 @dataclass_error
 class NoPath(PlanFailure):
-    """No collision-free path was found within a budget of checks; this doesn't prove that none exists."""
+    """No collision-free path was found within a budget of collision checks; a path may still exist."""
 
-    mover: str  # the part that should move: "left arm", "base", ...
+    mover: str  # part of the robot that should move: "left arm", "base", ...
     goal: Mapping[str, float] = kept_as(dict)  # joint values by name; for a base, x, y and yaw in the world
     checks: int  # configurations that were checked for collisions
-    nearest: Mapping[str, float] = kept_as(dict)  # the configuration nearest to the goal to which a path was found
-    distance: float  # from there to the goal: Euclidean, of joint values; for a base in m, and 0.5 m for a radian
-    pairs: Sequence[CollisionPair] = kept_as(list)  # the links that were in the way most often
+    nearest: Mapping[str, float] = kept_as(dict)  # reached configuration nearest to the goal
+    distance: float  # Euclidean, from ``nearest`` to the goal, in joint values; for a base in m, 0.5 m per radian
+    pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links whose contact most often ended a path
 
     def _message(self) -> str:
         often = f"; most often {phrases(self.pairs)}" if self.pairs else ""
@@ -224,10 +220,10 @@ class NoPlace(PlanFailure):
     """No place fulfils all constraints at the same time."""
 
     wanted: str  # the purpose of the place
-    excluded: Mapping[str, int] = kept_as(dict)  # number of excluded places by constraint, in the constraints' order
+    excluded: Mapping[str, int] = kept_as(dict)  # number of excluded places by constraint, in order
     last: str  # the constraint that excluded the last places
     _: KW_ONLY
-    _why: str = ""  # the commonest reason of that constraint, and what would help; only the message has it
+    _why: str = ""  # the last constraint's most frequent reason, and a remedy; only for the message
 
     def _message(self) -> str:
         counts = ", ".join(f"{count} by {name}" for name, count in self.excluded.items())
@@ -241,7 +237,7 @@ class NoPlace(PlanFailure):
 class MissingPart(PlanFailure):
     """A robot lacks a part that a motion needs; another arm or another robot may have the part."""
 
-    owner: str  # the robot, or its arm
+    owner: str  # name of the robot, or of its arm
     part: str  # "gripper", "camera"
 
     _template = "the {owner} has no {part} in its description"
@@ -252,7 +248,7 @@ class LookingFailed(PlanFailure):
     """The head can't turn the camera to the target."""
 
     target: Sequence[float] = kept_as(floats)
-    angle: float  # between the camera's axis and the target, at the joint limits
+    angle: float  # angle between the camera's axis and the target, with the head at its joint limits
 
     def _message(self) -> str:
         return f"the head can't look at {_point(self.target)}: its joint limits stop it {self.angle:.3f} rad before"
@@ -270,12 +266,12 @@ class GraspFailed(PlanFailure):
 
 
 class DoesNotFit(GraspFailed):
-    """The object is too big or too thin for the gripper, from every allowed side."""
+    """From every allowed side, the object is too big or too thin for the gripper."""
 
     def __init__(self, arm: str, body: str, widths: Sequence[float], gap: float, widest: float, how: str = "") -> None:
-        self.widths = tuple(sorted(widths))  # widths of the sides and rims that were tried, m
-        self.gap = gap  # between the fingers when closed, m: thinner things slip through
-        self.widest = widest  # between the fingers when open, m
+        self.widths = tuple(sorted(widths))  # widths in m of the sides and rims that were tried
+        self.gap = gap  # gap in m between the closed fingers: thinner objects slip through
+        self.widest = widest  # gap in m between the open fingers
         thin = any(width < gap for width in widths)
         big = any(width >= gap for width in widths)
         size = "too big or too thin" if thin and big else "too thin" if thin else "too big"
@@ -283,7 +279,7 @@ class DoesNotFit(GraspFailed):
         while digits < _MAX_DIGITS and any(
             round(gap * 1e3, digits) <= round(width * 1e3, digits) <= round(widest * 1e3, digits) for width in widths
         ):
-            digits += 1  # 73.04 mm don't fit where 72.96 mm do
+            digits += 1  # else 73.04 mm and 72.96 mm would look equal
         between = f"{gap * 1e3:.{max(digits, 1)}f}-" if gap else "up to "
         between += f"{widest * 1e3:.{digits}f} mm"
         measured = ", ".join(dict.fromkeys(f"{width * 1e3:.{digits}f}" for width in self.widths))
@@ -297,7 +293,7 @@ class GripperBlocked(PlanFailure):
 
     arm: str
     body: str
-    pairs: Sequence[CollisionPair] = kept_as(list)  # the links that would touch each other, deepest first
+    pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links that would touch, the deepest first
 
     def _message(self) -> str:
         return f"{self.arm} gripper can't release {self.body}: {phrases(self.pairs)}; it stays as it is"
@@ -305,17 +301,17 @@ class GripperBlocked(PlanFailure):
 
 @dataclass_error
 class PlaceFailed(PlanFailure):
-    """The object can't be set down there, or didn't come to rest where it was set down."""
+    """The object can't be set down at the target, or it didn't come to rest there."""
 
     body: str
     target: Sequence[float] = kept_as(floats)
     reason: str
     _: KW_ONLY
     orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation; None for upright
-    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # links that would touch, if that is the cause
-    wanted: PoseLike | None = None  # pose at the release; None if it wasn't released
-    rest: PoseLike | None = None  # pose after the release; None if it wasn't released
-    touching: Sequence[CollisionPair] = kept_as(list, default=())  # links that touch at rest
+    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # pairs of links that would touch
+    wanted: PoseLike | None = None  # pose at the release; None if the object wasn't released
+    rest: PoseLike | None = None  # pose at rest after the release; None if the object wasn't released
+    touching: Sequence[CollisionPair] = kept_as(list, default=())  # pairs of links that touch at rest
 
     def _complete(self) -> None:
         self.reason = self.reason or phrases(self.pairs)
@@ -327,14 +323,14 @@ class PlaceFailed(PlanFailure):
 
 @dataclass_error
 class TrackingLost(PlanFailure):
-    """A body couldn't follow its trajectory; it was stopped, and stays at the point that it reached."""
+    """A body couldn't follow its trajectory; it stops, and stays where it is."""
 
     body: str
     number: int  # number of the trajectory in its world
-    joint: str  # the first joint that deviated too far
+    joint: str  # the first joint whose deviation was too large
     error: float  # deviation of that joint, rad or m
     time: float  # time reached on the trajectory, s
-    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body and its load at that time, hardest first
+    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body and its load then, hardest first
 
     def _message(self) -> str:
         why = f": {phrases(self.pairs)}" if self.pairs else "; it touches nothing"
@@ -344,7 +340,7 @@ class TrackingLost(PlanFailure):
 
 @dataclass_error
 class TrajectoryEnded(PlanFailure):
-    """A trajectory ended before its time: it was stopped, or its world was reset or restored."""
+    """A trajectory ended early: it was stopped, or its world was reset or restored."""
 
     body: str
     number: int  # number of the trajectory in its world
@@ -359,11 +355,11 @@ class TrajectoryEnded(PlanFailure):
 
 @dataclass_error
 class Displaced(PlanFailure):
-    """A joint or base was moved elsewhere between two parts of a motion, for example by another branch."""
+    """Something, such as another branch, moved a joint or base between two parts of a motion."""
 
     body: str
     coordinate: str  # name of the joint, or x, y or yaw of the base
-    expected: float  # rad or m
+    expected: float  # expected position in rad or m
     position: float
 
     _template = (
@@ -379,13 +375,13 @@ class AccessFailed(PlanFailure):
     joint: str
     reason: str
     _: KW_ONLY
-    handle: str = ""  # the link by which it should be moved
+    handle: str = ""  # name of the link by which the arm should move the door or drawer
     arm: str = ""
-    asked: float | None = None  # requested value of the joint, rad or m
-    value: float | None = None  # value of the joint at which the path fails; None if the path isn't the cause
-    reached: float | None = None  # value that the arm would reach from there; None if it can't begin
-    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation of the gripper there
-    remedies: Sequence[str] = kept_as(list, default=())  # remedies, in words
+    asked: float | None = None  # requested position of the joint in rad or m
+    value: float | None = None  # joint position at which the path fails; None if the path isn't the cause
+    reached: float | None = None  # joint position that the arm could reach; None if it can't begin
+    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation at ``value``
+    remedies: Sequence[str] = kept_as(list, default=())  # texts
 
     def _message(self) -> str:
         moved = "opened" if self.asked is None else f"moved to {self.asked:g}"
@@ -399,36 +395,36 @@ class AccessFailed(PlanFailure):
 
 
 class HandleUnreachable(AccessFailed, Unreachable):
-    """The arm can't reach the handle, or can't follow it as far as the door or drawer should move."""
+    """The arm can't reach the handle, or can't follow it on the whole path of the door or drawer."""
 
     def __init__(
         self, joint: str, reason: str, *, target: Sequence[float], distance: float | None, turn: float, **details: Any
     ) -> None:
         AccessFailed.__init__(self, joint, reason, **details)
-        self.target = floats(target)  # target of the tool
-        self.distance = distance  # between the target and the nearest posture's tool
-        self.turn = turn  # angle between requested and reached orientation
+        self.target = floats(target)  # target position of the tool
+        self.distance = distance  # distance in m from the target to the tool in the nearest posture
+        self.turn = turn  # angle between the requested and the reached orientation
 
 
 class HandleBlocked(AccessFailed):
-    """The arm, door or drawer would touch objects on the way."""
+    """The arm, the door or the drawer would touch an object on its way."""
 
     def __init__(self, joint: str, reason: str, *, pairs: Sequence[CollisionPair], **details: Any) -> None:
         super().__init__(joint, reason, **details)
-        self.pairs = list(pairs)  # the links that would touch each other
+        self.pairs = list(pairs)  # pairs of links that would touch
         self.bodies = _bodies(pairs)
 
 
 @dataclass_error
 class PropertyViolated(PlanFailure):
-    """A property that is watched is violated."""
+    """The run violates a watched property."""
 
-    property: str  # its text
-    step: int  # the record at which it is violated; -1 without a recording
-    seconds: float  # simulated time of its world then
-    margin: float | None  # by how much, m, rad or s: negative; None if the property has no margin
-    values: Mapping[str, object]  # values of its quantities, by their texts
-    reason: str = ""  # why that moment is a violation; "" if the values violate it
+    property: str  # text of the property
+    step: int  # step of the record that violates the property; -1 without a recording
+    seconds: float  # simulated time of the world at the violation
+    margin: float | None  # margin in m, rad or s, negative; None if the property has no margin
+    values: Mapping[str, object]  # values of the property's quantities, by their texts
+    reason: str = ""  # why the property is violated; "" if the values say why
 
     def _message(self) -> str:
         values = ", ".join(f"{text} = {_value(value)}" for text, value in self.values.items())

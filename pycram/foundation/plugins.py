@@ -1,4 +1,4 @@
-"""Robots, process modules and actions of other packages, by entry points that are loaded when their name is asked for.
+"""Robots, process modules and actions of other packages: entry points that are loaded when a plan uses their name.
 
 A package declares them in its pyproject.toml::
 
@@ -6,12 +6,12 @@ A package declares them in its pyproject.toml::
     my_robot = "my_package:DESCRIPTION"      # path of a TOML file, or a RobotDescription
 
     [project.entry-points."pycram.process_modules"]
-    wiping = "my_package.wiping:Wiping"      # by cmd: called without arguments, it returns a process module
+    wiping = "my_package.wiping:Wiping"      # value of the slot "cmd"; calling the object returns a process module
 
     [project.entry-points."pycram.actions"]
-    tidying-up = "my_package.tidying"        # its import registers the action, by @action("tidying-up")
+    tidying-up = "my_package.tidying"        # importing the module registers the action, by @action("tidying-up")
 
-Each loaded entry point is recorded as a line of the log, with the version of its package.
+The log of the run has a line for each loaded entry point, with the version of its package.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class PluginFailed(UsageError):
 
     def __init__(self, group: str, name: str, packages: list[str], problem: str) -> None:
         super().__init__(f"{name} of {' and '.join(packages)} (entry point of {group}) can't be used: {problem}")
-        self.group = group  # "pycram.robots", ...
+        self.group = group  # group of the entry point: "pycram.robots", ...
         self.name = name  # name of the entry point
         self.packages = packages  # names and versions of the packages that declare it
         self.problem = problem
@@ -43,13 +43,13 @@ export("pycram.failures", PluginFailed)
 
 @cache
 def load(group: str, name: str) -> Any:
-    """Return the object of an entry point; None if no installed package has an entry point of that name.
+    """Return the object of an entry point; None if no installed package has an entry point with that name.
 
     Raises:
-        PluginFailed: Several packages have such an entry point, or it can't be imported.
+        PluginFailed: Several packages have an entry point with that name, or the entry point can't be imported.
     """
-    import logging  # noqa: PLC0415  slow to import, and most plans need no other package
-    from importlib.metadata import entry_points  # noqa: PLC0415  likewise
+    import logging  # noqa: PLC0415  slow to import, and few plans use plugins
+    from importlib.metadata import entry_points  # noqa: PLC0415  slow to import, too
 
     found = list(entry_points(group=group, name=name))
     if not found:
@@ -62,6 +62,6 @@ def load(group: str, name: str) -> Any:
     except (ImportError, AttributeError) as error:
         raise PluginFailed(group, name, packages, str(error)) from error
     log = logging.getLogger("pycram.plugins")
-    log.setLevel(logging.INFO)  # recorded regardless of the plan's own level
+    log.setLevel(logging.INFO)  # else the plan's log level could drop the line
     log.info("loaded %s of %s (%s: %s)", name, packages[0], group, found[0].value)
     return loaded

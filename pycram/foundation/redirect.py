@@ -1,4 +1,4 @@
-"""Redirected file descriptors: native code bypasses ``sys.stdout`` and ``sys.stderr``."""
+"""Redirection of file descriptors, because native code bypasses ``sys.stdout`` and ``sys.stderr``."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def redirected(*descriptors: int, to: int) -> Iterator[None]:
             copy = os.dup(descriptor)
             restoring.callback(os.close, copy)
             restoring.callback(os.dup2, copy, descriptor)
-        with suppress(TypeError):  # Windows doesn't give its C library without a name
-            restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers output to a pipe or a file
+        with suppress(TypeError):  # Windows needs the name of its C library
+            restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers its output to a pipe or a file
         for descriptor in descriptors:
             os.dup2(to, descriptor)
         yield

@@ -1,7 +1,7 @@
 """Refusals: calls that PyCRAM rejects are recorded with their error, even if the plan catches the error.
 
-A refusal is recorded once, as the call that the plan made: for nested PyCRAM calls the outermost is recorded; a call
-inside a plan's handler, resolver or query is recorded itself.
+A refusal is recorded once, as the call that the plan made. If PyCRAM calls are nested, the outermost is recorded. A
+call by a plan's handler, resolver or query has a record of its own.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ T = TypeVar("T")
 Class = TypeVar("Class", bound=type)
 Error = TypeVar("Error", bound=BaseException)
 
-_RECORDED: Final = "_is_on_record"  # an attribute of errors, which isn't part of their data
+_RECORDED: Final = "_is_on_record"  # attribute of recorded errors; not part of their data
 
 
 def refusing(
     subject: str = "", kinds: type[BaseException] = UsageError, *, name: str = ""
 ) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function so that its refusals are recorded.
+    """Decorate a function so that its refusals are recorded; calls with wrong arguments are refusals, too.
 
     Args:
-        subject: Name of its argument ``self`` in records ("object", "world", ...); "" for the parameter's name.
-        kinds: The errors that are refusals; a call with wrong arguments is a refusal, too.
-        name: Name of the function in records; its own name by default.
+        subject: Name of the argument ``self`` in records ("object", "world", ...); by default "self".
+        kinds: Types of errors that are refusals.
+        name: Name of the function in records; by default its name in the code.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
@@ -57,7 +57,7 @@ def refusing(
     return decorate
 
 
-_ASK: Final = refusing()(refusing).__code__  # the code of all decorated functions
+_ASK: Final = refusing()(refusing).__code__  # all decorated functions share this code
 
 
 def refusing_methods(subject: str) -> Callable[[Class], Class]:
@@ -78,7 +78,7 @@ def refusing_methods(subject: str) -> Callable[[Class], Class]:
 
 
 def refused(error: Error, name: str, arguments: Mapping[str, object]) -> Error:
-    """Record a rejected call, with the function's name and arguments, and return the error to raise."""
+    """Record a rejected call with the name and the arguments of its function; return the error."""
     if journal.recording():
         record = records.Refusal(name=name, arguments=records.arguments(arguments), failure=records.failure(error))
         world, sim_step = _where(arguments.values())
@@ -89,22 +89,22 @@ def refused(error: Error, name: str, arguments: Mapping[str, object]) -> Error:
 
 
 def mark_recorded(error: BaseException) -> None:
-    """Mark an error as recorded, so that the calls around it don't record it as a refusal."""
+    """Mark an error as recorded, so that outer calls don't record the error again."""
     BaseException.__setattr__(error, _RECORDED, True)
 
 
 def is_recorded(error: BaseException) -> bool:
-    """Return whether an error is on record."""
+    """Return whether an error has a record."""
     return _RECORDED in vars(error)
 
 
 def _is_of_call(error: BaseException) -> bool:
-    """Return whether Python raised an error at the call of a function, before its first statement."""
+    """Return whether Python raised an error before the first statement of the called function."""
     return error.__traceback__ is not None and error.__traceback__.tb_next is None
 
 
 def _is_part(frame: FrameType | None) -> bool:
-    """Return whether a call is part of another decorated call, without code of the plan between them."""
+    """Return whether a decorated function made this call, and no code of the plan is between the two calls."""
     while frame is not None and not is_plan(frame):
         if frame.f_code is _ASK:
             return True
@@ -115,7 +115,7 @@ def _is_part(frame: FrameType | None) -> bool:
 def _arguments(
     function: Callable[..., object], subject: str, args: tuple[object, ...], kwargs: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return the arguments of a call by name, or by index if they don't fit; without ``self`` of a constructor."""
+    """Return the arguments of a call by name, or by index if they don't match the function's parameters."""
     try:
         given = dict(inspect.signature(function).bind_partial(*args, **kwargs).arguments)
     except TypeError:
@@ -126,11 +126,11 @@ def _arguments(
 
 
 def _where(arguments: Iterable[object]) -> tuple[str, int]:
-    """Return name and simulated steps of the first argument's world, or of the current world if there is none."""
+    """Return the world's name and simulated steps: the first argument's world, else the current world."""
     for argument in arguments:
-        envelope = getattr(type(argument), "_envelope", None)  # its real type: a future imitates another type
+        envelope = getattr(type(argument), "_envelope", None)  # type(): a future imitates its result's class
         if envelope is not None:
-            with suppress(AttributeError):  # its constructor is still running
+            with suppress(AttributeError):  # the constructor of the argument is still running
                 name, sim_step = envelope(argument)
                 return str(name), int(sim_step)
     return journal.current_world()

@@ -10,12 +10,12 @@ block            branches run decided by                    fails with
 ``try_in_order`` in order     the first that succeeds       all failures, if all have failed
 ================ ============ ============================= =================================
 
-Each can be written in four ways::
+A block can be written in these ways::
 
     with par as s:                       # or par()
         ProcessModule.perform(parking)   # a branch
         s(function, argument)            # a branch
-        with seq:                        # a branch, which runs in order
+        with seq:                        # a branch, whose own actions run in order
             ProcessModule.perform(moving)
             ProcessModule.perform(looking)
 
@@ -24,16 +24,16 @@ Each can be written in four ways::
 
     par(function, other)                 # the results, as a list
 
-Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order`` it
-returns a future, which serves as its result (:mod:`pycram.scheduling.future`). In ``seq`` a failure propagates through
-the body as in plain Python, and the body may handle it. An empty block succeeds. A failure of the body itself ends the
-body; it decides ``pursue``, and counts as one more failure in other blocks.
+Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order``, it
+returns a future of its result (:mod:`pycram.scheduling.future`). In ``seq``, a failure propagates through the body as
+in plain Python, and the body may handle it. An empty block succeeds. A failure of the body itself ends the body; it
+decides ``pursue``, and counts as one more failure in other blocks.
 
-A decided block cancels its other branches and ends when all have ended. A failed block raises
+A decided block cancels its other branches, and ends when all branches have ended. A failed block raises
 :class:`~pycram.failures.BranchesFailed` with all failures; usage errors are raised unchanged. One branch runs at a
-time, until its next motion, wait or change of a world (:mod:`pycram.scheduling`); ``in_thread(time.sleep, 3)`` keeps a
-blocking call from blocking all branches. Motions queue for the robot's resources (:mod:`pycram.motions.resources`).
-Retries, timeouts and cleanups: :func:`failure_handling`, :func:`timeout`, :func:`finally_`.
+time, until its next motion, wait or change of a world (:mod:`pycram.scheduling`). A blocking call would block all
+branches; ``in_thread(time.sleep, 3)`` prevents this. Motions queue for the robot's resources
+(:mod:`pycram.motions.resources`). The package also has :func:`failure_handling`, :func:`timeout` and :func:`finally_`.
 """
 
 from __future__ import annotations

@@ -1,24 +1,23 @@
 """Blocks of the plan language: the five words that open blocks, and the branches, bodies and ends of blocks.
 
-The kinds of blocks differ in their :class:`Policy` only: whether branches run concurrently, and which outcome of a
-branch decides the block. A decided block cancels its other branches, ends when all have ended, and has the outcome of
-the deciding branch. A block that nothing decided failed if any branch failed.
+The five kinds of blocks differ only in their :class:`Policy`. A decided block cancels its other branches, ends when all
+branches have ended, and has the outcome of the deciding branch. A block without a deciding branch fails if any branch
+failed. A block cancels a branch that is added after the decision.
 
-A plan failure of the body ends the body and counts as one of the block's failures. It decides the block if a branch's
-failure would decide it; an earlier decision stays. A branch that is added to a decided block is cancelled.
+A plan failure of the body ends the body and counts as one of the block's failures. It decides an undecided block, if
+failures of branches decide blocks of that kind.
 
-Two errors fail any block, decided or not:
+Two errors fail any block, even after the decision:
 
-- A usage error, in a branch or in the body. It is raised unchanged, and never collected or retried.
-- The failed cleanup of a cancelled branch, because then the state of the world is unknown.
+- A usage error in a branch or in the body. It is raised unchanged, and never collected or retried.
+- A failed cleanup of a cancelled branch, because the state of the world is then unknown.
 
-A block in the body of another block, its *host*, is one of the host's branches. In ``try_in_order`` it runs in place;
-the host keeps its failure and continues with the next statement. In a concurrent host a branch runs it
-(:class:`ReadBlock`).
+A block in the body of another block is a branch of the outer block, its *host*. In ``try_in_order`` the inner block
+runs in place; the host keeps its failure and continues with the next statement. In a concurrent host, a branch runs the
+inner block (:class:`ReadBlock`).
 
-The context of a body carries its block; actions in the body become branches of that block. The context of a branch
-carries no block, and actions run in order. A decided ``try_in_order`` ends its body at the next block in it; variables
-that this block would have set are not set then.
+The context of a body has its block, and actions in the body become branches of that block. The context of a branch has
+no block, and actions run in order. A decided ``try_in_order`` ends its body at the next block in the body.
 """
 
 from __future__ import annotations
@@ -63,15 +62,15 @@ Action: TypeAlias = Callable[..., Result]
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """The differences between the kinds of blocks."""
+    """The rules in which the kinds of blocks differ."""
 
-    name: str  # "par", ...
+    name: str  # the word that opens the block: "par", ...
     concurrent: bool  # whether branches run concurrently
-    decided_by: frozenset[State]  # the states of an ended branch that decide the block
+    decided_by: frozenset[State]  # final states of a branch that decide the block
 
     @property
     def propagates(self) -> bool:
-        """Whether a failure propagates through the body as in plain Python; unless handled there, it ends the block."""
+        """Whether a branch's failure propagates through the body, as in plain Python."""
         return not self.concurrent and State.FAILED in self.decided_by
 
     @property
@@ -81,67 +80,67 @@ class Policy:
 
 
 class Block:
-    """A block: ``s`` in ``with par as s``. A list collects its failures; without a list, they are raised."""
+    """A block: ``s`` in ``with par as s``. Failures are collected in a list or, without a list, raised."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
         self.name = policy.name
         self.immediate = policy.concurrent  # whether an action starts regardless of earlier actions
-        self.reads_blocks = policy.concurrent  # whether its branches run the blocks in its body
-        self.adds_actions = not policy.propagates  # whether actions in its body become branches; else they run in order
-        self.branches: list[Branch] = []  # in the order in which they were added
-        self.scope = CancelScope(current_scope())  # scope of its body and branches; cancelled when the block is decided
-        self.decider: Branch | None = None  # the branch that decided it
+        self.reads_blocks = policy.concurrent  # whether a branch runs each inner block
+        self.adds_actions = not policy.propagates  # whether actions in the body become branches
+        self.branches: list[Branch] = []  # in the order of adding
+        self.scope = CancelScope(current_scope())  # cancelled when the block is decided
+        self.decider: Branch | None = None  # the branch that decided the block
         self.state = State.CREATED
         self._around = current_scope()
         self._opened_in = current_branch()
         self._collected = failures
         self._host = current_block()
-        self._changed = Condition()  # notified when a branch ends, and when a body that is read progresses
-        self._closing = threading.Lock()  # the plan's own threads may add branches while the block ends
+        self._changed = Condition()  # notified when a branch ends, or when the reading of a body progresses
+        self._closing = threading.Lock()  # threads of the plan may add branches while the block ends
         self._scheduler = scheduler()
-        self._own: Branch | None = None  # the host's branch that runs this block; None without such a branch
-        self._taken = 0  # number of branches so far, for their names
-        self._joined = 0  # number of leading branches known to have ended
-        self._decided = False  # whether its decider or a failure of the body has decided it
+        self._own: Branch | None = None  # the host's branch that runs this block
+        self._taken = 0  # number of started branches, for names of branches
+        self._joined = 0  # number of branches at the beginning of the list that have ended
+        self._decided = False  # whether a branch or a failure of the body has decided the block
         self._body_failures: list[PlanFailure] = []
-        self._entered = ExitStack()  # the contexts of its body
+        self._entered = ExitStack()  # ends the contexts of the body
         self._span = Span("block", policy.name)
 
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
-        """The failures of its branches and of its body so far."""
+        """The failures of the branches and of the body until now."""
         errors = [branch.error for branch in list(self.branches)] if not self.policy.propagates else []
         failures = [error for error in errors if isinstance(error, PlanFailure)]
         known = {id(failure) for failure in failures}
         return (*failures, *[failure for failure in self._body_failures if id(failure) not in known])
 
     def await_turn(self) -> None:
-        """Wait until the body itself may act; a body that runs in place always may."""
+        """Wait until the body itself may act; a body that runs in place never waits."""
 
     def before_change(self, change: str) -> None:
-        """Reject a premature change of a world by the body; a body that runs in place makes none."""
+        """Reject a premature change of a world by the body; a body that runs in place is never premature."""
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
-        """Reject an action that this body adds to an outer block while its own earlier actions are pending."""
+        """Reject an action that this body adds to an ``outer`` block while earlier actions of the body are pending."""
 
     # --- branches ---------------------------------------------------------------------------------------------------
 
     def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Future:
-        """Add a branch that calls a function; return a future of its result.
+        """Add a branch that calls a function; return a future of the result.
 
         Raises:
             BadArgument: The action isn't callable.
             BlockClosed: The block has ended.
-            OutlivesTimeout: The body adds it in a timeout that it would outlive.
-            RunsEarly: In a sequence that is read, earlier actions have not ended.
+            OutlivesTimeout: The body adds the branch inside a timeout, and the branch would outlive the timeout.
+            RunsEarly: Earlier actions of the sequence have not ended.
             PlanFailure: In a ``seq`` block, the function failed.
         """
         if not callable(action):
             raise BadArgument("action", action, "a function to run as a branch")
 
         def act() -> Result:
-            raise_if_cancelled()  # before it starts
+            raise_if_cancelled()
             return run(action, *args, **kwargs)
 
         return self.start(name_of(action), act, label=partial(label_of, action, args, kwargs))
@@ -156,9 +155,9 @@ class Block:
         span: Span | None = None,
         label: Callable[[], str] | None = None,
     ) -> Future:
-        """Add a branch, with the arguments of a :class:`Branch`; return a future of its result.
+        """Add a branch, with the arguments of :class:`Branch`; return a future of the result.
 
-        ``label`` returns its name for people; by default it has the parameters of the span.
+        ``label`` returns the name that messages show; by default, that name shows the parameters of the span.
         """
         self._refuse_in_timeout(name)
         host = current_block()
@@ -171,7 +170,7 @@ class Block:
         return Future(branch)
 
     def _refuse_in_timeout(self, name: str) -> None:
-        """Reject a branch that the body adds inside a timeout of the body itself; branches may do so."""
+        """Reject a branch that the body adds inside a timeout of the body."""
         scope = current_scope()
         if scope is None or scope is self.scope or current_branch() is not self._opened_in:
             return
@@ -186,13 +185,13 @@ class Block:
         self._take(branch)
 
     def _take(self, branch: Branch) -> None:
-        """Schedule a branch or, in a sequential block, run it here; a decided block cancels it instead."""
+        """Schedule a branch; in a sequential block, run it here; in a decided block, cancel it."""
         branch.span.parent = self._span.id
         self._taken += 1
         if self.state is not State.RUNNING:
             branch.settle(State.CANCELLED)
             raise BlockClosed(self.name, branch.name)
-        with OnError(branch.abandon):  # such as an error of a signal handler
+        with OnError(branch.abandon):  # a signal handler may raise an error
             if self._decided or self.scope.is_cancelled:
                 branch.settle(State.CANCELLED)
                 branch.span.announce()
@@ -206,7 +205,7 @@ class Block:
                 self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon, site, label)
             else:
                 branch.runs_in = current_name()
-                branch.context.run(enter_branch, current_branch())  # a read body added it in another branch
+                branch.context.run(enter_branch, current_branch())  # the body of a ReadBlock added it in another branch
                 branch.context.run(self._run, branch)
         ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
         if branch.error is not None and ends_body and not self.policy.concurrent:
@@ -215,7 +214,7 @@ class Block:
             raise Cancelled
 
     def _run(self, branch: Branch) -> None:
-        """Run a branch in its own context, in which actions run in order; settle it instead of raising."""
+        """Run a branch in its own context, in which actions run in order; store the outcome instead of raising."""
         result: Result = None
         try:
             leave_body()
@@ -254,7 +253,7 @@ class Block:
     # --- beginning and end --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
-        if self.policy.concurrent:  # its end waits, and must not fail
+        if self.policy.concurrent:  # __exit__ waits, and must not fail
             refuse_held()
         with ExitStack() as entering:
             self._begin(entering)
@@ -271,7 +270,7 @@ class Block:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        with self._entered:  # fails if it can't wait for its branches, or if it began in another context
+        with self._entered:  # fails if it can't wait for the branches, or if the block began in another context
             raised = self._close(error)
             self._span.error = raised or self._span.error
         if self._host is not None:
@@ -296,7 +295,7 @@ class Block:
         bugs = [e for e in errors if e is not None and not isinstance(e, (PlanFailure, Cancelled))]
         if bugs:  # the program is wrong, or the user interrupts it
             self.state = State.FAILED
-            bugs.sort(key=lambda bug: isinstance(bug, Retry))  # a retry would hide the other errors
+            bugs.sort(key=lambda bug: isinstance(bug, Retry))  # a Retry in front would hide the other errors
             return chained(bugs[0], [*bugs[1:], *failures])
         self.state = self._outcome(error, failures)
         if self._collected is not None:
@@ -309,22 +308,22 @@ class Block:
         failed = BranchesFailed(self.name, failures)
         if self._collected is None:
             return failed
-        self._span.error = failed  # not raised, but in the task tree
+        self._span.error = failed  # not raised, but recorded in the task tree
         return None
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
-        """Return the block's final state, given the error of its body; the caller has handled usage errors."""
+        """Return the final state of the block, given the error of its body; the caller handles usage errors."""
         if any(leaves_uncleaned(failure) for failure in failures):
             return State.FAILED
         if self.decider is not None:
             return self.decider.state
         cancelled = isinstance(error, Cancelled) or any(branch.state is State.CANCELLED for branch in self.branches)
-        if cancelled and not self._body_failures:  # by a block around it
+        if cancelled and not self._body_failures:  # an outer block cancelled this block
             return State.CANCELLED
         return State.FAILED if failures else State.SUCCEEDED
 
     def _record_body_failures(self) -> None:
-        """Record the body's failures that aren't raised and don't belong to a branch."""
+        """Record the failures of the body that don't belong to a branch."""
         for failure in self._body_failures:
             if not any(branch.error is failure for branch in self.branches):
                 body = Span("branch", "body", parent=self._span.id)
@@ -332,19 +331,19 @@ class Block:
                 body.finish(failure)
 
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
-        """Wait for all branches; the branches of a sequential block have already ended.
+        """Wait for all branches; return the last interrupt.
 
-        Returns the last interrupt: the given one that ended the body, or an error that a signal handler raised
-        meanwhile, which cancelled the branches.
+        The interrupt is ``interrupt``, which ended the body, or an error that a signal handler raised during the wait.
+        An error during the wait cancels the branches.
         """
         own = self._scheduler
         while True:
             joining, own.joining = own.joining, own.joining or interrupt is not None
             try:
                 join(self._changed, self._all_ended, self._reason)
-            except LockHeld:  # waiting again would be rejected again
+            except LockHeld:  # the next wait would fail in the same way
                 raise
-            except BaseException as error:  # noqa: BLE001  raised when the branches have ended
+            except BaseException as error:  # noqa: BLE001  returned after the end of the branches
                 interrupt = error
                 self.scope.cancel()
                 continue
@@ -353,8 +352,8 @@ class Block:
             if interrupt is not None:
                 interrupts.drop_pending()
             with self._closing:
-                if self._all_ended():  # else a thread of the plan's own has added a branch
-                    self.state = State.CANCELLED  # closed; the final state is set next
+                if self._all_ended():  # else a thread of the plan has added a branch
+                    self.state = State.CANCELLED  # no branch can be added any more; _close() sets the final state
                     return interrupt
 
     def _reason(self) -> tuple[str, str, list[str]]:
@@ -369,17 +368,17 @@ class Block:
 class ReadBlock(Block):
     """A block in the body of a concurrent block: its body is read in place, and a branch of its host runs its actions.
 
-    The block runs concurrently with its siblings, but Python runs a ``with`` statement in place. So the body is only
-    *read* there, and the branch runs the actions while the statements after the block are read. Using a future in that
-    body waits for its result. An attempt, a timeout, a cleanup or the wait for a fluent in that body runs in place,
-    after the earlier actions of a sequence. A change of a world there, or a branch that is added to an outer block, is
-    rejected (RunsEarly) if earlier actions have not ended.
+    The block runs concurrently with its siblings, but Python runs a ``with`` statement in place. So Python only *reads*
+    the body: it adds the actions to a queue, and the branch runs them while Python reads the next statements. Using a
+    future in that body waits for its result. Attempts, timeouts, cleanups and waits for a fluent run in place, after
+    the earlier actions of a sequence. If earlier actions have not ended, RunsEarly rejects a change of a world, and a
+    branch that the body adds to an outer block.
     """
 
     def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:
         super().__init__(policy, failures)
         self.immediate, self.reads_blocks, self.adds_actions = False, True, True
-        self._host = None  # it is a branch from its beginning, so it isn't added as a branch at its end
+        self._host = None  # the block is a branch of its host already
         self._run_by = host
         self._pending: deque[Branch] = deque()
         self._dropping = False
@@ -387,7 +386,7 @@ class ReadBlock(Block):
         self._body_error: Exception | None = None
 
     def await_turn(self) -> None:
-        """Wait until the body itself may act: in a sequence, until the earlier actions have ended."""
+        """Wait until the body itself may act: in a sequence, after the earlier actions."""
         wait(self._changed, lambda: self.state is not State.CREATED)
         if not self.policy.concurrent:
             for branch in self.branches:
@@ -399,7 +398,7 @@ class ReadBlock(Block):
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
         block: Block = self
-        above: Branch | None = None  # only branches before it count; None for all
+        above: Branch | None = None  # consider only branches before this branch; None for all branches
         while isinstance(block, ReadBlock) and block is not outer:
             if not block.policy.concurrent:
                 earlier = block.branches if above is None else block.branches[: block.branches.index(above)]
@@ -420,7 +419,7 @@ class ReadBlock(Block):
         self.branches.append(branch)
         self._pending.append(branch)
         self._changed.notify_all()
-        if self._dropping:  # it can't run any more
+        if self._dropping:  # no branch can start any more
             self._drop()
 
     def __exit__(
@@ -430,7 +429,7 @@ class ReadBlock(Block):
             self.scope.cancel()  # the program is wrong, or the user interrupts it
         self._body_error = error if isinstance(error, Exception) else None
         self._entered.close()
-        if isinstance(error, Cancelled):  # its own block cancelled it when it was decided: the code around continues
+        if isinstance(error, Cancelled):  # if the decided block has cancelled its body, the code after it continues
             return self._around is None or not self._around.is_cancelled
         return error is None or isinstance(error, PlanFailure)
 
@@ -451,12 +450,10 @@ class ReadBlock(Block):
                     self._take(self._pending.popleft())
                 wait(self._changed, lambda: bool(self._pending) or self._body_ended, reason=self._reason_to_read)
         except BaseException as stop:  # noqa: BLE001  raised below
-            self.scope.cancel()  # no need to read the rest
+            self.scope.cancel()  # ends the reading
             stopped = stop
         self._drop()
-        join(
-            self._changed, lambda: self._body_ended, self._reason_to_read
-        )  # actions of the body itself are part of this block too
+        join(self._changed, lambda: self._body_ended, self._reason_to_read)  # the body may still act itself
         error = self._body_error
         if isinstance(error, PlanFailure):
             self._body_failed(error)
@@ -478,13 +475,13 @@ class ReadBlock(Block):
 
 
 class NeverOpened(RuntimeWarning):
-    """A block got a list for failures, but no body."""
+    """A list for failures was given to a block that no ``with`` statement opened."""
 
 
 class Opening(Scope[Block]):
-    """Opens a block at the start of a ``with`` statement; reusable, also in other threads and within itself.
+    """Opens a block at the start of a ``with`` statement; reusable, also in other threads and nested.
 
-    Warns with NeverOpened if it has a list for failures and no ``with`` statement ever used it.
+    Warns with NeverOpened if it has a list for failures, but no ``with`` statement used it.
     """
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
@@ -507,7 +504,7 @@ class Opening(Scope[Block]):
 
 
 class Nothing(Opening, list[Result]):
-    """Value of ``par()``: opens a block, and is the empty list of results of ``par(*[])``."""
+    """Value of ``par()``: opens a block. It is also an empty list, as the result of ``par(*[])`` is."""
 
     def __init__(self, policy: Policy) -> None:
         list.__init__(self)
@@ -527,14 +524,14 @@ class Kind(Opening):
         """Open a block, or run functions as its branches.
 
         Args:
-            branches: Nothing; one list, which collects the failures of the block's branches; or functions.
+            branches: Nothing, functions, or one list that collects the failures of the block's branches.
 
         Returns:
-            Without functions, a context manager. With functions, the list of their results; for ``pursue``, ``try_all``
-            and ``try_in_order`` the result of the deciding branch. In the body of a block, a future of this value.
+            Without functions, a context manager. With functions, a list of the results; ``pursue``, ``try_all`` and
+            ``try_in_order`` return the result of the deciding branch. In the body of a block, a future of this value.
 
         Raises:
-            BadArgument: A branch isn't one of these.
+            BadArgument: An argument is neither a function nor the only list.
             BranchesFailed: The block failed.
         """
         if not branches:

@@ -1,8 +1,7 @@
 """Branches: the actions of a block, and their outcomes.
 
-An action is a function of the plan that acts when it is called. Calling a function with ``async`` or ``yield`` in it
-only makes a coroutine or a generator: it would count as a success without having run, so it is rejected. A plain
-function may return a generator: it has run.
+An action is a function of the plan. Calling a function that contains ``async`` or ``yield`` only makes a coroutine or a
+generator. It would succeed without having run, so it is rejected. A plain function may return a generator.
 """
 
 from __future__ import annotations
@@ -30,41 +29,39 @@ if TYPE_CHECKING:
     from pycram.language.block import Block
     from pycram.scheduling.schedule import Condition
 
-#: The result of an action's process module or function.
+#: The result of an action: the value that its process module or function returns.
 Result: TypeAlias = Any
 Function = TypeVar("Function", bound="Callable[..., Result]")
 
 _LAZY: Final = "__pycram_lazy__"
 _NOT_BEGUN: Final = "a plain function; a generator does nothing until its values are taken: use `lambda: [*f()]`"
 _EMPTY_CONTEXT: Final = Context()
-_MAX_LABEL: Final = 60  # characters of a lambda's body
+_MAX_LABEL: Final = 60  # maximum length of a lambda's body in a label
 
 
 class NoResult(UsageError):
-    """The result of a cancelled branch was used; its block was decided without it."""
+    """A plan used the result of a branch that was cancelled, because its block was decided."""
 
     def __init__(self, branch: str) -> None:
         super().__init__(f"{branch} has no result: it was cancelled when its block was decided; see s.branches")
-        self.branch = branch  # the branch's name
+        self.branch = branch  # name of the branch
 
 
 def _nothing() -> None:
-    """Replaces the functions that an ended branch releases."""
+    """Replace the action of an ended branch."""
 
 
 class Branch:
     """One action of a block, and its outcome.
 
-    It runs in a copy of the context in which it was added. It releases action and context when it ends, because they
-    may refer to the block.
+    A branch runs in a copy of the context that added it. It releases its action and its context when it ends, because
+    they may refer to the block.
 
     Args:
-        name: In records and messages.
-        action: Returns the result.
-        changed: The block's condition, notified when the branch ends.
-        ordered: Whether it waits only for earlier branches.
-        dropped: Called once if the branch never starts; must not raise.
-        span: Its node of the task tree; by default of the kind "branch".
+        changed: Condition of the block, notified when the branch ends.
+        ordered: Whether the branch waits only for earlier branches.
+        dropped: Called once if the branch never starts; must not raise an error.
+        span: Node of the task tree; by default a node of the kind "branch".
     """
 
     def __init__(
@@ -83,9 +80,9 @@ class Branch:
         self.context = copy_context()
         self.span = span if span is not None else Span("branch", name)
         self.state = State.CREATED
-        self.error: BaseException | None = None  # the raised error; None also after success and cancellation
-        self.label: Callable[[], str] = partial(str, name)  # returns its name for people, with its arguments
-        self.runs_in = ""  # name in records of the concurrent branch, or thread, that runs it; "" before it is known
+        self.error: BaseException | None = None  # the raised error; None after success or cancellation
+        self.label: Callable[[], str] = partial(str, name)  # returns the name with the arguments, for messages
+        self.runs_in = ""  # recorded name of the concurrent branch or thread that runs it; "" before its start
         self._dropped = dropped
         self._begun = False
         self._changed = changed
@@ -93,7 +90,7 @@ class Branch:
 
     @property
     def done(self) -> bool:
-        """Whether it has ended."""
+        """Whether the branch has ended."""
         return self.state not in (State.CREATED, State.RUNNING)
 
     def begin(self) -> Result:
@@ -101,28 +98,28 @@ class Branch:
         self._begun = True
         self.state = State.RUNNING
         result = unwrap(self.action())
-        if (error := scheduler().take_failure()) is not None:  # no checkpoint came after it
+        if (error := scheduler().take_failure()) is not None:  # a failure that no checkpoint has raised
             raise error
         return result
 
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
-        """Set its outcome, once."""
+        """Set the outcome; called once."""
         if not self._begun:
             self._dropped()
-            self.span.finish(error or Cancelled())  # if its request is on record
+            self.span.finish(error or Cancelled())  # its request may be on record
         self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
         self.label = partial(str, self.name)
         self._result, self.error = result, error
-        self.state = state  # last: other threads may read it
+        self.state = state  # set last, because other threads read it
         self._changed.notify_all()
 
     def abandon(self, error: BaseException) -> None:
-        """Fail it, unless it has ended: an error prevented its end, such as an error of a signal handler."""
+        """Fail a branch whose end an error has prevented, such as an error of a signal handler."""
         if not self.done:
             self.settle(State.FAILED, error=error)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait for its end, at most for a timeout in s; return whether it has ended.
+        """Wait for the end of the branch; return whether the branch has ended. The timeout is in s.
 
         Raises:
             Cancelled: The waiting branch is cancelled.
@@ -130,10 +127,10 @@ class Branch:
         return wait(self._changed, lambda: self.done, timeout, lambda: (f"the end of {self.name}", "", [self.runs_in]))
 
     def result(self, timeout: float | None = None) -> Result:
-        """Wait for its end, at most for a timeout in s; return its result, or raise its action's error.
+        """Wait for the end of the branch; return its result, or raise its error. The timeout is in s.
 
         Raises:
-            TimeoutError: It still runs.
+            TimeoutError: The branch still runs after the timeout.
             Cancelled: The waiting branch is cancelled.
             NoResult: This branch was cancelled.
         """
@@ -151,13 +148,13 @@ class Branch:
 
 
 def name_of(action: Callable[..., Result]) -> str:
-    """Return a function's name, without its module and without the function that defines it."""
+    """Return the qualified name of a function, without its module and without an enclosing function."""
     name = getattr(action, "__qualname__", None) or type(action).__qualname__
     return str(name).rpartition("<locals>.")[2]
 
 
 def label_of(action: Callable[..., Result], args: tuple[object, ...], kwargs: Mapping[str, object]) -> str:
-    """Return a call of a function as text: "fetch(milk)"; waits for no future, and calls no code of the plan."""
+    """Return the text of a call: "fetch(milk)". This waits for no future, and calls no code of the plan."""
     if isinstance(action, partial):
         return label_of(action.func, (*action.args, *args), {**action.keywords, **kwargs})
     if isinstance(action, MethodType):
@@ -168,7 +165,7 @@ def label_of(action: Callable[..., Result], args: tuple[object, ...], kwargs: Ma
 
 
 def call_label(name: str, args: tuple[object, ...], kwargs: Mapping[str, object]) -> str:
-    """Return a call as text; without arguments only the name."""
+    """Return the text of a call; without arguments, only the name."""
     shown = [*map(_value_label, args), *[f"{key}={_value_label(value)}" for key, value in kwargs.items()]]
     return f"{name}({', '.join(shown)})" if shown else name
 
@@ -186,7 +183,7 @@ def _value_label(value: object) -> str:
 
 
 def _lambda_label(function: FunctionType, args: tuple[object, ...]) -> str:
-    """Return the body of a lambda on one line, with its variables' values in calls; "" if its source isn't known."""
+    """Return the body of a one-line lambda, with the values of variables in its calls; "" if its source is unknown."""
     code = function.__code__
     places = [each for each in code.co_positions() if each[0] == each[1] and each[3]]
     if len({each[0] for each in places}) != 1:
@@ -199,7 +196,7 @@ def _lambda_label(function: FunctionType, args: tuple[object, ...]) -> str:
         zip(names, args, strict=False)
     )
     for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-        with suppress(ValueError):  # it isn't set yet
+        with suppress(ValueError):  # the variable has no value yet
             values[name] = cell.cell_contents
     try:
         body = ast.parse(text.strip(), mode="eval").body
@@ -217,7 +214,7 @@ def _with_value(node: ast.expr, values: Mapping[str, object]) -> ast.expr:
 
 
 def current_block() -> Block | None:
-    """Return the block to which actions here are added as branches; None if actions here run in order."""
+    """Return the block to which the present context adds actions; None if actions run in order."""
     return cast("Block | None", body.get())
 
 
@@ -225,7 +222,7 @@ def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Resul
     """Call an action, and return its result.
 
     Raises:
-        BadArgument: It is a coroutine or generator function, whose call does nothing.
+        BadArgument: The action is a coroutine function or a generator function, whose call does nothing.
     """
     result = action(*args, **kwargs)
     kind = type(result)  # isinstance() would wait for a future
@@ -242,7 +239,7 @@ def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Resul
 
 
 def lazy(instead: str) -> Callable[[Function], Function]:
-    """Mark a plain function whose generator does its work; the error names the action to use instead."""
+    """Mark a plain function that returns a generator for its work; ``instead`` is the remedy in error messages."""
 
     def mark(function: Function) -> Function:
         setattr(function, _LAZY, instead)
@@ -252,7 +249,7 @@ def lazy(instead: str) -> Callable[[Function], Function]:
 
 
 def _unwrapped(action: Callable[..., Result]) -> object:
-    """Return the defined function behind partials, methods, decorators and callable objects."""
+    """Return the function that partials, methods, decorators and callable objects call in the end."""
     function: Any = action
     while True:
         if isinstance(function, partial):

@@ -14,31 +14,30 @@ from recorder.tracing.call_stack import call_site
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-#: Nested failed blocks in a message, its data and a traceback. Deeper nesting would take minutes to write, and each
-#: failure has a record of its own.
+#: Maximum number of nested failed blocks in a message, its data and a traceback; deeper nesting takes minutes to write.
 MAX_LEVELS: Final = 8
-#: Failures that are shown for deeper nesting; the rest are counted.
+#: Maximum number of shown failures if blocks are nested deeper than ``MAX_LEVELS``; the other failures are counted.
 MAX_LEAVES: Final = 8
-_MAX_FRAMES: Final = 1000  # maximum number of frames of each failure, if a traceback shows several failures
+_MAX_FRAMES: Final = 1000  # maximum number of frames of each failure in a traceback of several failures
 
 
 class BlockClosed(UsageError):
-    """A branch was added to a block that has ended."""
+    """A plan added a branch to a block that has ended."""
 
     def __init__(self, block: str, branch: str) -> None:
         super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
-        self.block = block  # kind of the block
+        self.block = block  # kind of the block: "par", ...
         self.branch = branch  # name of the branch
 
 
 class RunsEarly(UsageError):
-    """Plain Python in the body of a sequence that is read would act before earlier actions of the sequence."""
+    """Plain Python in the body of a sequence would act before earlier actions of the sequence."""
 
     def __init__(self, what: str, block: str, pending: Sequence[str]) -> None:
         self.what = what  # the premature action
-        self.block = block  # kind of the sequence
+        self.block = block  # kind of the sequence: "seq" or "try_in_order"
         self.pending = tuple(pending)  # names of the earlier actions that have not ended
-        self.file, self.line = call_site()  # the plan's file and its line, from 1
+        self.file, self.line = call_site()  # file and line of the plan; the first line is 1
         have = "have" if len(self.pending) > 1 else "has"
         super().__init__(
             f"{notebook.place(self.file, self.line)} would {what} before earlier actions of this {block} block: "
@@ -49,12 +48,12 @@ class RunsEarly(UsageError):
 
 
 class OutlivesTimeout(UsageError):
-    """In a timeout, a branch was added to a block outside the timeout: the deadline wouldn't apply to the branch."""
+    """Code inside a timeout added a branch to a block outside: the deadline wouldn't apply to the branch."""
 
     def __init__(self, block: str, branch: str) -> None:
-        self.block = block  # kind of the block
+        self.block = block  # kind of the block: "par", ...
         self.branch = branch  # name of the branch
-        self.file, self.line = call_site()  # the plan's file and its line, from 1
+        self.file, self.line = call_site()  # file and line of the plan; the first line is 1
         super().__init__(
             f"{notebook.place(self.file, self.line)} adds {branch} inside a timeout to the {block} block outside "
             f"it. That block ends after the timeout, so the deadline wouldn't apply to {branch}. Open the block inside "
@@ -63,11 +62,11 @@ class OutlivesTimeout(UsageError):
 
 
 class BranchesFailed(PlanFailure):
-    """A block of the plan language failed; this failure carries the failures of all its branches.
+    """A block of the plan language failed; this failure has the failures of all branches.
 
-    It is an instance of all types that these failures have in common: if all are ``Unreachable``, ``except
-    Unreachable`` catches it, and it has the fields of the first one. So code that catches one type never hides a
-    failure of another type.
+    It is an instance of all types that these failures have in common. If all are ``Unreachable``, ``except
+    Unreachable`` catches it, and it has the fields of the first failure. So ``except`` never hides failures of other
+    types.
     """
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
@@ -80,7 +79,7 @@ class BranchesFailed(PlanFailure):
 
     def __init__(self, block: str, failures: Iterable[PlanFailure]) -> None:
         members = tuple(failures)
-        fields = vars(self)  # its type may reject assignments
+        fields = vars(self)  # the type may reject assignments
         if len(type(self).__bases__) > 1:
             first = next(_leaves(members))
             fields.update(vars(first))
@@ -95,34 +94,34 @@ class BranchesFailed(PlanFailure):
         self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
 
     _leaves: tuple[PlanFailure, ...]
-    _causes: tuple[PlanFailure, ...]  # shown in its message: its failures, or its leaves if nested too deeply
-    _levels: int  # number of nested blocks in its message
+    _causes: tuple[PlanFailure, ...]  # the failures that its message shows; the leaves, if nested too deeply
+    _levels: int  # number of nested blocks that its message shows
     _left_out: int  # number of leaves that its message doesn't show
 
     @property
     def block(self) -> str:
-        """The kind of block: "par", ... A property because the type of its failures may have a field of that name."""
+        """The kind of block: "par", ... A property, because types of failures may have a field "block"."""
         return str(vars(self)["block"])
 
     @property
     def failures(self) -> tuple[PlanFailure, ...]:
-        """Failures of its branches and its body, in order."""
+        """Failures of the branches and of the body, in order."""
         failures: tuple[PlanFailure, ...] = vars(self)["failures"]
         return failures
 
     @property
     def leaves(self) -> tuple[PlanFailure, ...]:
-        """Its failures, with each failed block replaced by that block's leaves."""
+        """The failures, with each failed block replaced by its own leaves."""
         return self._leaves
 
     @property
     def data(self) -> Mapping[str, object]:
-        """Its fields by name, with the failures that its message shows as type, message and fields."""
+        """The fields by name; "failures" has type, message and fields of the failures that the message shows."""
         failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self._causes]
         return {**super().data, "failures": failures}
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Pickle the block and the failures; unpickling makes a class for them again."""
+        """Pickle the block and the failures; unpickling combines the failures' types again."""
         return BranchesFailed, (self.block, self.failures)
 
     def __str__(self) -> str:
@@ -133,7 +132,7 @@ class BranchesFailed(PlanFailure):
 
 
 class NotCleanedUp(PlanFailure):
-    """A branch was cancelled, by its block or a timeout, and its cleanup (``finally_``) failed."""
+    """A block or a timeout cancelled a branch, and the branch's cleanup (``finally_``) failed."""
 
     def __init__(self, action: str, failure: PlanFailure) -> None:
         super().__init__(f"{action}, the cleanup of a cancelled branch, failed: {format_error(failure)}")
@@ -143,23 +142,23 @@ class NotCleanedUp(PlanFailure):
 
 
 class Retry(BaseException):
-    """Raised by ``retry`` to end its attempt; only the attempt catches it."""
+    """Ends an attempt: ``retry`` raises it, and only the attempt catches it."""
 
     def __init__(self, attempt: object, number: int, changed: Mapping[str, Any], error: BaseException | None) -> None:
         super().__init__(f"attempt {number} ended by retry()")
         self.attempt = attempt
         self.changed = changed  # parameters of the next attempt
-        self.error = error  # the error that was being handled
+        self.error = error  # the error that the plan was handling
 
 
 def leaves_uncleaned(failure: BaseException) -> bool:
-    """Return whether a failure is, or contains, the failed cleanup of a cancelled branch."""
+    """Return whether a failure is a failed cleanup of a cancelled branch, or contains one."""
     leaves = failure.leaves if isinstance(failure, BranchesFailed) else (failure,)
     return any(isinstance(leaf, NotCleanedUp) for leaf in leaves)
 
 
 class Tracebacks(PycramError):
-    """The cause of a :class:`BranchesFailed` with several failures: tracebacks print them all. Never raised."""
+    """The cause of a :class:`BranchesFailed`, so that tracebacks print all of its failures. Never raised."""
 
     def __init__(self, failures: Sequence[BaseException]) -> None:
         super().__init__(failures)
@@ -183,7 +182,7 @@ def _leaves(failures: Iterable[PlanFailure]) -> Iterator[PlanFailure]:
 
 @functools.lru_cache(maxsize=256)
 def _combined_type(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]:
-    """Return BranchesFailed combined with the types that all kinds have in common, besides PlanFailure."""
+    """Return a type that combines BranchesFailed with the common types of all kinds, except PlanFailure."""
     common: list[type] = []
     for kind in kinds[0].__mro__ if kinds else ():
         shared = issubclass(kind, PlanFailure) and kind is not PlanFailure and all(issubclass(k, kind) for k in kinds)
@@ -194,7 +193,7 @@ def _combined_type(kinds: tuple[type[PlanFailure], ...]) -> type[BranchesFailed]
     try:
         combined = type("BranchesFailed", (BranchesFailed, *common), {"__module__": BranchesFailed.__module__})
         BaseException.__new__(combined)
-    except TypeError:  # these types can't be combined
+    except TypeError:  # Python can't combine these types
         return BranchesFailed
     return combined
 

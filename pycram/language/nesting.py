@@ -1,9 +1,8 @@
 """Scopes of the plan (blocks, attempts, timeouts, cleanups), which end in the reverse order of their beginnings.
 
-``with`` statements ensure this order, except where a generator leaves a scope open while other code continues. If a
-scope ends out of order, all scopes that were opened after it end, and it raises Misnested: else the plan would continue
-in a scope that has ended. While a scope is open, Ctrl-C is deferred in the language's own code
-(:mod:`recorder.tracing.interrupts`).
+``with`` statements ensure this order, unless a generator leaves a scope open while other code continues. A scope that
+ends out of order ends all later scopes and raises Misnested, so the plan can't continue in an ended scope. While a
+scope is open, the code of the plan language defers Ctrl-C (:mod:`recorder.tracing.interrupts`).
 """
 
 from __future__ import annotations
@@ -38,21 +37,21 @@ Value = TypeVar("Value")
 
 
 class Misnested(UsageError):
-    """A block was ended while a block that was opened after it was still open."""
+    """A block ended before a block that was opened inside it."""
 
     def __init__(self, block: str) -> None:
         super().__init__(
             f"a {block} block must end in its own branch, and after all blocks that were opened in it; "
             "if a generator yields inside a block, it must leave the block before other code continues"
         )
-        self.block = block  # its kind; here timeouts, attempts and cleanups are blocks too
+        self.block = block  # kind of the scope: "par", "timeout", ...
 
 
 class _Open(NamedTuple):
-    scope: object  # the object of the ``with`` statement
-    generator: int  # id of the generator whose code opened it; 0 for code that isn't resumable
+    scope: object  # object after ``with``
+    generator: int  # id() of the frame of the generator that opened the scope; 0 outside of generators
     body: AbstractContextManager[object]  # the context manager that does the work
-    defers: bool  # whether it defers Ctrl-C
+    defers: bool  # whether the scope defers Ctrl-C
 
     def end(self, error: BaseException | None, trace: TracebackType | None = None) -> bool | None:
         try:
@@ -66,10 +65,10 @@ _open: Final[ContextVar[tuple[_Open, ...]]] = ContextVar("pycram_open", default=
 
 
 class Scope(ABC, Generic[Value]):
-    """A context manager that rejects ending out of order; reusable, also within itself."""
+    """A context manager that rejects an end out of order; reusable, also nested."""
 
     def __init__(self, name: str) -> None:
-        self._name = name  # its kind, in messages
+        self._name = name  # kind of the scope, for messages
 
     @abstractmethod
     def _opened(self) -> AbstractContextManager[Value]:
@@ -100,24 +99,24 @@ class Scope(ABC, Generic[Value]):
             *outer, last = _open.get()
             _open.set(tuple(outer))
             last.end(raised)
-        if raised is error or (error is not None and not indices):  # it was already ended
+        if raised is error or (error is not None and not indices):  # another scope has ended this scope
             return False
         raise raised
 
 
 def _generator() -> int:
-    """Return the id of the generator whose code opens or ends a scope; 0 for code that isn't resumable.
+    """Return the id() of the generator's frame that opens or ends a scope; 0 outside of generators.
 
-    It tells apart the ``with`` statements that use the same object, such as ``par``.
+    Several ``with`` statements may use the same object, such as ``par``; their generators distinguish them.
     """
-    frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() gives no other
-    while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # ExitStack
+    frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() returns only this frame
+    while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # skip frames of ExitStack
         frame = frame.f_back
     return id(frame) if is_resumable(frame) else 0
 
 
 class GeneratorScope(Scope[Value], ContextDecorator):
-    """A scope that is written as a generator, by :func:`scope`; also a decorator."""
+    """A scope that :func:`scope` makes from a generator; also a decorator."""
 
     def __init__(self, name: str, make: Callable[[], AbstractContextManager[Value]]) -> None:
         super().__init__(name)
@@ -143,12 +142,12 @@ def scope(function: Callable[Arguments, Iterator[Value]]) -> Callable[Arguments,
 
 
 def in_block(host: BlockBody | None) -> Binding[BlockBody | None]:
-    """Make actions in the ``with`` block branches of a block; with None, run them in order."""
+    """Make actions in the ``with`` block branches of ``host``; if it is None, run actions in order."""
     return Binding(body_context, host)
 
 
 def leave_body() -> None:
-    """Make this the context of a branch, permanently: actions run in order, and it ends only scopes that it opens."""
+    """Make the present context that of a branch: actions run in order, and outer scopes can't be ended."""
     body_context.set(None)
     nothing_open()
 
@@ -159,10 +158,10 @@ def nothing_open() -> None:
 
 
 def await_turn() -> None:
-    """Wait until the body's own code may run: in a body that is read, until its turn comes.
+    """Wait until the code of the body may run; see :class:`pycram.language.block.ReadBlock`.
 
     Raises:
-        Cancelled: The block around it is cancelled.
+        Cancelled: The surrounding block is cancelled.
     """
     host = body_context.get()
     if host is not None:
@@ -171,13 +170,13 @@ def await_turn() -> None:
 
 @contextmanager
 def sequential() -> Iterator[Callable[[], None]]:
-    """Run the ``with`` block in the branch of the body, in order; failures propagate as in plain Python.
+    """Run the ``with`` block in order, in the branch of the body; failures propagate as in plain Python.
 
     Yields:
-        A function to call at the end; it waits for the branches that the body added to a sequence around it.
+        A function to call at the end: it waits for branches that the body added to a surrounding sequence.
 
     Raises:
-        Cancelled: The block around it is cancelled.
+        Cancelled: The surrounding block is cancelled.
     """
     await_turn()
     raise_if_cancelled()
@@ -191,12 +190,12 @@ def sequential() -> Iterator[Callable[[], None]]:
 
 @scope
 def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
-    """Run an action when the ``with`` block has ended, however it ended; in the block actions run in order.
+    """Run a cleanup action after the ``with`` block, however the block ends; in the block, actions run in order.
 
-    Python's own ``finally`` also runs when a branch is cancelled, but its motions are cancelled like all others. This
-    action is shielded from cancellation. If block and cleanup fail, the block's failure is raised with the cleanup's in
-    its context; but a usage error takes precedence over a failure. If the cleanup of a cancelled block fails,
-    NotCleanedUp fails the block that cancelled it.
+    Python's ``finally`` also runs in a cancelled branch, but there motions are cancelled. Cancellation doesn't affect
+    this action. If both block and cleanup fail, the failure of the block is raised, with the other failure in its
+    context; but a usage error takes precedence over a failure. If a cancelled block has a failed cleanup, the
+    cancelling block fails with NotCleanedUp.
 
     Raises:
         BadArgument: The action isn't callable.
@@ -214,7 +213,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
         try:
             with shielded(), span("cleanup", name_of(action)) as task:
                 task.result = run(action, *args, **kwargs)
-        except BaseException as second:  # raised, or chained with the first
+        except BaseException as second:  # raised below, or chained with the first error
             if first is None:
                 raise
             bug = isinstance(first, PlanFailure) and not isinstance(second, PlanFailure)

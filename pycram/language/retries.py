@@ -1,18 +1,18 @@
 """Failure handling: retries after plan failures, with the same or other parameters (thesis 3.5.3).
 
 In CRAM, ``with-failure-handling`` runs its body again when the body calls ``retry``. Python runs the body of a ``with``
-statement once, so it needs a loop::
+statement once, so a plan needs a loop::
 
     for attempt in failure_handling(5, arm="left"):
         with attempt:
             pick_up(milk, attempt["arm"])
 
-This runs the body until it succeeds, at most six times: once, and five retries. Then the last failure is raised, with
-the earlier failures in its context. Recoveries between two attempts depend on the type of failure::
+This loop runs the body until it succeeds, at most six times: once, and five retries. Then the last failure is raised,
+with the earlier failures in its context. A recovery before a retry depends on the type of failure::
 
     handling = failure_handling(5).on(Unreachable, lambda failure: {"arm": "right"}).on(InCollision, step_back)
 
-or are part of the body, where ``retry`` ends the attempt as in CRAM::
+A body can also contain its recovery; ``retry`` ends the attempt as in CRAM::
 
         with attempt:
             try:
@@ -20,12 +20,12 @@ or are part of the body, where ``retry`` ends the attempt as in CRAM::
             except Unreachable:
                 retry(arm="right")
 
-For a function: ``failure_handling(5).run(pick_up, milk)``, or ``@failure_handling(5)`` before its definition. Only plan
-failures are retried. In the body of an attempt actions run in order.
+``failure_handling(5).run(pick_up, milk)`` or ``@failure_handling(5)`` retries a function. Only plan failures are
+retried. In the body of an attempt, actions run in order.
 
-Code after ``with attempt`` in the loop also runs after failed attempts. Leaving the loop there, by ``break`` or
-``return``, drops an unhandled failure: Python can't raise it then, so :class:`FailureLeft` warns. To give up, raise an
-error or handle the failure inside of ``with attempt``.
+Code after ``with attempt`` in the loop also runs after failed attempts. A ``break`` or ``return`` there drops an
+unhandled failure, because Python can't raise it any more; so :class:`FailureLeft` warns. To give up, raise an error or
+handle the failure inside ``with attempt``.
 """
 
 from __future__ import annotations
@@ -54,30 +54,30 @@ if TYPE_CHECKING:
 
 Result: TypeAlias = Any
 Parameters: TypeAlias = Mapping[str, Any]
-#: Called with a failure before the next attempt; may return changed parameters for it.
+#: A function that is called with a failure before the next attempt. It may return parameters for that attempt.
 Recovery: TypeAlias = Callable[[Any], "Parameters | None"]
 
 _attempt: ContextVar[Attempt | None] = ContextVar("pycram_attempt", default=None)
 
 
 class RetriesUsedUp(PlanFailure):
-    """``retry`` was called while no failure was being handled, and no retry was left."""
+    """A plan called ``retry`` outside of ``except``, and no retry was left."""
 
     def __init__(self, retries: int) -> None:
         super().__init__(f"all {retries} retries are used up")
-        self.retries = retries  # number of retries that were made
+        self.retries = retries  # number of retries
 
 
 class FailureLeft(RuntimeWarning):
-    """A plan left the loop of a failure handling after a failed attempt, without handling or raising the failure."""
+    """After a failed attempt, a plan left the loop without handling or raising the failure."""
 
 
 class FailureHandling:
-    """Runs code again after certain failures, up to a number of times; reusable, also concurrently.
+    """Runs code again after certain failures, a limited number of times; reusable, also concurrently.
 
     Args:
         retries: 0 or more; 5 retries make up to 6 attempts.
-        kinds: Types of failures to retry after; all plan failures by default.
+        kinds: Types of failures that are retried; by default all plan failures.
         parameters: Parameters of the attempts, until a recovery or ``retry`` changes them.
 
     Raises:
@@ -93,35 +93,28 @@ class FailureHandling:
         self._recoveries: list[tuple[type[PlanFailure], Recovery]] = []
 
     def on(self, kind: type[PlanFailure], recovery: Recovery) -> Self:
-        """Add a recovery for a type of failures, called before the next attempt; return this handling.
+        """Add a recovery for a type of failures; return this handling.
 
-        The first recovery that matches a failure is called. It may return parameters for the next attempt. An error of
-        the recovery ends the handling.
+        Before the next attempt, the first recovery that matches the failure is called. It may return parameters for
+        that attempt. An error of the recovery ends the handling.
         """
         self._recoveries.append((_failure_type(kind), recovery))
         return self
 
     @property
     def fields(self) -> dict[str, object]:
-        """The parameters of its node of the task tree."""
+        """The parameters of the handling's node of the task tree."""
         kinds = [kind.__name__ for kind in self.kinds]
         return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
 
     def handles(self, error: BaseException | None) -> bool:
-        """Return whether to retry after an error.
-
-        If the handling itself is cancelled, don't retry after a failed cleanup: the cancellation of the next attempt
-        would hide it.
-        """
+        """Return whether to retry after an error."""
+        # in a cancelled handling, the cancellation of the next attempt would hide a failed cleanup
         hidden = error is not None and _is_cancelled() and leaves_uncleaned(error)
         return isinstance(error, self.kinds) and not hidden
 
     def recover(self, failure: BaseException) -> Parameters:
-        """Run the recovery of a failure, and return the changed parameters.
-
-        Raises:
-            BadArgument: The recovery returned something else.
-        """
+        """Run the recovery of a failure, and return the changed parameters."""
         for kind, recovery in self._recoveries:
             if isinstance(failure, kind):
                 changed = recovery(failure)
@@ -131,7 +124,7 @@ class FailureHandling:
         return {}
 
     def __iter__(self) -> Iterator[Attempt]:
-        """Yield attempts until one succeeds; each is for a ``with`` statement."""
+        """Yield an attempt for a ``with`` statement, until an attempt succeeds."""
         attempts = Attempts(self)
         try:
             while not attempts.over:
@@ -143,9 +136,9 @@ class FailureHandling:
             attempts.close()
 
     def run(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-        """Call a function until it succeeds, and return its result, or raise its last failure.
+        """Call a function until it succeeds; return its result, or raise the last failure.
 
-        An attempt's parameters override the named arguments.
+        The parameters of an attempt override keyword arguments.
         """
         result: Result = None
         for attempt in self:
@@ -154,7 +147,7 @@ class FailureHandling:
         return result
 
     def __call__(self, function: Callable[..., Result]) -> Callable[..., Result]:
-        """Decorate a function so that it handles its failures itself."""
+        """Decorate a function so that each call retries it."""
 
         @functools.wraps(function)
         def handled(*args: object, **kwargs: object) -> Result:
@@ -169,7 +162,7 @@ class FailureHandling:
         )
 
     def __exit__(self, *_: object) -> None:
-        """Never reached."""
+        """Complete the protocol of context managers; never called, because ``__enter__`` raises."""
 
 
 failure_handling = FailureHandling
@@ -185,7 +178,7 @@ def retry(**changed: object) -> NoReturn:
     """End this attempt and start the next one, with changed parameters.
 
     Raises:
-        UsageError: It was called outside of an attempt; or while a usage error was handled, which is raised again.
+        UsageError: The call is outside of an attempt, or the plan handles a usage error, which is raised again.
     """
     attempt = _attempt.get()
     error = sys.exc_info()[1]
@@ -204,7 +197,7 @@ class Attempt(Scope["Attempt"]):
         self.number = number  # number of the attempt, from 1
         self.parameters = parameters
         self.failures = tuple(failures)  # failures of the earlier attempts
-        self.used = False  # whether its body has run
+        self.used = False  # whether a ``with`` statement has used the attempt
         self._attempts = attempts
 
     def __getitem__(self, name: str) -> Any:
@@ -220,10 +213,9 @@ class Attempt(Scope["Attempt"]):
     @contextmanager
     def _run(self) -> Iterator[Attempt]:
         raised: BaseException | None = None
-        handled: BaseException | None = None  # the failure to handle; after ``retry`` it differs from ``raised``
+        handled: BaseException | None = None  # the failure to handle; after ``retry`` not ``raised``
         changed: Parameters | None = None
-        # the attempt may not start, or can't be recorded
-        with OnError(self._attempts.finish), self._attempts.entered():
+        with OnError(self._attempts.finish), self._attempts.entered():  # the start or the recording may fail
             span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
             with span, Binding(_attempt, self):
                 try:
@@ -238,7 +230,7 @@ class Attempt(Scope["Attempt"]):
 
 
 class Attempts:
-    """The attempts of one loop of a failure handling."""
+    """The attempts of one loop over a failure handling."""
 
     def __init__(self, handling: FailureHandling) -> None:
         self.over = False
@@ -255,7 +247,7 @@ class Attempts:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Run the ``with`` block in the handling's node of the task tree; the first attempt starts this node."""
+        """Run the ``with`` block in the handling's node of the task tree; the first call starts that node."""
         with sequential():
             if self._span is None:
                 self._span = Span("failure-handling", "failure-handling", parameters=self._handling.fields)
@@ -267,12 +259,12 @@ class Attempts:
         """Return whether another attempt follows; if not, the caller raises the error.
 
         Args:
-            error: The error that left its body.
-            handled: The failure to handle; after ``retry`` it differs from ``error``.
+            error: The error that left the body of the attempt.
+            handled: The failure to handle; after ``retry`` not ``error``, but the failure that the plan was handling.
             changed: Changed parameters for the next attempt; None without ``retry``.
 
         Raises:
-            PlanFailure: The last failure, when the retries are used up.
+            PlanFailure: The last failure, if no retry is left.
         """
         if handled is None or (changed is None and not self._handling.handles(handled)):
             self.finish(error)
@@ -295,7 +287,7 @@ class Attempts:
         return False
 
     def close(self) -> None:
-        """End the handling if the plan left its loop between two attempts; warn if the last one failed."""
+        """End the handling if the plan left its loop between two attempts; warn if the last attempt failed."""
         if not self.over:
             last = self._failures[-1] if self._failures else None
             self.finish(last)
@@ -304,7 +296,7 @@ class Attempts:
                 warnings.warn_explicit(text, FailureLeft, *call_site())
 
     def finish(self, error: BaseException | None) -> None:
-        """End the handling; without an error, an attempt succeeded."""
+        """End the handling; ``error`` is None if an attempt succeeded."""
         self.over = True
         if self._span is not None:
             self._span.finish(error)

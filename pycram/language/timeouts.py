@@ -1,10 +1,9 @@
 """Timeouts: parts of the plan with a deadline.
 
-At the deadline, the part is cancelled. It stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if no
-checkpoint comes before. Then it fails with :class:`TimedOut`, which a plan may handle or retry after. A part that ended
-before the deadline has succeeded.
+At the deadline, the part is cancelled. It stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if
+there is no checkpoint before. Then it fails with :class:`TimedOut`, which a plan may handle or retry.
 
-In its body, no branch can be added to a block around the timeout: it would outlive the timeout (OutlivesTimeout).
+The body can't add a branch to a block around the timeout, because the branch would outlive the timeout.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     """Limit the time of the ``with`` block, in which actions run in order.
 
     Args:
-        seconds: The limit in s, from 0 up.
-        simulated: Whether to measure simulated time of the current world instead of the clock's. If all branches wait,
-            and only passing time can end a wait in the block, it passes.
+        seconds: The limit in s; 0 or more.
+        simulated: Whether to measure simulated time of the current world. Simulated time passes if all branches wait,
+            and only passing time can end a wait in the block.
 
     Raises:
         TimedOut: The block missed its deadline.
-        BadArgument: The limit is negative or no number.
-        NoWorld: There is no world to simulate.
+        BadArgument: The limit is negative, or isn't a number.
+        NoWorld: There is no current world.
     """
     limit = number("seconds", seconds)
     if limit < 0:
