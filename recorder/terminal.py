@@ -19,7 +19,7 @@ from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
     import subprocess
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from typing import IO, TextIO
 
 _COLOURS: Final = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33", "cyan": "36"}
@@ -166,10 +166,8 @@ class Parser(argparse.ArgumentParser):
 
     def format_help(self) -> str:
         """Return the help, with examples at its end."""
-        lines = list(self._examples())
-        width = max((len(command) for command, _ in lines), default=0)
-        shown = [f"  {command:{width}}  {result}\n" for command, result in lines]
-        return super().format_help() + ("\nexamples:\n" if shown else "") + "".join(shown)
+        shown = "\n".join(example_lines(list(self._examples())))
+        return super().format_help() + (f"\nexamples:\n{shown}\n" if shown else "")
 
     def print_help(self, file: Any = None) -> None:
         """Print the help, on a terminal in colours."""
@@ -181,6 +179,14 @@ class Parser(argparse.ArgumentParser):
         if wrong := _WRONG_CHOICE.search(message):
             message += did_you_mean(wrong["given"], re.findall(r"[\w.-]+", wrong["known"]))
         super().error(message)
+
+
+def example_lines(examples: Sequence[tuple[str, str]]) -> Iterator[str]:
+    """Yield commands and their results, in two columns, or below each other where the terminal is too narrow."""
+    width = max((len(command) for command, _ in examples), default=0)
+    fits = 4 + width + max((len(result) for _, result in examples), default=0) <= shutil.get_terminal_size().columns
+    for command, result in examples:
+        yield f"  {command:{width}}  {result}" if fits else f"  {command}\n      {result}"
 
 
 class ProgressLines:

@@ -35,7 +35,9 @@ _ENDS: Final = 18  # count of numbers that are printed from each end of a longer
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add filters."""
-    parser.add_argument("--kind", choices=sorted(KINDS), action="append", help="only this kind of record; repeatable")
+    kinds = sorted(KINDS)
+    text = f"only this kind of record: {', '.join(kinds)}; repeatable"
+    parser.add_argument("--kind", choices=kinds, metavar="KIND", action="append", help=text)
     parser.add_argument("--task", metavar="ID|NAME", help="only records of this task and its subtasks")
     parser.add_argument("--object", metavar="NAME", help="only records about this object")
     parser.add_argument("--world", metavar="NAME", help="only records about this world")

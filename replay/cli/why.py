@@ -46,7 +46,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if options.json:
         print_json(why_report.data(why) | {"pictures": pictures})
     else:
-        print_text("\n".join(why_report.lines(why, str(log.path))))
+        print_text(why.text)
         if pictures:
             print_text("\n".join(("", "Pictures of the failure", *(f"  {path}" for path in pictures))))
     return code
@@ -72,7 +72,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
                 {"cause": cause.cause, "count": cause.count, "first": cause.first, "why": why_report.data(why)}
             )
             text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
-            headline, *sections = "\n".join(why_report.lines(why, str(log.path))).split("\n\n")
+            headline, *sections = why.text.split("\n\n")
             shown = [headline, *(section for section in sections if section.startswith(("Why", "Before")))]
             text += [f"first in {cause.first}:"]
             text += [f"  {line}".rstrip() for line in "\n\n".join(shown).splitlines()]

@@ -107,11 +107,22 @@ class Why:
     unfinished: tuple[Node, ...] = ()  # the innermost unfinished tasks of a recording that was cut off
     endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
+    path: str = ""  # path of the recording, for the commands at the end of the text
 
     def __repr__(self) -> str:
         from replay.explain import why_report  # noqa: PLC0415  it imports this module
 
         return f"<Why: {next(why_report.lines(self))}>"
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def text(self) -> str:
+        """The explanation as ``pycram-replay why`` prints it."""
+        from replay.explain import why_report  # noqa: PLC0415  it imports this module
+
+        return "\n".join(why_report.lines(self, self.path))
 
     def _repr_html_(self) -> str:
         from replay.explain import why_report  # noqa: PLC0415  as above
@@ -153,7 +164,7 @@ def why(log: RecordReader, step: int | None = None) -> Why:
         step = log.final_step()
         cut = FailureCase(log, step, Failure(), None, failed, state_at(log, step), None)
         causes = find(cut) if run.outcome == "cut off" and not endless else ()
-        return Why(run, step, None, causes, unfinished=unfinished, endless=endless)
+        return Why(run, step, None, causes, unfinished=unfinished, endless=endless, path=str(log.path))
     if root.task is None:
         explained = _plan_failure(log, run, failures(log, root.step) if root.thread else failed, root)
     else:
@@ -253,6 +264,7 @@ def _explained(
         queries=tuple(_with_changes(case.log, query, world) for query in queries),
         earlier_queries=earlier,
         since_last_success=_since(case.log, case.failed.last_success, case.state),
+        path=str(case.log.path),
     )
 
 

@@ -141,6 +141,21 @@ def test_examples_of_reading_verbs_run(
             assert capsys.readouterr().out
 
 
+@pytest.mark.parametrize("columns", [80, 200])
+def test_no_line_of_help_is_wider_than_the_terminal(
+    columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    for verb in VERBS:
+        main([verb, "--help"])
+    for command in EXAMPLES:
+        with pytest.raises(SystemExit):
+            pycram([command, "--help"])
+    shown = capsys.readouterr().out.splitlines()
+    assert max(map(len, shown)) <= columns
+    assert any(re.search(r"^  pycram \S.*?  \S", line) for line in shown)  # still in columns where they fit
+
+
 def test_each_command_of_pycram_has_two_examples_that_parse(capsys: pytest.CaptureFixture[str]) -> None:
     for command, examples in EXAMPLES.items():
         with pytest.raises(SystemExit):

@@ -232,6 +232,8 @@ def test_the_explanation_of_the_demo_has_every_section(failed_log: Path, capsys:
         "pycram-replay blame",
     ):
         assert section in output
+    with replay.open(failed_log) as log:
+        assert f"{log.why()}\n" == f"{log.why().text}\n" == output
 
 
 @pytest.mark.slow
