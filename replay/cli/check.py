@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from collections import Counter
 from typing import TYPE_CHECKING
 
@@ -23,7 +25,10 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the properties."""
-    parser.epilog = "Exit code 1: a property is violated. docs/properties.md explains the language."
+    parser.epilog = (
+        "Exit code 1: a property is violated. docs/properties.md explains the language. For a query at one step, "
+        "such as 'reachable(milk, pr2)', use 'pycram-replay ask'."
+    )
     parser.add_argument("properties", metavar="PROPERTY", nargs="*", help="such as 'never contact(pr2, kitchen)'")
     parser.add_argument(
         "-f", "--file", action="append", default=[], help="a file with a property on each line; # begins a comment"
@@ -62,12 +67,25 @@ def _given(options: argparse.Namespace) -> list[Property]:
         found = [parse(text) for text in options.properties]
         found += [each for file in options.file for each in parse_file(file)]
     except BadProperty as error:
-        raise ReplayError(str(error)) from None
+        raise ReplayError(f"{error}{_as_query(error.text, options.log)}") from None
     except OSError as error:
         raise ReplayError(f"{error.filename}: {error.strerror}") from None
     if not found:
         raise ReplayError("give a property, such as 'always milk.z > 0.5', or a file with -f")
     return found
+
+
+def _as_query(text: str, path: str) -> str:
+    """Return the command that asks the query in a text that isn't a property; "" if the text has no query."""
+    try:
+        from replay.restore.ask import BELIEVED, QUERIES  # noqa: PLC0415  imports the engine
+    except ModuleNotFoundError:  # without the engine, nobody can ask
+        return ""
+    found = re.search(rf"\b({'|'.join((BELIEVED, *QUERIES))})\(.*\)", text)
+    if found is None:
+        return ""
+    command = f"pycram-replay ask {shlex.quote(path)} STEP {shlex.quote(found[0])}"
+    return f"; {found[1]} is a query about one step; ask it: {command}"
 
 
 def _check(log: Recording, properties: list[Property]) -> list[CheckedProperty]:

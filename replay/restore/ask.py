@@ -9,15 +9,16 @@ from __future__ import annotations
 import inspect
 import json
 import math
+import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram import bullet_world_reasoning as btr
 from pycram.foundation.failures import PycramError
 from pycram.reasoning.queries.query import RECORDED_AS, Verdict
-from recorder import html
+from recorder import html, properties
 from recorder.records import Query, format_error, to_json
-from replay.errors import NoSuchName
+from replay.errors import NoSuchName, ReplayError
 from replay.report.question import BadQuestion, Name, QueryCall, parse, question_of
 from replay.restore.world import temporary_world
 from replay.state.fold import state_at
@@ -98,11 +99,9 @@ def ask(
     """
     if question is None:
         question, world = _recorded(log, step, world)
-    call = parse(question) if isinstance(question, str) else question
+    call = _query(question, str(log.path))
     if call.query == BELIEVED:
         return _believed(state_at(log, step), step, world, call, moves)
-    if call.query not in QUERIES:
-        raise NoSuchName("query", call.query, (*QUERIES, BELIEVED))
     state = state_at(log, step)
     name = state.world(world).name if world is not None else None
     with temporary_world(log, step, name, moment) as restored:
@@ -133,6 +132,27 @@ def ask(
         evidence: dict[str, Plain] = json.loads(to_json(result.evidence))
         title = restored.name.rpartition("@")[0]
     return QueryAnswer(step, title, call, answer, evidence, tuple(moves))
+
+
+def _query(question: str | QueryCall, path: str) -> QueryCall:
+    try:
+        call = parse(question) if isinstance(question, str) else question
+        if call.query not in (*QUERIES, BELIEVED):
+            raise NoSuchName("query", call.query, (*QUERIES, BELIEVED))
+    except ReplayError:
+        if isinstance(question, str) and _is_property(question):
+            command = f"pycram-replay check {shlex.quote(path)} {shlex.quote(question)}"
+            raise BadQuestion(question, f"this is a property, not a query; check it: {command}") from None
+        raise
+    return call
+
+
+def _is_property(text: str) -> bool:
+    try:
+        parsed = properties.parse(text)
+    except properties.BadProperty:
+        return False
+    return bool(parsed.body.quantities)
 
 
 def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCall, str]:

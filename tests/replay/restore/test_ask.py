@@ -206,6 +206,23 @@ def test_questions_without_an_answer_say_why(scene_log: Path, question: str, mes
     assert not open_worlds()
 
 
+def test_properties_and_queries_are_refused_with_the_command_that_takes_them(
+    scene_log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = str(scene_log)
+    for given, remedy in (
+        (["ask", log, "5", "milk.z > 0.5"], f"pycram-replay check {log} 'milk.z > 0.5'"),
+        (["ask", log, "5", "never contact(milk, floor)"], f"pycram-replay check {log} 'never contact(milk, floor)'"),
+        (["ask", log, "5", "upright(milk, 30 deg)"], f"pycram-replay check {log} 'upright(milk, 30 deg)'"),
+        (["check", log, "always stable(milk) within 2 s"], f"pycram-replay ask {log} STEP 'stable(milk)'"),
+    ):
+        assert main(given) == 2
+        assert capsys.readouterr().err.rstrip().endswith(remedy)
+    for given in (["ask", log, "5", "stabel(milk)"], ["ask", log, "5", "milk"], ["check", log, "uprigth(milk)"]):
+        assert main(given) == 2
+        assert "pycram-replay " not in capsys.readouterr().err
+
+
 def test_identifiers_print_without_quotes_other_names_with_quotes() -> None:
     asked = parse("btr.visible(milk, camera=wide, threshold=-0.5, robot=None)")
     assert asked.query == "visible"
