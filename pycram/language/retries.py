@@ -97,7 +97,12 @@ class FailureHandling:
 
         Before the next attempt, the first recovery that matches the failure is called. It may return parameters for
         that attempt. An error of the recovery ends the handling.
+
+        Raises:
+            BadArgument: ``kind`` isn't a type of failures, or the recovery isn't a function.
         """
+        if not callable(recovery):
+            raise BadArgument("recovery", recovery, "a function of the failure, such as lambda failure: {'arm': 'left'}")
         self._recoveries.append((_failure_type(kind), recovery))
         return self
 

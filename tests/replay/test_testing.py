@@ -22,9 +22,9 @@ KEPT = "test_tidy.py.test_milk_falls_to_the_floor.mcap"
 
 
 def run_tests(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
-    plan, tests = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
+    plan, *tests = re.findall(r"```python\n(.*?)```", GUIDE, re.DOTALL)
     (folder / "tidy.py").write_text(plan, encoding="utf-8")
-    (folder / "test_tidy.py").write_text(tests, encoding="utf-8")
+    (folder / "test_tidy.py").write_text("\n".join(tests), encoding="utf-8")
     (folder / "pytest.ini").write_text("[pytest]\n", encoding="utf-8")
     command = [sys.executable, "-m", "pytest", "-p", "replay.testing", "-p", "no:cacheprovider", *options]
     environment = os.environ | {"PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
@@ -36,7 +36,7 @@ def run_tests(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("parallel", [(), ("-p", "xdist", "-n", "2")], ids=["alone", "xdist"])
 def test_the_guide_s_tests_end_as_it_shows(tmp_path: Path, parallel: tuple[str, ...]) -> None:
     ended = run_tests(tmp_path, *parallel)
-    assert "1 failed, 3 passed" in ended.stdout, ended.stdout
+    assert "1 failed, 5 passed" in ended.stdout, ended.stdout
     (block,) = blocks(GUIDE)
     shown = [without_numbers(line) for line in ended.stdout.splitlines()]
     assert [line for line in block.lines if without_numbers(line) not in shown] == []

@@ -159,6 +159,8 @@ def test_only_the_named_failures_and_never_bugs_are_retried() -> None:
             failure_handling(wrong)
     with pytest.raises(BadArgument):
         failure_handling(1, ValueError)
+    with pytest.raises(BadArgument, match="recovery"):
+        failure_handling(1).on(PlanFailure, {"arm": "left"})
 
 
 def test_misused_failure_handlings_are_refused() -> None:
