@@ -35,7 +35,6 @@ _HASH: Final = "PYTHONHASHSEED"
 #: :func:`restart` sets it to the id of the restarted process and its seed. Child processes of a plan have other ids.
 _RESTARTED: Final = "PYCRAM_SEEDED"
 _PAGE: Final = "serve"  # value of --rerun
-_MAX_PRINTED: Final = 1000  # maximum number of printed frames of an error, and of printed errors in a chain
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,8 +125,7 @@ def run(
     if recording is not None and recording.path.is_file() and not unrecorded:
         shown = recording.path if log.is_absolute() else Path(os.path.relpath(recording.path, folder))
         tell(f"pycram: recorded to {shown} ({recording.path.stat().st_size / 1e6:.1f} MB). Next:")
-        for verb in ("info", "tree", "view") if code == SUCCEEDED else ("why", "tree", "view"):
-            tell(f"  pycram-replay {verb} {shlex.quote(str(shown))}")
+        _tell_next(shlex.quote(str(shown)), code, error)
         if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == FAILED:
@@ -137,11 +135,18 @@ def run(
     return code
 
 
+def _tell_next(log: str, code: int, error: BaseException | None) -> None:
+    for verb in ("info", "tree", "view") if code == SUCCEEDED else ("why", "tree", "view"):
+        tell(f"  pycram-replay {verb} {log}")
+    if code == FAILED and isinstance(error, Exception):
+        tell(f"  pycram-replay show {log} last  # the whole traceback")
+
+
 def _report(error: BaseException) -> int:
     from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
     from recorder.properties import BadProperty  # noqa: PLC0415  heavy
     from recorder.records import format_error  # noqa: PLC0415  heavy
-    from recorder.records.tracebacks import format_traceback  # noqa: PLC0415  heavy
+    from recorder.tracing.folding import format_folded  # noqa: PLC0415  heavy
 
     match error:
         case RecordingError() | NotInstalled() | BadProperty():
@@ -158,10 +163,10 @@ def _report(error: BaseException) -> int:
         case KeyboardInterrupt():
             tell("\npycram: interrupted")
             return INTERRUPTED
-    tell(format_traceback(error, frames=_MAX_PRINTED, errors=_MAX_PRINTED).rstrip())
+    tell(format_folded(error, PycramError).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
     how = "failed" if isinstance(error, PlanFailure) else kind
-    tell(f"\npycram: the plan {how}: {format_error(error)}")
+    tell(f"\npycram: the plan {how}: {format_error(error).partition(chr(10))[0]}")
     return FAILED
 
 

@@ -102,7 +102,9 @@ class FailureHandling:
             BadArgument: ``kind`` isn't a type of failures, or the recovery isn't a function.
         """
         if not callable(recovery):
-            raise BadArgument("recovery", recovery, "a function of the failure, such as lambda failure: {'arm': 'left'}")
+            raise BadArgument(
+                "recovery", recovery, "a function of the failure, such as lambda failure: {'arm': 'left'}"
+            )
         self._recoveries.append((_failure_type(kind), recovery))
         return self
 

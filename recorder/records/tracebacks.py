@@ -7,17 +7,20 @@ texts of all errors and records are composed of these cached parts.
 from __future__ import annotations
 
 import traceback
+from contextvars import ContextVar
 from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from traceback import TracebackException
-from typing import TYPE_CHECKING, Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from recorder import notebook
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable, Iterator
     from types import CodeType, TracebackType
+
+    Formatter: TypeAlias = Callable[[BaseException], str]
 
 Other = TypeVar("Other")
 
@@ -31,10 +34,14 @@ _MAX_EXPLORED: Final = 64  # largest number of related errors that Python may vi
 _REPEATED: Final = 3  # number of times that Python prints a repeated line, before it only counts repetitions
 _MAX_CACHED: Final = 4096  # number of cached texts of frames
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
-_CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
+TITLE: Final = "Traceback (most recent call last):\n"
+CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
 _PLACE: Final = attrgetter("co_filename", "co_name")
 #: Python adds details to the messages of these errors
 _SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)
+
+#: Formats tracebacks, also within messages, in the place of :func:`format_traceback`; None to print all frames.
+formatter: Final[ContextVar[Formatter | None]] = ContextVar("recorder_tracebacks", default=None)
 
 _texts: Final[
     dict[tuple[int, int, int], tuple[CodeType, str]]
@@ -43,43 +50,46 @@ _texts: Final[
 
 def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
     """Return an error and its causes as text: the innermost frames of each error, and both ends of the chain."""
-    chain = _chain(error)
-    left_out = len(chain) - errors
-    parts = [f"{link}{_part(each, frames)}" for link, each in chain[:_FIRST]]
+    if (own := formatter.get()) is not None:
+        return own(error)
+    links = chain(error)
+    left_out = len(links) - errors
+    parts = [f"{link}{part(each, frames)}" for link, each in links[:_FIRST]]
     if left_out > 0:
-        del chain[_FIRST : _FIRST + left_out]
-    for link, each in chain[_FIRST:]:
+        del links[_FIRST : _FIRST + left_out]
+    for link, each in links[_FIRST:]:
         count = f"  [{left_out} errors are left out; see the tasks that they ended]\n\n" if left_out > 0 else ""
-        parts.append(f"{link}{count}{_part(each, frames)}")
+        parts.append(f"{link}{count}{part(each, frames)}")
         left_out = 0
     return notebook.with_cells("".join(parts))
 
 
-def _chain(error: BaseException) -> list[tuple[str, BaseException]]:
+def chain(error: BaseException) -> list[tuple[str, BaseException]]:
     """Return the causes and the error, each with the text that links it to the next; a group prints its own causes."""
-    chain: list[tuple[str, BaseException]] = []
+    links: list[tuple[str, BaseException]] = []
     seen = {id(error)}
     while not _is_small_group(error):
         cause, context = error.__cause__, error.__context__
         if cause is not None and id(cause) not in seen:
             link, earlier = _CAUSE, cause
         elif context is not None and id(context) not in seen and not error.__suppress_context__:
-            link, earlier = _CONTEXT, context
+            link, earlier = CONTEXT, context
         else:
             break
-        chain.append((link, error))
+        links.append((link, error))
         seen.add(id(earlier))
         error = earlier
-    chain.append(("", error))
-    return chain[::-1]
+    links.append(("", error))
+    return links[::-1]
 
 
-def _part(error: BaseException, frames: int) -> str:
+def part(error: BaseException, frames: int = MAX_FRAMES) -> str:
+    """Return an error as text without its causes."""
     innermost = _innermost(error.__traceback__, frames)
     if _is_small_group(error):
         return "".join(traceback.format_exception(type(error), error, innermost, limit=-frames))
-    title = "" if innermost is None else "Traceback (most recent call last):\n"
-    return "".join((title, *_stack(innermost), *_message(error)))
+    title = "" if innermost is None else TITLE
+    return "".join((title, *stack(entries(innermost)), *message(error)))
 
 
 def _is_small_group(error: BaseException) -> bool:
@@ -107,12 +117,18 @@ def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None
     return trace
 
 
-def _stack(trace: TracebackType | None) -> Iterator[str]:
-    entries = []
+def entries(trace: TracebackType | None) -> list[TracebackType]:
+    """Return the entries of a traceback, the outermost frame first."""
+    found = []
     while trace is not None:
-        entries.append(trace)
+        found.append(trace)
         trace = trace.tb_next
-    for _, group in groupby(entries, lambda each: (*_PLACE(each.tb_frame.f_code), each.tb_lineno)):
+    return found
+
+
+def stack(shown: Iterable[TracebackType]) -> Iterator[str]:
+    """Yield the texts of entries."""
+    for _, group in groupby(shown, lambda each: (*_PLACE(each.tb_frame.f_code), each.tb_lineno)):
         same = list(group)
         yield from map(_frame, same[:_REPEATED])
         if (more := len(same) - _REPEATED) > 0:
@@ -131,7 +147,8 @@ def _frame(entry: TracebackType) -> str:
     return known[1]
 
 
-def _message(error: BaseException) -> Iterator[str]:
+def message(error: BaseException) -> Iterator[str]:
+    """Yield the text of an error without its traceback."""
     kind, notes = type(error), getattr(error, "__notes__", None)
     if (isinstance(error, _SPECIAL) or not isinstance(notes, list | None)) and _is_quickly_printed(error):
         yield from TracebackException(kind, error, error.__traceback__, limit=0).format_exception_only()

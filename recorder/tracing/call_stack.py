@@ -195,8 +195,17 @@ def plan_frames(frame: FrameType | None) -> Iterator[FrameType]:
 
 def is_plan(frame: FrameType) -> bool:
     """Return whether a frame runs the plan's own code."""
+    return _origin_of(frame) is _Origin.PLAN
+
+
+def is_machinery(frame: FrameType) -> bool:
+    """Return whether a frame runs PyCRAM's code, or code that PyCRAM runs plans with."""
+    return _origin_of(frame) is _Origin.MACHINERY
+
+
+def _origin_of(frame: FrameType) -> _Origin:
     file = frame.f_code.co_filename
-    return (_origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))) is _Origin.PLAN
+    return _origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
 
 
 class _Origin(Enum):
