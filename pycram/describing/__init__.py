@@ -1,1 +1,1 @@
-"""``pycram describe``: guess a description of a robot from its URDF, check a description, or describe furniture."""
+"""The command ``pycram describe``: guess a robot's description from its URDF, check it, or describe furniture."""

@@ -1,4 +1,4 @@
-"""Kinematic chains of a URDF: guesses which are arms, a torso, a head or a camera, by joints first, then by names."""
+"""Kinematic chains of a URDF. Joints and names show which chains are arms, a torso, a head or a camera."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 ARM: Final = 4
 """Minimum number of successive joints of an arm."""
 _SEVERAL: Final = 2  # minimum number of fingers on a wrist
-_TURNS_ALL: Final = math.pi  # rad; a wrist has a larger range, any jaw a smaller one
+_TURNS_ALL: Final = math.pi  # rad; wrists have a larger range, and jaws a smaller range
 _HEAD: Final = re.compile(r"head|neck", re.IGNORECASE)
 _LEG: Final = re.compile(r"leg|hip|knee|ankle|foot|haa|hfe|kfe", re.IGNORECASE)
 _WHEEL: Final = re.compile(r"wheel|caster|rotor", re.IGNORECASE)
 _FINGER: Final = re.compile(r"finger|jaw|gripper|thumb|grasp", re.IGNORECASE)
-_FINGER_LINK: Final = re.compile(r"finger|jaw|thumb", re.IGNORECASE)  # a gripper's link may hang on a wrist's joint
+_FINGER_LINK: Final = re.compile(r"finger|jaw|thumb", re.IGNORECASE)  # not "gripper": a wrist may move it
 _OPTICAL: Final = re.compile(r"optical", re.IGNORECASE)
 _CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE)
 _NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)
 _NO_NAME: Final = re.compile(r"[^A-Za-z0-9]+")
 _UPRIGHT: Final = 0.9  # minimum |z| of a vertical axis
-_FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # parts of planar and floating joints (canonical_urdf.py)
+_FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # replaced planar or floating joints (canonical_urdf.py)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class ArmChain:
 
     name: str
     joints: tuple[UrdfJoint, ...]  # from the shoulder to the wrist
-    fingers: tuple[UrdfJoint, ...]  # joints below the last link
+    fingers: tuple[UrdfJoint, ...]  # joints below the last link of the arm
 
 
 class JointTree:
@@ -58,7 +58,7 @@ class JointTree:
                 self._next[above.name if above else ""].append(joint)
 
     def _moves(self, joint: UrdfJoint) -> bool:
-        """Return whether a joint moves parts of the robot relative to each other, not the robot in the world."""
+        """Return whether a joint moves parts of the robot relative to each other."""
         return joint.movable and not self._is_free(joint)
 
     def _is_free(self, joint: UrdfJoint) -> bool:
@@ -66,7 +66,7 @@ class JointTree:
         return part is not None and all(f"{part[1]}_{axis}_link" in self.urdf.links for axis in "xy")
 
     def moved_by(self, link: str) -> UrdfJoint | None:
-        """Return the nearest joint that moves a link; None if there is none."""
+        """Return the nearest joint that moves a link; None if no joint moves the link."""
         joint = self.urdf.parent_joint(link)
         while joint is not None and not self._moves(joint):
             joint = self.urdf.parent_joint(joint.parent)
@@ -77,7 +77,7 @@ class JointTree:
         return self._above[joint.name]
 
     def within(self, arm: ArmChain, joint: UrdfJoint) -> list[UrdfJoint]:
-        """Return the joints of an arm's hand from the palm down to a joint of a finger."""
+        """Return the joints of an arm's hand from the palm to a joint of a finger."""
         hand, found = {each.name for each in arm.fingers}, [joint]
         while (above := self.above(found[0])) is not None and above.name in hand:
             found.insert(0, above)
@@ -91,7 +91,7 @@ class JointTree:
         return found
 
     def arms(self) -> list[ArmChain]:
-        """Return the arms: successive joints that end at a gripper or at nothing, and aren't legs."""
+        """Return the arms: chains of successive joints that end at a gripper or freely, and aren't legs."""
         found = []
         pending = list(self._next[""])
         leading = {mimic.leader for mimic in self.urdf.mimics.values()}
@@ -111,9 +111,10 @@ class JointTree:
         return [ArmChain(name, tuple(run), tuple(below)) for name, (run, below) in zip(names, found, strict=True)]
 
     def _begins_hand(self, joint: UrdfJoint, leading: set[str]) -> bool:
-        """Return whether the next joint is a finger's.
+        """Return whether the next joint belongs to a finger.
 
-        A joint with a finger's name is a wrist's if several fingers are below it, or if it turns farther than a jaw.
+        A joint that is named like a finger belongs to a wrist if several fingers are below it, or if it turns farther
+        than a jaw.
         """
         (after,) = self._next[joint.name]
         lower, upper = limits(after)
@@ -126,11 +127,11 @@ class JointTree:
         return abs(geometry.rotate(turn, joint.axis)[2]) > _UPRIGHT
 
     def gripper_links(self, arm: ArmChain | None, arms: Sequence[ArmChain]) -> list[str]:
-        """Return links with names of grippers or fingers that no joint of an arm moves directly.
+        """Return links that are named like grippers or fingers, and that no joint of an arm moves directly.
 
         Args:
-            arm: The arm that has them at its end; None for links at the end of no arm.
-            arms: All arms.
+            arm: The arm that ends at these links; None for links at which no arm ends.
+            arms: All arms of the robot.
         """
         of_arms = {joint.name: each for each in arms for joint in each.joints}
         found = []
@@ -145,7 +146,7 @@ class JointTree:
         return found
 
     def torso(self, arms: list[ArmChain]) -> UrdfJoint | None:
-        """Return the joint that lifts the arms; None if there is none."""
+        """Return the joint that lifts the arms; None if no joint lifts them."""
         for arm in arms:
             joint = self._above[arm.joints[0].name]
             while joint is not None:
@@ -155,13 +156,13 @@ class JointTree:
         return None
 
     def camera(self) -> str:
-        """Return the link with the camera's frame, preferably an optical frame; "" if there is none."""
+        """Return the link of a camera, preferably the link of an optical frame; "" without a camera."""
         links = [link for link in self.urdf.links if _CAMERA.search(link) and not _NO_PICTURE.search(link)]
         links = links or [link for link in self.urdf.links if _OPTICAL.search(link) and not _NO_PICTURE.search(link)]
         return min(links, key=lambda link: (not _OPTICAL.search(link), links.index(link)), default="")
 
     def head(self, camera: str, arms: list[ArmChain]) -> dict[str, str]:
-        """Return the joints that turn a camera as "pan" and "tilt"."""
+        """Return the names of the joints that turn a camera, by "pan" and "tilt"."""
         of_arms = {joint.name for arm in arms for joint in (*arm.joints, *arm.fingers)}
         found: dict[str, str] = {}
         joint = self.moved_by(camera) if camera else None
@@ -171,7 +172,7 @@ class JointTree:
         return found
 
     def drives(self) -> bool:
-        """Return whether the robot has wheels, a driving base's footprint link, or a planar or floating joint."""
+        """Return whether the base can drive: it has wheels, a "footprint" link, or a planar or floating joint."""
         joints = self.urdf.joints.values()
         return "footprint" in self.urdf.root or any(
             joint.movable and (_WHEEL.search(joint.name) or self._is_free(joint)) for joint in joints
@@ -179,15 +180,15 @@ class JointTree:
 
 
 def _short_names(runs: list[list[str]], robot: str) -> list[str]:
-    """Return names of arms: their sides, if names of joints give them; the robot's name for a single arm.
+    """Return names of arms: the sides in the names of their joints; for a single arm, the name of the robot.
 
-    Names are TOML keys and parts of slots (``NAME-arm``): they consist of letters, digits and hyphens.
+    The names consist of letters, digits and hyphens, because TOML keys and slots (``NAME-arm``) contain them.
     """
     if len(runs) == 1:
         return [_NO_NAME.sub("-", robot).strip("-") or "arm"]
     names = []
     for number, run in enumerate(runs, 1):
-        text = "_".join(run)  # such as "l_elbow_joint", "LElbowYaw" or "left_elbow"
+        text = "_".join(run)  # the names may contain "l_elbow_joint", "LElbowYaw" or "left_elbow"
         left, right = (
             bool(re.search(rf"(?:^|_){side}(?:_|$)|(?:^|_){side.upper()}(?=[A-Z])|(?i:{word})", text))
             for side, word in (("l", "left"), ("r", "right"))
@@ -197,9 +198,9 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
 
 
 def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[UrdfJoint]]]:
-    """Yield the links of an arm's finger tips that have a shape, and the joints that move each.
+    """Yield each finger tip of an arm that has a shape, and the joints that move the tip.
 
-    Links without a shape are frames below a tip, and sliders or screws of a motor above it, which stand still.
+    Links without a shape are frames below a tip, or sliders and screws of a motor above it.
     """
     for joint in arm.fingers:
         if joint.child not in with_shape or any(below.child in with_shape for below in tree.below(joint)):

@@ -26,18 +26,18 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_POSES: Final = 40  # number of tool poses in the check of reach
+_POSES: Final = 40  # number of tool poses that the check of reach tries
 _ENOUGH: Final = 0.9  # minimum share of reached poses
-_CENTRED: Final = 0.003  # m, maximum distance of the middle between fingers from the tool frame
+_CENTRED: Final = 0.003  # m, maximum distance from the tool frame to the middle between the fingers
 _APERTURE: Final = 0.005  # m, tolerance for measures of fingers
 _STILL_TIME: Final = 2.0  # s, duration of the simulation
 _STILL: Final = 1e-3  # rad or m, maximum motion of a still joint
-_TRIED: Final = 4000  # candidates for a parking posture
-_CHECKED: Final = 300  # best candidates, which are checked for self-collisions
-_SAMPLED: Final = 40  # number of postures; links that overlap in all of them always overlap
+_TRIED: Final = 4000  # number of candidates for a parking posture
+_CHECKED: Final = 300  # number of best candidates that are checked for self-collisions
+_SAMPLED: Final = 40  # number of sampled postures; links that overlap in all of these always overlap
 _FLOOR: Final = 0.05  # m, minimum height of a parked arm above the root link
 _NAMED: Final = 4  # maximum number of links that a finding names
-_STRAIN: Final = 0.1  # m, penalty in size for a posture at joint limits
+_STRAIN: Final = 0.1  # m, added to the size of a posture at joint limits
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +45,7 @@ class Finding:
     """The result of a check."""
 
     passed: bool
-    about: str  # the checked part
+    about: str  # the checked part of the robot
     text: str  # the measured values, for the user
 
     def __str__(self) -> str:
@@ -53,7 +53,7 @@ class Finding:
 
 
 def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
-    """Check a robot that was loaded with a description, alone in a world and above the ground; the robot is moved."""
+    """Check a robot that was loaded with a description, alone in a world and above the ground; checks move it."""
     for arm in description.arms.values():
         yield _reach(robot, arm)
         if arm.hand is not None and arm.hand.fingers:
@@ -66,7 +66,7 @@ def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
 
 
 def _reach(robot: Object, arm: Arm) -> Finding:
-    """Check that inverse kinematics solves tool poses that were computed from postures."""
+    """Check that inverse kinematics reaches tool poses that were computed from postures."""
     chain = chain_of(robot, arm)
     postures = chain.limited(halton_postures(chain, 0, _POSES))
     root = robot.get_link_position_and_orientation(arm.base_link)
@@ -80,12 +80,12 @@ def _reach(robot: Object, arm: Arm) -> Finding:
     return Finding(
         reached >= _ENOUGH * _POSES,
         f"{arm.name} arm, reach",
-        f"{reached} of {_POSES} poses of its tool are reached, up to {far:.2f} m from {arm.base_link}",
+        f"the arm reaches {reached} of {_POSES} tool poses, up to {far:.2f} m from {arm.base_link}",
     )
 
 
 def _missing_grippers(robot: Object, description: RobotDescription) -> Iterator[Finding]:
-    """Check that an arm has a gripper if links at its end are named after grippers or fingers."""
+    """Check that an arm has a gripper if links at its end are named like grippers or fingers."""
     tree = JointTree(robot.urdf)
     arms = {
         arm.name: ArmChain(
@@ -98,13 +98,11 @@ def _missing_grippers(robot: Object, description: RobotDescription) -> Iterator[
         links = tree.gripper_links(chain, chains)
         if links and description.arms[name].hand is None:
             hand = guess_hand(tree, chain, Corners(robot.model))
-            reason = f"pycram describe finds none: {hand}" if isinstance(hand, str) else "pycram describe finds one"
-            text = (
-                f"its links {_some(links)} are named as a gripper's, but it is described without a gripper ({reason})"
-            )
+            reason = f"pycram describe finds {f'no gripper: {hand}' if isinstance(hand, str) else 'one'}"
+            text = f"links {_some(links)} are named like a gripper, but the description has no gripper ({reason})"
             yield Finding(False, f"{name} arm", text)
     if links := tree.gripper_links(None, chains):
-        yield Finding(False, "grippers", f"links {_some(links)} are named as a gripper's, but are at the end of no arm")
+        yield Finding(False, "grippers", f"links {_some(links)} are named like a gripper, but no arm ends there")
 
 
 def _some(links: Sequence[str]) -> str:
@@ -112,7 +110,7 @@ def _some(links: Sequence[str]) -> str:
 
 
 def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
-    """Check the positions of the fingers, open and closed, by the corners of their shapes."""
+    """Check the positions of the open and the closed fingers by the corners of their shapes."""
     corners = Corners(robot.model)
     about = f"{arm.name} gripper"
     fingers = gripper.jaws(robot.urdf, arm.tool_frame, arm.tool_offset)
@@ -120,7 +118,7 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     if opened is None or closed is None:
         yield Finding(False, about, "its fingers don't have shapes on both sides of the tool frame")
         return
-    wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle between jaws that close unevenly
+    wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle between open jaws that move unevenly
     middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))
     yield Finding(
         middle <= _CENTRED, about, f"the middle between its fingers is {1e3 * middle:.1f} mm from the tool frame"
@@ -136,7 +134,7 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
 
 
 def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
-    """Check the underside and the depth of a hand; both are wrong if the tool frame's x axis points sideways."""
+    """Check the underside and the depth of a hand; both are wrong if the x axis of the tool frame points sideways."""
     about = f"{arm.name} gripper"
     links = (gripper.palm, *gripper.fingers)
     hand = np.vstack([corners.of(links, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0)])
@@ -144,14 +142,14 @@ def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
     text = f"underside is described as {1e3 * gripper.underside:.1f} mm, measured {1e3 * low:.1f} mm"
     yield Finding(low <= gripper.underside + _APERTURE, about, text)
     palm = corners.of([gripper.palm], gripper.at(0.0), arm.tool_frame, arm.tool_offset)
-    if len(palm) and gripper.palm not in gripper.fingers:  # if only one jaw moves, the palm may be the other jaw
+    if len(palm) and gripper.palm not in gripper.fingers:  # if only one jaw moves, the palm may be the fixed jaw
         room = max(-float(palm[:, 0].max()), 0.0)
         text = f"depth is described as {1e3 * gripper.depth:.1f} mm, with {1e3 * room:.1f} mm in front of the palm"
         yield Finding(gripper.depth <= room + _APERTURE, about, text)
 
 
 def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
-    """Check that the robot doesn't touch itself in named postures."""
+    """Check that the robot doesn't touch itself in the named postures of an arm."""
     for name in arm.poses:
         with robot.world.lock, CollisionChecker(robot, arm.joints) as checker:
             (candidate,) = checker.predict([arm.posture(name)])
@@ -166,7 +164,7 @@ def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
 def _head(robot: Object, description: RobotDescription) -> Finding:
     """Check that the camera can be turned to a point in front of the robot."""
     camera = description.camera
-    assert camera is not None  # noqa: S101  the caller checks it
+    assert camera is not None  # noqa: S101  the caller has checked it
     joints = description.head.joints if description.head else ()
     now = robot.get_joint_positions()
     frame = camera.pose(robot.urdf.forward_kinematics(now, camera.frame))
@@ -174,12 +172,12 @@ def _head(robot: Object, description: RobotDescription) -> Finding:
     _, (x, y, z) = pan_tilt.aim_camera(robot.urdf, joints, camera, point, now)
     angle = math.degrees(math.atan2(math.hypot(x, y), z))
     limit = math.degrees(min(camera.horizontal_fov, camera.vertical_fov)) / 2
-    text = f"it looks {angle:.1f} degrees past a point 1.5 m in front of it and 0.5 m below"
+    text = f"the camera looks {angle:.1f} degrees past a point that is 1.5 m in front and 0.5 m below"
     return Finding(angle <= (1.0 if len(joints) > 1 else limit), "camera", text)
 
 
 def _stillness(robot: Object) -> Finding:
-    """Check that no joint moves in two seconds of simulation with parked arms, without a floor."""
+    """Check that no joint moves in two simulated seconds; arms are parked, and there is no floor."""
     if robot.description is not None:
         for arm in robot.description.arms.values():
             robot.set_joint_positions(arm.posture("park") if "park" in arm.poses else {})
@@ -203,7 +201,7 @@ def chain_of(robot: Object, arm: Arm) -> Chain:
 
 
 def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
-    """Return pairs of links that overlap in all sampled postures of an arm: their shapes are too large."""
+    """Return pairs of links that overlap in all sampled postures of an arm, because their shapes are too large."""
     chain = chain_of(robot, arm)
     postures = [dict(zip(arm.joints, row, strict=True)) for row in halton_postures(chain, 0, _SAMPLED).tolist()]
     with CollisionChecker(robot, arm.joints) as checker:
@@ -215,7 +213,7 @@ def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
 
 
 def parked(robot: Object, arm: Arm) -> list[float]:
-    """Return a compact posture of an arm in which the robot doesn't touch itself; other arms don't move."""
+    """Return a compact posture of an arm in which the robot doesn't touch itself; other arms stay as they are."""
     chain = chain_of(robot, arm)
     postures = chain.limited(halton_postures(chain, 0, _TRIED))
     root = geometry.pose_matrix(robot.urdf.forward_kinematics(robot.get_joint_positions(), arm.base_link))

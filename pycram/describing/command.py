@@ -1,4 +1,4 @@
-"""``pycram describe``: print a first description of a robot, check a description, or print the furniture of a URDF."""
+"""The command ``pycram describe``: print a guessed description of a robot or of furniture, or check a description."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pycram.models.corrections import SUFFIX
 from pycram.models.files import ROBOT_URDFS, parse_toml
 from pycram.models.furniture import find_furniture, furniture_of
 from pycram.models.robots.description import RobotDescription
-from pycram.models.surfaces import Container, Surface, closed_position
+from pycram.models.surfaces import Surface, closed_position
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from recorder.urdf import Urdf
 
 _FINE, _FAILED, _WRONG_USAGE = 0, 1, 2  # exit codes
-_IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture: a drawer behind a door
+_IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture, as of a drawer behind a door
 
 
 def run(options: argparse.Namespace) -> int:
-    """Run the command and return its exit code: 0 for success, 1 if a check failed, 2 for wrong usage."""
+    """Run the command; return its exit code: 0 for success, 1 if a check failed, 2 for wrong usage."""
     if options.file is None and options.check is None:
         return _refused("give a URDF, or --check with a description")
     try:
@@ -77,7 +77,7 @@ def _check(description: RobotDescription, options: argparse.Namespace) -> int:
 
 
 def _loaded(description: RobotDescription, urdf: str, world: BulletWorld) -> Object:
-    """Load a robot above the ground, where it touches nothing, with parked arms."""
+    """Load a robot with parked arms above the ground, where it touches nothing."""
     robot = Object(description.robot, "robot", urdf, [0.0, 0.0, 1.0], world=world, description=description)
     for arm in description.arms.values():
         if "park" in arm.poses:
@@ -90,7 +90,7 @@ def _draw(body: Object, file: Path) -> None:
 
     try:
         draw(body, file)
-    except (OSError, ValueError) as error:  # ValueError: the suffix isn't an image format's
+    except (OSError, ValueError) as error:  # ValueError: no image format has that suffix
         raise AssetError(file, str(error)) from error
     print(f"picture in {file}", file=sys.stderr)
 
@@ -101,10 +101,10 @@ def _refused(reason: str) -> int:
 
 
 def describe_robot(urdf: str | Path, *, suction: bool = False) -> str:
-    """Return a first description, as TOML, of the robot with a URDF: a file, or the name of a bundled robot.
+    """Return a guessed description of a robot as TOML.
 
     Args:
-        urdf: The URDF.
+        urdf: File of the robot's URDF, or the name of a bundled robot.
         suction: Whether arms without a recognised gripper get a suction cup at the end of their last link.
 
     Raises:
@@ -130,7 +130,7 @@ def describe_robot(urdf: str | Path, *, suction: bool = False) -> str:
 
 
 def is_furniture(model: Model) -> bool:
-    """Return whether a model has surfaces, and neither arms, legs nor wheels."""
+    """Return whether a model has surfaces, but no arms, legs or wheels."""
     found, tree = guess(model), model.urdf
     in_a_row = max(sum(joint.movable for joint in tree.chain(tree.root, link)) for link in tree.links)
     has_arms = bool(found.arms) or in_a_row > _IN_A_ROW
@@ -141,20 +141,24 @@ def describe_furniture(model: Model, urdf: str | Path) -> str:
     """Return the TOML of found furniture with its corrections.
 
     Raises:
-        AssetError: The corrections don't fit.
+        AssetError: The corrections don't match the furniture.
     """
     tree = model.urdf
     found, now = find_furniture(model.path, tree), furniture_of(model)
     beside = next((file for file in model.files if file.name.endswith(SUFFIX)), None)
     said: Any = parse_toml(beside.content.decode(), beside.name) if beside else {}
     surfaces = {name: _of_surface(surface, tree) for name, surface in now.surfaces.items()}
-    containers = {name: _of_container(container, tree) for name, container in now.containers.items()}
+    containers = {
+        name: f"{each.kind}, {tree.joints[each.joint].type} {each.joint} {each.closed:g} to {each.open:.4g}, "
+        f"{f'handle {each.handle}' if each.handle else 'no handle'}"
+        for name, each in now.containers.items()
+    }
     opening = {container.joint for container in now.containers.values()}
     others = [f"{joint} ({tree.joints[joint].type})" for joint in tree.movable if joint not in opening]
     file = f"{Path(urdf).stem}{SUFFIX}"
     lines = [
         f"# {tree.name}: {_count(surfaces, 'surface')}, {_count(containers, 'container')}; written by pycram describe.",
-        f"# To name or correct them, save this next to the URDF as {file}. Metres, radians.",
+        f"# To rename or correct entries, save this text next to the URDF as {file}. Units: metres, radians.",
         *_tables("surfaces", [*found.surfaces], said.get("surfaces", {}), surfaces),
         *_tables("containers", [*found.containers], said.get("containers", {}), containers),
     ]
@@ -168,7 +172,7 @@ def _count(things: Sized, name: str) -> str:
 
 
 def _tables(kind: str, found: list[str], said: Mapping[str, Any], now: Mapping[str, str]) -> Iterator[str]:
-    """Yield the tables of all found or added things, each with a comment that describes it and its corrections."""
+    """Yield a table with its corrections for each surface or container; a comment describes the thing."""
     for key in dict.fromkeys([*found, *said]):
         entries = said.get(key, {})
         about = now.get(entries.get("name", key), "removed")
@@ -183,11 +187,6 @@ def _of_surface(surface: Surface, tree: Urdf) -> str:
     above = "open above" if surface.clearance == math.inf else f"{surface.clearance:.2f} free above"
     inside = f", in {quoted(surface.container)}" if surface.container else ""
     return f"{x:.2f} x {y:.2f} at height {height:.3f}, {above}, on {surface.link}{inside}"
-
-
-def _of_container(container: Container, tree: Urdf) -> str:
-    joint = f"{tree.joints[container.joint].type} {container.joint} {container.closed:g} to {container.open:.4g}"
-    return f"{container.kind}, {joint}, {f'handle {container.handle}' if container.handle else 'no handle'}"
 
 
 def _value(value: object) -> str:

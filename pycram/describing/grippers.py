@@ -1,4 +1,4 @@
-"""Guesses of grippers from the collision shapes of hands: positions of the fingers in the tool frame."""
+"""Guesses of grippers from collision shapes: the positions of the fingers in the tool frame."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ if TYPE_CHECKING:
 
 TIPS: Final = 0.015
 """Distance from the tool frame to the finger tips, m."""
-_PADS: Final = 0.02  # m, length of the pads, from the finger tips back
-_NEAR_TIP: Final = 0.02  # m, maximum distance of a link that grasps from the finger tips
+_PADS: Final = 0.02  # m, length of the pads on the fingers, measured from the tips
+_NEAR_TIP: Final = 0.02  # m, maximum distance from the finger tips to a link that grasps
 _MAX_DEPTH: Final = 0.03  # m
-_CUP_RIM: Final = 0.003  # m by which a suction cup sticks out; without it, the arm's end pushes what it releases
-_PALM_CLEARANCE: Final = 0.003  # m, between a grasped object and the palm
-_PADDING: Final = 1e-3  # m, by which the engine thickens shapes
-_STRAIGHT: Final = math.cos(math.radians(10))  # minimum component of an axis that counts as an axis of the link
+_CUP_RIM: Final = 0.003  # m, length of a suction cup; it keeps the end of the arm away from a released object
+_PALM_CLEARANCE: Final = 0.003  # m, minimum distance between a grasped object and the palm
+_PADDING: Final = 1e-3  # m that the engine adds around shapes
+_STRAIGHT: Final = math.cos(math.radians(10))  # minimum component of a direction that becomes an axis of the link
 _SIDES: Final = 2
-_PHALANGES: Final = 2  # maximum number of joints of a finger that doesn't curl
-_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # candidates for open fingers, as shares of the range to the limits
+_PHALANGES: Final = 2  # a finger with more joints curls
+_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # candidates for open fingers, as shares of the joints' ranges
 
 
 @dataclass(frozen=True, slots=True)
 class Jaws:
-    """Positions of two sides of fingers, m, in a frame whose x points out of the hand; the fingers close along y."""
+    """Positions of two sides of fingers in m. The x axis of the frame points out of the hand; fingers close along y."""
 
     left: float  # y of the inner faces on the +y side
     right: float  # y of the inner faces on the -y side
@@ -51,12 +51,12 @@ class Jaws:
 
     @property
     def gap(self) -> float:
-        """Distance between the sides, m."""
+        """Distance in m between the two sides."""
         return self.left - self.right
 
 
 class Corners:
-    """Corners of a model's collision shapes, by link."""
+    """Corners of a model's collision shapes, for each link."""
 
     def __init__(self, model: Model) -> None:
         self._urdf = model.urdf
@@ -69,13 +69,13 @@ class Corners:
         return link in self._corners
 
     def of(self, links: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Array:
-        """Return corners (n, 3) of links in a frame.
+        """Return the corners (n, 3) of links in a frame.
 
         Args:
             links: Names of links; a link without shapes has no corners.
             positions: Joint positions by name, rad or m; other joints are at 0.
-            base: The link in which the frame is given.
-            offset: Pose of the frame in that link.
+            base: Link to which the frame is attached.
+            offset: Pose of the frame in the link ``base``.
         """
         frame = geometry.invert(geometry.multiply(self._urdf.forward_kinematics(positions, base), offset))
         found = [np.zeros((0, 3))]
@@ -86,10 +86,10 @@ class Corners:
         return np.vstack(found)
 
     def jaws(self, fingers: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Jaws | None:
-        """Return the positions of fingers in a frame; None if they aren't on two sides. Arguments as for :meth:`of`."""
+        """Return the positions of fingers in a frame; None if they aren't on two sides. Arguments as in :meth:`of`."""
         found = [corners for finger in fingers if len(corners := self.of([finger], positions, base, offset))]
         tips = [corners[corners[:, 0] >= corners[:, 0].max() - _PADS] for corners in found]
-        for seen in (found, tips):  # a fixed jaw may be part of the palm: then only its tip is on one side
+        for seen in (found, tips):  # if a fixed jaw is a part of the palm, only its tip is on one side
             sides: tuple[list[Array], list[Array]] = ([], [])
             for corners, part in zip(found, seen, strict=True):
                 sides[float(part[:, 1].mean()) < 0.0].append(corners)
@@ -109,24 +109,24 @@ class Corners:
 
 @dataclass(frozen=True, slots=True)
 class HandGuess:
-    """The parts of a gripper's description that can be guessed from its shapes."""
+    """Values of a gripper's description that were guessed from its shapes."""
 
     palm: str  # parent link of the fingers
     offset: Pose  # pose of the tool frame in the palm
     fingers: tuple[str, ...]  # links that grasp
     closed: Mapping[str, float]  # joint positions when closed, rad or m
-    open: Mapping[str, float]  # joint positions when open, in the same order
-    aperture: float  # m between the fingers when open
-    gap: float  # m between the fingers when closed
+    open: Mapping[str, float]  # joint positions when open, rad or m, in the same order
+    aperture: float  # m between the open fingers
+    gap: float  # m between the closed fingers
     depth: float  # m from the tool frame back to the palm
     underside: float  # m from the tool frame down to the lowest point
 
 
 @dataclass(frozen=True, slots=True)
 class SuctionGuess:
-    """A suction cup at the end of an arm whose URDF has no gripper; its rim is just beyond the last link's shapes."""
+    """A suction cup for an arm without a gripper in its URDF; the rim is just beyond the shapes of the last link."""
 
-    offset: Pose  # pose of the tool frame in the arm's last link: x points away from the arm, along the last joint
+    offset: Pose  # pose of the tool frame in the last link; x points away from the arm, along the last joint's axis
     underside: float  # m from the tool frame down to the lowest point of the last link
 
 
@@ -141,24 +141,24 @@ def suction_cup(tree: JointTree, arm: ArmChain, corners: Corners) -> SuctionGues
     out, far = (-axis, -ends[0]) if -ends[0] > ends[1] else (axis, ends[1])
     across = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < _STRAIGHT else np.array([0.0, 1.0, 0.0])
     turn = _frame(out, np.cross(across, out))
-    assert turn is not None  # noqa: S101  the axis has length 1, and across isn't along it
+    assert turn is not None  # noqa: S101  both directions have length 1 and aren't parallel
     position = out * (far + _CUP_RIM)
     around = np.linalg.norm(points - along[:, None] * axis, axis=1)
     return SuctionGuess((tuple(position.tolist()), turn), float(around.max(initial=0.0)))
 
 
 def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | str:
-    """Return the gripper of an arm, or why no gripper that closes from two sides was recognised."""
+    """Return the gripper of an arm, or a text: why no gripper that closes from two sides was recognised."""
     if not arm.fingers:
-        return "no movable joint is below it"
+        return "no movable joint is below the arm"
     ends = [joint for joint in arm.fingers if not tree.below(joint) and joint.type != "continuous"]  # without screws
     tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
     if any(len(moving) > _PHALANGES for _, moving in tips):
-        return f"{len(arm.fingers)} joints are below it, in fingers that curl"
+        return f"{len(arm.fingers)} joints are below the arm, in fingers that curl"
     if len(tips) < max(min(len(ends), _SIDES), 1):
         solid = {link for link, _ in tips}
         names = [joint.child for joint in ends or arm.fingers if joint.child not in solid]
-        return f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no collision shapes to hold objects with"
+        return f"{', '.join(names)} {'has' if len(names) == 1 else 'have'} no collision shapes that could hold objects"
     stuck = [joint.name for _, moving in tips for joint in moving if joint.lower == joint.upper]
     palm = tree.within(arm, tips[0][1][0])[0].parent
     if len(tips) < _SIDES:
@@ -173,14 +173,14 @@ def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | 
         limits_of = ", ".join(
             f"{name} from {tree.urdf.joints[name].lower:g} to {tree.urdf.joints[name].upper:g}" for name in stuck
         )
-        reason = f"by the limits in the URDF, its fingers can't move ({limits_of})"
+        reason = f"the limits in the URDF don't let the fingers move ({limits_of})"
     return hand or reason
 
 
 def _fingers(
     tree: JointTree, palm: str, tips: Sequence[tuple[str, list[UrdfJoint]]], corners: Corners
 ) -> HandGuess | None:
-    """Return a gripper whose two or more fingers all move; None if they don't close from two sides."""
+    """Return a gripper with two or more moving fingers; None if these don't close from two sides."""
     links = [link for link, _ in tips]
     closed, widest = _ends(tree, corners, palm, tips)
     there = [corners.of([link], closed, palm, IDENTITY).mean(axis=0) for link in links]
@@ -196,7 +196,7 @@ def _fingers(
 
 
 def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-    """Yield candidates for open positions, from wide to narrow: fingers that turn far don't close along a line."""
+    """Yield candidates for open positions, from wide to narrow, because wide fingers may not close along a line."""
     for share in _SHARES:
         yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
 
@@ -240,7 +240,7 @@ def _fitted(
     links: Sequence[str],
     ends: tuple[Mapping[str, float], Mapping[str, float]],
 ) -> HandGuess | None:
-    """Return the gripper whose fingers close around a position (and axes) in the palm; None if they don't."""
+    """Return the gripper whose fingers close around a pose in the palm; None if the fingers don't close there."""
     (x, y, z), axes = between
     frame: Pose = ((float(x), float(y), float(z)), axes)
     shut, wide = (corners.jaws(links, positions, palm, frame) for positions in ends)
@@ -251,7 +251,7 @@ def _fitted(
 
 
 def _gripper(hand: HandGuess) -> Gripper:
-    """Return the gripper that a description with the guessed values would give."""
+    """Return the gripper of a description with the guessed values."""
     return Gripper(
         palm=hand.palm,
         joints=tuple(hand.closed),
@@ -269,7 +269,7 @@ def _gripper(hand: HandGuess) -> Gripper:
 def _ends(
     tree: JointTree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[UrdfJoint]]]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return joint positions when closed and when open: an open finger is far from the others."""
+    """Return the joint positions when closed and when open; an open finger is far from the other fingers."""
     joints = {joint.name: joint for _, moving in tips for joint in moving}
     middles = {name: sum(limits(joint)) / 2 for name, joint in joints.items()}
     closed: dict[str, float] = {}
@@ -317,7 +317,7 @@ def _measured(
         closed=closed,
         open=opened,
         aperture=max(gaps[1] - 2 * _PADDING, 1e-3),
-        gap=max(gaps[0] - _PADDING, 0.0),  # thicker objects are pressed, due to the engine's padding
+        gap=max(gaps[0] - _PADDING, 0.0),  # the engine's padding reduces the gap
         depth=min(max(-front - _PALM_CLEARANCE, 0.0), _MAX_DEPTH),
         underside=float(-every[:, 2].min()) + 2 * _PADDING,
     )
@@ -326,11 +326,7 @@ def _measured(
 def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
     """Return the orientation of the tool frame in the palm: x points out of the hand, the fingers close along y.
 
-    Args:
-        corners: Corners of the robot.
-        palm: The palm's link.
-        closed: Middles of the closed fingers in the palm, m.
-        opened: Middles of the open fingers in the palm, m.
+    ``closed`` and ``opened`` are the middles of the closed and of the open fingers in the palm, in m.
     """
     ways = [b - a for a, b in zip(closed, opened, strict=True)]
     apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)
@@ -355,7 +351,7 @@ def _frame(out: Array, apart: Array) -> Quaternion | None:
 
 
 def _straightened(axis: Array) -> Array:
-    """Return the axis of the link that a unit vector nearly is, or the vector."""
+    """Return the link's axis to which a unit vector is nearly parallel, else the vector."""
     largest = int(np.abs(axis).argmax())
     if abs(axis[largest]) < _STRAIGHT:
         return axis

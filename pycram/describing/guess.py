@@ -1,6 +1,6 @@
-"""A first description of a robot, guessed from its URDF, as TOML with comments for the person who reviews it.
+"""A description of a robot that is guessed from its URDF, as TOML with comments for a reviewer.
 
-Values that a URDF can't contain, such as fields of view, are typical values; a comment marks each of them.
+A URDF has no fields of view and other values of cameras; a comment marks the typical values that replace them.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ class Guess:
     """The parts of a robot that were recognised in its URDF."""
 
     model: Model
-    #: Each arm with its gripper, or the reason why there is none.
+    #: Each arm with its gripper, or with the reason why no gripper was recognised.
     arms: Sequence[tuple[ArmChain, HandGuess | SuctionGuess | str]]
     torso: UrdfJoint | None  # the joint that lifts the arms
-    camera: str  # the link of a camera; "" for none
-    head: Mapping[str, str]  # the joints "pan" and "tilt"
+    camera: str  # the link of a camera; "" without a camera
+    head: Mapping[str, str]  # names of the head's joints by "pan" and "tilt"
     drives: bool  # whether the base can drive
 
 
 def guess(model: Model, *, suction: bool = False) -> Guess:
-    """Return the parts of a robot that can be recognised; with ``suction``, arms without a gripper get suction cups."""
+    """Return the recognised parts of a robot; with ``suction``, arms without a gripper get suction cups."""
     tree = JointTree(model.urdf)
     corners = Corners(model)
     arms = tree.arms()
@@ -75,13 +75,12 @@ def as_toml(
     """Return the TOML of a guess.
 
     Args:
-        guess: The recognised parts.
-        postures: Joint positions of parked arms, by the arm's name.
+        postures: Joint positions of parked arms by the arm's name, rad or m.
         may_touch: Pairs of links that may overlap.
     """
     urdf = guess.model.urdf
     lines = [
-        "# Written by pycram describe: a first description, to be reviewed. Metres, radians.",
+        "# Written by pycram describe: a guessed description. Please review it. Units: metres, radians.",
         f"robot = {quoted(urdf.name)}",
         f"base_link = {quoted(urdf.root)}",
         f"drives = {'true' if guess.drives else 'false'}",
@@ -111,7 +110,7 @@ def as_toml(
         lines += ["", "[camera]", f"frame = {quoted(guess.camera)}"]
         lines += [_USUAL] if "optical" in guess.camera.lower() else [_OPTICAL_OFFSET, _USUAL]
     if not guess.arms:
-        lines += ["", f"# no arms: no chain of {ARM} joints, other than legs and heads"]
+        lines += ["", f"# no arms: no chain of {ARM} joints, except in legs and heads"]
     for arm, hand in guess.arms:
         lines += _arm(arm, hand, (postures or {}).get(arm.name))
     return "\n".join(lines) + "\n"
@@ -151,11 +150,11 @@ def _arm(arm: ArmChain, hand: HandGuess | SuctionGuess | str, park: Sequence[flo
 
 def quoted(text: str) -> str:
     """Return a text as a TOML string."""
-    return json.dumps(text, ensure_ascii=False)  # TOML's basic strings are JSON strings
+    return json.dumps(text, ensure_ascii=False)  # a JSON string is a basic string of TOML
 
 
 def _number(value: float) -> str:
-    """Return a number rounded towards zero, so that a joint limit isn't exceeded."""
+    """Return a number as text, rounded towards zero, so that it doesn't exceed a joint limit."""
     scale = 10**_DIGITS
     return f"{math.trunc(value * scale + math.copysign(1e-9 * scale, value)) / scale + 0.0:g}"
 
@@ -169,6 +168,6 @@ def _list(names: Iterable[str]) -> str:
 
 
 def _listed(key: str, names: Sequence[str]) -> list[str]:
-    """Return the lines of a list of names: one line, or several if the list is long."""
+    """Return the TOML lines of a list of names: one line for a short list, else a line for each name."""
     line = f"{key} = {_list(names)}"
     return [line] if len(line) <= _WIDTH else [f"{key} = [", *(f"    {quoted(name)}," for name in names), "]"]

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
-    from pycram.models.surfaces import Surface
     from pycram.world.object import Object
     from recorder.geometry import Vector
 
@@ -29,28 +28,31 @@ with needed():
 
 _SIZE: Final = (800, 600)  # pixels
 _AWAY: Final = (1.0, 0.7, 0.45)  # direction from the robot to the viewpoint
-_ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the viewpoint, which sees over walls and into fronts
-_MARGIN: Final = 1.1  # factor on the distance from which the robot fills the picture
+_ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the viewpoint: above walls, in front of fronts
+_MARGIN: Final = 1.1  # factor; at a distance factor of 1, the robot fills the picture
 _OVERSAMPLING: Final = 2
 _FIELD: Final = math.tan(math.radians(25))  # tangent of half the horizontal field of view
 _AXIS: Final = 0.12  # m, length of a tool frame's axes
 _COLORS: Final = ("#e03030", "#30a030", "#3060e0")  # x, y, z
-_OPEN: Final = (48, 160, 48)  # RGB of surfaces outside of containers
+_OPEN: Final = (48, 160, 48)  # RGB of surfaces outside containers
 _INSIDE: Final = {DRAWER: (230, 120, 20), DOOR: (48, 96, 224)}  # RGB of surfaces in containers
-_FILLED: Final = 110  # opacity of surfaces, of 255
+_FILLED: Final = 110  # opacity of surfaces, up to 255
 
 
 def draw(body: Object, file: Path) -> None:
-    """Write a picture of a robot or of furniture; the suffix of the file determines the format.
+    """Draw a robot or furniture into a picture file; the suffix of the file determines the format.
 
-    Surfaces are drawn over the parts that hide them: green if open, orange in drawers, blue behind doors.
+    Surfaces are drawn over the parts that hide them: open surfaces green, in drawers orange, behind doors blue.
 
     Raises:
         OSError: The file can't be written.
-        ValueError: The suffix isn't an image format's.
+        ValueError: No image format has the suffix.
     """
     low, high = (np.array(corner) for corner in body.get_AABB())
-    surfaces = {surface: _corners(body, surface) for surface in body.surfaces.values()}
+    surfaces = {
+        surface: [geometry.transform(body.surface_pose(surface), (x, y, 0.0)) for x, y in surface.outline]
+        for surface in body.surfaces.values()
+    }
     if surfaces:  # leave out the walls of a kitchen
         corners = np.array([*itertools.chain(*surfaces.values())])
         low[:2], high[:2] = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
@@ -74,18 +76,13 @@ def draw(body: Object, file: Path) -> None:
 
 
 def _camera(points: NDArray[np.float64], middle: NDArray[np.float64], away: Vector) -> Camera:
-    """Return a camera in the direction ``away`` from the middle, from which all points (n, 3) are visible."""
+    """Return a camera that is in the direction ``away`` from the middle, and sees all points (n, 3)."""
     height = _FIELD * _SIZE[1] / _SIZE[0]
     turn = geometry.look_at(away, (0.0, 0.0, 0.0))
     right, down, ahead = ((points - middle) @ geometry.to_matrix(turn)).T
     distance = _MARGIN * float(np.maximum(np.abs(right) / _FIELD - ahead, np.abs(down) / height - ahead).max())
     x, y, z = (middle + distance * np.array(away) / math.hypot(*away)).tolist()
     return Camera(((x, y, z), turn), _FIELD, height)
-
-
-def _corners(body: Object, surface: Surface) -> list[Vector]:
-    pose = body.surface_pose(surface)
-    return [geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline]
 
 
 def _flat(camera: Camera, points: Sequence[Vector]) -> list[list[float]]:

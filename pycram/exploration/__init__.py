@@ -1,11 +1,10 @@
-"""Exploration: a plan runs in many orders of its branches, to find orders that end differently (races).
+"""Exploration: a plan runs in many orders of its branches, to find orders with different endings (races).
 
-Random numbers and the order of sets are the same in all runs, so differences are due to the order. The first run takes
-branches in the order in which they were added; :class:`~pycram.scheduling.order.Pct` draws the other orders. For each
-other ending, the deciding precedences are reduced to a minimum, run once more, and recorded.
-
-The reduction is delta debugging (Zeller, Hildebrandt: Simplifying and isolating failure-inducing input, IEEE TSE 2002),
-with several tries in parallel. The result is 1-minimal: removing any one of its precedences changes the ending.
+Random numbers and the order of sets are the same in all runs, so only the order of branches causes differences. The
+first run takes branches in the order in which they were added; :class:`~pycram.scheduling.order.Pct` draws the other
+orders. Delta debugging reduces each other ending to a minimum of precedences (Zeller, Hildebrandt: Simplifying and
+isolating failure-inducing input, IEEE TSE 2002). The result is 1-minimal: without any of its precedences, the ending is
+another.
 """
 
 from __future__ import annotations
@@ -59,20 +58,20 @@ __all__ = [
     "explore",
 ]
 
-#: Runs the plan in an order, given as text, and records it; doesn't raise.
+#: A function that runs the plan and records it; arguments are the order as text, and the file. It raises no error.
 Runner: TypeAlias = "Callable[[str, Path], object]"
-_Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and joints of a body
+_Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and "/JOINT" of a body
 
 #: Kinds of endings.
 SUCCEEDED, FAILED, DEADLOCK, TIME_LIMIT, DIED = "succeeded", "failed", "deadlock", "time limit", "died"
-VIOLATED = "succeeded but violated"  # a property, by a run that only records violations
+VIOLATED = "succeeded but violated"  # the run violated a property, and only recorded the violation
 _WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings whose runs return their order
-DEPTH: Final = 3  # default depth of races: most known races are no deeper (Burckhardt et al.)
-LIMIT: Final = 60.0  # s, default time limit of a run
-_ROUND: Final = 16  # runs of a round: their orders are drawn over the same number of turns
-_EXPLAINED: Final = 8  # maximum number of explained endings: each run may end differently
+DEPTH: Final = 3  # default depth of races; most known races aren't deeper (Burckhardt et al.)
+LIMIT: Final = 60.0  # s, default limit of a run's wall-clock time
+_ROUND: Final = 16  # number of runs whose orders are drawn over the same number of turns
+_EXPLAINED: Final = 8  # maximum number of explained endings, because each run may have another ending
 _MAX_TRIES: Final = 200  # maximum number of runs that reduce an order
-# Smaller differences of states are ignored: physics computes each order a little differently.
+# States with smaller differences are alike, because physics computes each order a little differently.
 _DISTANCE: Final = 0.01  # m
 _ANGLE: Final = 0.1  # rad
 _JOINT: Final = 0.02  # rad or m
@@ -81,11 +80,11 @@ _DECIMAL: Final = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
 
 
 class NotExplorable(UsageError):
-    """An action can't be explored, because its process can't be copied."""
+    """An action can't be explored, because the process can't be copied."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(f"orders can't be explored here: {cause}")
-        self.cause = cause  # why it can't be copied, and what to do
+        self.cause = cause  # why the process can't be copied, and a remedy
 
 
 export("pycram.exploration", NotExplorable)
@@ -93,13 +92,12 @@ export("pycram.exploration", NotExplorable)
 
 @dataclass(slots=True)
 class EndingGroup:
-    """Runs that end alike."""
+    """Runs with the same ending."""
 
     ending: Ending  # ending of the first of these runs
     count: int
-    order: str  # the smallest known order with this ending, as text of :mod:`pycram.scheduling.order`
-    #: The deciding precedences; without them, the plan ends as in the first run. Empty for the first ending, and if
-    #: unknown.
+    order: str  # smallest known order with this ending, as text of :mod:`pycram.scheduling.order`
+    #: The precedences that cause the ending; empty for the first ending, and if the precedences are unknown.
     made: tuple[AppliedPrecedence, ...] = ()
     recording: Path | None = None  # recording of a run in that order
 
@@ -109,19 +107,19 @@ class Exploration:
     """The results of running a plan in many orders."""
 
     runs: int  # number of ended runs
-    orders: int  # number of different orders among them
-    found: list[EndingGroup]  # in the order of the runs
-    deterministic: bool = True  # whether runs in the same order ended alike
+    orders: int  # number of different orders of these runs
+    found: list[EndingGroup]  # groups in the order of their first runs
+    deterministic: bool = True  # whether runs in the same order had the same ending
     interrupted: bool = False  # whether Ctrl-C ended the exploration
 
     @property
     def reference(self) -> Ending | None:
-        """The first successful ending, with which the other successful endings are compared; None if all failed."""
+        """The first successful ending; other successful endings are compared with it. None if all runs failed."""
         return next((each.ending for each in self.found if each.ending.kind == SUCCEEDED), None)
 
     @property
     def alike(self) -> bool:
-        """Whether all runs ended alike."""
+        """Whether all runs had the same ending."""
         return len(self.found) < 2 and self.deterministic
 
 
@@ -134,22 +132,21 @@ def explore(
     limit: float = LIMIT,
     folder: str | Path | None = None,
 ) -> Exploration:
-    """Run an action in many orders of its branches, each time in a copy of this process; nothing changes here.
+    """Run an action in many orders of its branches. Each run is in a copy of this process; nothing changes here.
 
     Args:
         action: A function of the plan.
         runs: Number of orders.
-        seed: Seed of the random numbers, which are the same in all runs, and of the orders.
-        depth: Maximum depth of the races to find: the number of precedences between two steps that cause the race.
+        seed: Seed of the random numbers in every run, and of the drawn orders.
+        depth: Maximum depth of the races: the number of precedences that together cause a race.
         limit: Seconds of wall-clock time for each run.
-        folder: Folder for a recording of each ending; None to keep no recordings.
+        folder: Folder for a recording of each ending; None keeps no recordings.
 
     Raises:
-        NotExplorable: A world has a window or runs in real time, the plan has threads of its own, or the system can't
-            fork.
-        BadArgument: An argument is wrong.
+        NotExplorable: A world has a window or runs in real time, the plan has other threads, or the system can't fork.
+        BadArgument: An argument is out of range, or the action isn't a function.
         LockHeld: The caller holds a lock.
-        RecordingError: There is no such folder.
+        RecordingError: The folder doesn't exist.
     """
     refuse_held()
     if not callable(action):
@@ -160,7 +157,7 @@ def explore(
         seed_random_numbers(seed)
         seed_order(seed, order)
         with (
-            suppress(BaseException),  # the recording has it
+            suppress(BaseException),  # the recording has the error
             record(path, name=name, arguments=(), seed=seed, order=order, output=True, overwrite=True),
         ):
             action()
@@ -182,8 +179,8 @@ def explore_runs(
 ) -> Exploration:
     """Explore a plan by a function that runs it once; see :func:`explore`.
 
-    Recordings are named after ``file``, RUN.explored-1.mcap for the first ending; None keeps none. ``plan`` is the file
-    of the plan; None for the program. ``progress`` is called after each run with the number of runs.
+    If ``file`` is RUN.mcap, recordings are named RUN.explored-1.mcap, ...; None keeps no recordings. ``plan`` is the
+    file of the plan; None for the program. ``progress`` is called after each run with the number of ended runs.
     """
     for argument, number in (("runs", count), ("depth", depth)):
         if checks.number(argument, number) != int(number) or number < 1:
@@ -192,7 +189,7 @@ def explore_runs(
         raise BadArgument("limit", limit, "seconds, more than 0")
     if cause := obstacle():
         raise NotExplorable(cause)
-    if file is not None and not file.parent.is_dir():  # else the error would come after all runs
+    if file is not None and not file.parent.is_dir():  # checked now, because writing comes after all runs
         raise RecordingError(file, "No such file or directory", "make the folder first")
     look_up_revisions(plan)
     runner = PlanRunner(run, limit)
@@ -216,18 +213,18 @@ def explore_runs(
 
 
 def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator[Sequence[str]]:
-    """Yield the orders of each round; they change at random turns, up to the turns of the longest run so far."""
+    """Yield the orders of each round. Orders change at random turns, up to the last turn of the longest run."""
     yield [ADDED]
     for start in range(1, count, _ROUND):
         turns = max(attempt.turns for attempt in attempts.values())
-        if not turns:  # there never was a choice
+        if not turns:  # the runs had no choice between branches
             return
         yield [f"pct:{number}:{depth}:{turns}" for number in range(start, min(start + _ROUND, count))]
 
 
 def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
-    """Find the different endings, in the order of the runs."""
-    if not result.runs:  # the endings aren't sorted yet
+    """Group the runs by their endings."""
+    if not result.runs:  # else the runs are grouped already
         for _, attempt in sorted(attempts.items()):
             like = next((each for each in result.found if each.ending.is_like(attempt.ending)), None)
             if like is None:
@@ -239,7 +236,7 @@ def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
 
 
 def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, OrderedRun]) -> None:
-    """Find the few precedences that decide each ending, if there are several."""
+    """Find the few precedences that cause each ending, if there are several endings."""
     if len(result.found) < 2:
         return
     again = [each for each in result.found[:_EXPLAINED] if each.ending.kind in _WITH_ORDER] * 2
@@ -257,7 +254,7 @@ def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, Ordere
 
 
 def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, overwrite: bool) -> None:
-    """Run the smallest order of each ending once more, to record it with the places of its branches."""
+    """Run the smallest order of each ending once more, to record the run and the places of its branches."""
     for number, found in enumerate(result.found[:_EXPLAINED], 1):
         name = None if file is None else file.with_name(f"{file.stem}.explored-{number}{file.suffix}")
         if name is not None and not overwrite:
@@ -273,7 +270,7 @@ def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, over
 
 
 class _Tries:
-    """Runs precedences, each once, to find those that lead to an ending."""
+    """Runs sets of precedences, each set once, to find a set that causes a certain ending."""
 
     def __init__(self, runs: PlanRunner, ending: Ending) -> None:
         self._runs = runs
@@ -281,7 +278,7 @@ class _Tries:
         self._known: dict[tuple[Precedence, ...], OrderedRun] = {}
 
     def first_of(self, tries: Sequence[Sequence[Precedence]]) -> OrderedRun | None:
-        """Return the first run with that ending; as many run in parallel as there are cores."""
+        """Return the first run with that ending. One run for each core is in progress at a time."""
         for start in range(0, len(tries), self._runs.cores):
             wave = [tuple(each) for each in tries[start : start + self._runs.cores]]
             new = [each for each in wave if each not in self._known][: _MAX_TRIES - len(self._known)]
@@ -294,10 +291,7 @@ class _Tries:
 
 
 def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending) -> OrderedRun | None:
-    """Return a run with a minimum of the given precedences that still has the given ending.
-
-    Returns None if the run with all precedences has another ending: the plan isn't deterministic.
-    """
+    """Return a run with the given ending and a minimum of the given precedences; None for a non-deterministic plan."""
     tries = _Tries(runs, ending)
     best = tries.first_of([precedences])
     parts = 2
@@ -315,7 +309,7 @@ def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending
 
 
 def _nearer(tries: _Tries, best: OrderedRun) -> OrderedRun:
-    """Return a run in which branches precede as few others as possible."""
+    """Return a run in which each precedence moves a branch before as few other branches as possible."""
     for at in range(len(best.made)):
         made = best.precedences
         found = tries.first_of([(*made[:at], passed, *made[at + 1 :]) for passed in best.made[at].passed])
@@ -333,18 +327,18 @@ class OrderedRun:
 
     order: str  # the requested order
     ending: Ending
-    turns: int  # number of turns with two or more branches to choose from
-    made: tuple[AppliedPrecedence, ...]  # its order, as exceptions from the ranks of branches
+    turns: int  # number of turns at which two or more branches were ready
+    made: tuple[AppliedPrecedence, ...]  # order of the run, as exceptions from the ranks of branches
     seconds: float
 
     @property
     def precedences(self) -> tuple[Precedence, ...]:
-        """Its order."""
+        """The order of the run, without its branches' lines."""
         return tuple([each.precedence for each in self.made])
 
 
 class PlanRunner:
-    """Runs a plan in many orders; interrupts a run after a limit in s of wall-clock time."""
+    """Runs a plan in many orders; ``limit`` is the wall-clock time in s after which it interrupts a run."""
 
     def __init__(self, run: Runner, limit: float) -> None:
         self._run = run
@@ -352,7 +346,7 @@ class PlanRunner:
         self._limit = limit
 
     def all(self, orders: Iterable[str], file: Path | None = None) -> Generator[tuple[int, OrderedRun], None, None]:
-        """Run orders in parallel; yield each run with its index when it ends; closing kills the other runs."""
+        """Run orders in parallel; yield index and run when a run ends. Closing the generator kills running plans."""
         pool: ChildPool[tuple[int, str]] = ChildPool(self.cores, self._limit, GRACE)
 
         def start(job: tuple[int, str]) -> Child:
@@ -380,7 +374,7 @@ class PlanRunner:
 
 
 def _run_in_order(run: Runner, order: str, file: Path | None) -> bytes:
-    """Run the plan in a child; only its first recording goes to the file."""
+    """Run the plan in this child process; write only its first recording to the file."""
     path = file or Path(os.devnull)
     sinks: list[EndingSink] = []
 
@@ -401,16 +395,16 @@ class Ending:
     """The ending of a run, with the final state of its worlds and fluents."""
 
     kind: str  # "succeeded", "succeeded but violated", "failed", "deadlock", "time limit" or "died"
-    #: Type and message of the plan's failure; violated properties; in a deadlock, where branches wait; or the cause.
+    #: Type and message of the plan's failure; or the violated properties; or the cause of another ending.
     failure: str = ""
-    line: str = ""  # the innermost line of the plan that raised the failure, FILE:LINE; "" if unknown
-    plan_line: str = ""  # the innermost of these lines that isn't in a helper's file
-    bodies: dict[str, _Body] = field(default_factory=dict)  # by "WORLD/BODY"
-    held: list[str] = field(default_factory=list)  # attached bodies, "WORLD: CARRIER holds BODY"
-    fluents: dict[str, str] = field(default_factory=dict)  # set by the plan, as JSON
+    line: str = ""  # innermost line of the plan's code in the failure's traceback, FILE:LINE; "" if unknown
+    plan_line: str = ""  # innermost line of the plan's main file in that traceback
+    bodies: dict[str, _Body] = field(default_factory=dict)  # states of bodies by "WORLD/BODY"
+    held: list[str] = field(default_factory=list)  # attachments: "WORLD: CARRIER holds BODY"
+    fluents: dict[str, str] = field(default_factory=dict)  # fluents that the plan set: values as JSON by name
 
     def is_like(self, other: Ending) -> bool:
-        """Return whether two runs end alike; failed plans end alike if they fail alike, whatever their states."""
+        """Return whether two endings are alike; of failed runs only the failures count, not the states."""
         if self.kind != other.kind:
             return False
         if self.kind == SUCCEEDED:
@@ -419,7 +413,7 @@ class Ending:
         return mine == others
 
     def differences(self, other: Ending) -> Iterator[str]:
-        """Yield descriptions of how the state at this ending differs from the state at another ending."""
+        """Yield texts that describe the differences of this ending's state from the state of another ending."""
         bodies = {**self.bodies, **other.bodies}
         several = len({key.partition("/")[0] for key in bodies}) > 1
         for key in sorted(bodies):
@@ -468,17 +462,17 @@ def _same(a: object, b: object) -> bool:
 
 
 class EndingSink:
-    """Computes the ending of a run from its records, and forwards them to a file, if there is one."""
+    """Computes the ending of a run from its records; forwards the records to a file, if there is one."""
 
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
-        #: The lines of each failure in the tasks that it passed, as (FILE, FILE:LINE) from the outside in.
+        #: Lines of each failure, for each task that it left, as (FILE, FILE:LINE) from the outside in.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
-        self._violated: dict[str, None] = {}  # properties
-        self.ending = Ending(DIED, "its process ended")  # until the record of its end
+        self._violated: dict[str, None] = {}  # violated properties, in order
+        self.ending = Ending(DIED, "its process ended")  # replaced at the record of the run's end
         if file is not None:
-            self.path = file.path  # projections are recorded next to it
+            self.path = file.path  # recordings of projections are next to this file
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Evaluate and forward a record."""
@@ -502,14 +496,14 @@ class EndingSink:
             if not record.succeeded:
                 ending.failure = format_failure(record.failure)
                 if passed := self._lines.get(ending.failure):
-                    plan = passed[-1][0][0]  # its file
+                    plan = passed[-1][0][0]  # file of the plan
                     ending.line = passed[0][-1][1]
                     ending.plan_line = next(at for lines in passed for file, at in reversed(lines) if file == plan)
                 ending.kind = DEADLOCK if record.failure.type == "DeadlockedBranches" else FAILED
 
     def _change(self, world: str, command: str, effect: Effect) -> None:
         ending = self.ending
-        if command == "open_world":  # replaces an earlier world of that name
+        if command == "open_world":  # replaces an earlier world with the same name
             ending.bodies = {name: body for name, body in ending.bodies.items() if name.partition("/")[0] != world}
             ending.held = [each for each in ending.held if not each.startswith(f"{world}: ")]
         self._take(world, effect.bodies)

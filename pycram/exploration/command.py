@@ -1,4 +1,4 @@
-"""``pycram run --explore N PLAN``: the results of an exploration, as text and as JSON."""
+"""The command ``pycram run --explore N PLAN``, which prints the results of an exploration as text or JSON."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
     from pycram.running import RunSpec
     from pycram.scheduling.order import BranchLine
 
-_MAX_TOLD: Final = 6  # printed differences of states, and printed precedences
+_MAX_TOLD: Final = 6  # maximum number of printed differences of states, and of printed precedences
 _WIDTH: Final = 200  # maximum number of characters of a printed failure
 
 
 def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
-    """Explore a plan, print the results, and return the exit code; recordings are named after ``log``."""
-    # the modules that plans import, once for all runs
+    """Explore a plan, print the results, and return the exit code; names of recordings begin like ``log``."""
+    # import the modules that plans need once for all runs
     from pycram import event, fluent, language, process_module  # noqa: F401, PLC0415
     from pycram.bullet_world_reasoning import blocking, contact, stable, visible  # noqa: F401, PLC0415
 
@@ -107,10 +107,8 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
     different = f"{result.orders} different order{'s' if result.orders != 1 else ''}"
     yield f"{rest[0]}: {result.runs} runs with seed {command[-1]} in {different}, for races of depth {depth}"
     if result.alike:
-        never = (
-            " There is no other order: two branches were never ready at the same time." if result.orders == 1 else ""
-        )
-        yield f"all end alike: {_words(result.found[0].ending)}.{never}"
+        never = " The plan has only one order: two branches were never ready at the same time."
+        yield f"all end alike: {_words(result.found[0].ending)}.{never if result.orders == 1 else ''}"
         yield from _recording(result.found[0])
         return
     yield ""
@@ -125,7 +123,10 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
         yield ""
         if number > 1 and found.made:
             yield f"{number}: the plan ends this way, and not as in 1, if"
-            yield from _decisive(found)
+            for place, each in enumerate(found.made[:_MAX_TOLD]):
+                yield f"  {'and ' if place else ''}{_standing(each.first)} runs before {_standing(each.second)}"
+            if found.made[_MAX_TOLD:]:
+                yield f"  and {len(found.made) - _MAX_TOLD} more"
         else:
             yield f"{number}: {'in the order in which branches were added' if number == 1 else 'for example'}"
         yield "  " + shlex.join([*command, "--order", found.order, *rest])
@@ -139,7 +140,7 @@ def _recording(found: EndingGroup) -> Iterator[str]:
 
 
 def _words(ending: Ending, first: Ending | None = None) -> str:
-    """Return an ending in words, with its differences from the first successful ending if it succeeded."""
+    """Return an ending in words; for a successful ending, with its differences from the first successful ending."""
     words = ending.kind
     if ending.kind == DEADLOCK:
         return f"{words}: {ending.failure.partition('wake them: ')[2]}"
@@ -157,13 +158,6 @@ def _words(ending: Ending, first: Ending | None = None) -> str:
     return f"{words}, but {', '.join([*otherwise[:_MAX_TOLD], *more])}"
 
 
-def _decisive(found: EndingGroup) -> Iterator[str]:
-    for number, each in enumerate(found.made[:_MAX_TOLD]):
-        yield f"  {'and ' if number else ''}{_standing(each.first)} runs before {_standing(each.second)}"
-    if found.made[_MAX_TOLD:]:
-        yield f"  and {len(found.made) - _MAX_TOLD} more"
-
-
 def _standing(branch: BranchLine) -> str:
     return f"{branch.label or branch.branch} at {_shown_line(f'{branch.file}:{branch.line}')}"
 
@@ -174,6 +168,6 @@ def _shown_line(line: str) -> str:
 
 
 def _shown(file: Path) -> str:
-    """Return a path; below the working directory, a relative path."""
+    """Return a path as text, relative if it is below the working directory."""
     here = os.path.relpath(file)
     return str(file) if here.startswith("..") else here

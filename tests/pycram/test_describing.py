@@ -265,16 +265,16 @@ def test_unrecognised_hands_are_left_out(describe: Callable[..., Ended], tmp_pat
     assert checked.returncode == 1
     failed = [line for line in checked.stdout.splitlines() if not line.startswith("ok")]
     assert len(failed) == 2, "parked arms don't meet, but both hands are missing"
-    assert all("SakeBaseFingerLink1" in line and "described without a gripper" in line for line in failed)
+    assert all("SakeBaseFingerLink1" in line and "the description has no gripper" in line for line in failed)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "joints", "why"),
     [
-        ("so100.urdf", 5, "jaw has no collision shapes to hold objects with"),
+        ("so100.urdf", 5, "jaw has no collision shapes that could hold objects"),
         pytest.param(  # LeftGripperYaw turns all of the hand
-            *("alex_nub_hands.urdf", 7, "no movable joint is below it"), marks=pytest.mark.costly
+            *("alex_nub_hands.urdf", 7, "no movable joint is below the arm"), marks=pytest.mark.costly
         ),
     ],
 )
@@ -412,9 +412,9 @@ def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(
     file, described = hands.write(tmp_path, {"a_finger": (0.0, True), "b_finger": (180.0, True)})
     complete = file.read_text()
     file.write_text(complete.replace(f"upper='{hands.OPEN}'", "upper='0'"))
-    stuck = "its fingers can't move (a_finger_joint from 0 to 0, b_finger_joint from 0 to 0)"
+    stuck = "the limits in the URDF don't let the fingers move (a_finger_joint from 0 to 0, b_finger_joint from 0 to 0)"
     ended = describe(str(file))
-    assert f"# no gripper: by the limits in the URDF, {stuck}\n" in ended.stdout
+    assert f"# no gripper: {stuck}\n" in ended.stdout
     without, _, _ = described.partition("[arms.z-axis.gripper]")
     (tmp_path / "mine.toml").write_text(without)
     for text, reason in ((file.read_text(), stuck), (complete, "pycram describe finds one")):
@@ -422,11 +422,11 @@ def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(
         checked = describe("--check", "mine.toml", str(file))
         assert checked.returncode == 1
         (failed,) = (line for line in checked.stdout.splitlines() if line.startswith("FAILED"))
-        assert "its links a_finger, b_finger are named as a gripper's" in failed
+        assert "links a_finger, b_finger are named like a gripper" in failed
         assert reason in failed
     arms, _, _ = without.partition("[arms.z-axis]")
     (tmp_path / "mine.toml").write_text(arms)
     checked = describe("--check", "mine.toml", str(file))
-    assert "FAILED  grippers: links a_finger, b_finger are named as a gripper's, but are at the end of no arm" in (
+    assert "FAILED  grippers: links a_finger, b_finger are named like a gripper, but no arm ends there" in (
         checked.stdout
     )
