@@ -21,10 +21,7 @@ if TYPE_CHECKING:
 
 _SLOTS: Final = SlotTable(
     "object",
-    (
-        Slot("type", NAME, text='type of the object, such as "milk"'),
-        Slot("name", NAME, text="name of the object"),
-    ),
+    (Slot("type", NAME, text='type of the object, such as "milk"'), Slot("name", NAME, text="name of the object")),
     one_of=("type", "name"),
     designator="an ObjectDesignator",
 )

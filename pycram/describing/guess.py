@@ -68,9 +68,7 @@ def guess(model: Model, *, suction: bool = False) -> Guess:
 
 
 def as_toml(
-    guess: Guess,
-    postures: Mapping[str, Sequence[float]] | None = None,
-    may_touch: Iterable[tuple[str, str]] = (),
+    guess: Guess, postures: Mapping[str, Sequence[float]] | None = None, may_touch: Iterable[tuple[str, str]] = ()
 ) -> str:
     """Return the TOML of a guess.
 

@@ -36,15 +36,7 @@ from pycram.foundation.failures import BadArgument, PlanFailure
 from pycram.language.branch import Branch, Result, call_label, current_block, label_of, name_of, run
 from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeout, Retry, RunsEarly, leaves_uncleaned
 from pycram.language.nesting import Scope, in_block, leave_body
-from pycram.scheduling.cancellation import (
-    CancelScope,
-    current_scope,
-    enter,
-    entered,
-    join,
-    raise_if_cancelled,
-    wait,
-)
+from pycram.scheduling.cancellation import CancelScope, current_scope, enter, entered, join, raise_if_cancelled, wait
 from pycram.scheduling.future import Future, branch_of
 from pycram.scheduling.schedule import Condition, LockHeld, refuse_held, scheduler
 from recorder.tasks import State

@@ -29,15 +29,7 @@ from typing import TYPE_CHECKING, Any, Final
 from pycram.foundation import checks
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models.files import parse_toml
-from pycram.models.surfaces import (
-    DOOR,
-    DRAWER,
-    Container,
-    Furniture,
-    Surface,
-    closed_position,
-    open_position,
-)
+from pycram.models.surfaces import DOOR, DRAWER, Container, Furniture, Surface, closed_position, open_position
 from recorder import geometry
 from recorder.errors import did_you_mean, suggestion
 from recorder.records.values import AssetFile

@@ -21,15 +21,7 @@ from pycram.models.corrections import SUFFIX, correct, read
 from pycram.models.level_faces import AREA, THINGS, Face, faces, first_met, pieces
 from pycram.models.shapes import piece_bounds
 from pycram.models.store import stored_tree
-from pycram.models.surfaces import (
-    DOOR,
-    DRAWER,
-    Container,
-    Furniture,
-    Surface,
-    closed_position,
-    open_position,
-)
+from pycram.models.surfaces import DOOR, DRAWER, Container, Furniture, Surface, closed_position, open_position
 from recorder import geometry
 
 if TYPE_CHECKING:
