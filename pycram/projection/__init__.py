@@ -1,8 +1,7 @@
-"""Projection: an action is executed in a forked copy of the process, which returns its outcome (thesis 6.3; CRAM).
+"""Projection: a forked copy of the process executes an action, and returns the outcome (thesis 6.3; CRAM).
 
-The copy continues from this moment, with the plan, its worlds and its random numbers, and computes the same bits as
-this process would. Other branches of the plan are suspended in it. The copy returns only the outcome. Nothing runs in
-this process meanwhile, so a plan that projects actions runs in the same order each time.
+The copy continues from this moment with the plan, its worlds and its random numbers, so it computes the same bits as
+this process would. Other branches of the plan don't continue in the copy. This process waits for the outcome.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ __all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "Projecti
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
 _MAX_MEMORY: Final = 10**12  # bytes
-_numbers: Final = threading.local()  # recordings of the thread's projections
+_numbers: Final = threading.local()  # files of this thread's projections
 _projected: ContextVar[bool] = ContextVar("pycram_projected", default=False)
 
 #: An action, or a tuple of an action and its arguments, as in ``(pick_up, milk, "left")``.
@@ -61,11 +60,11 @@ Candidate: TypeAlias = "Action | tuple[Any, ...]"
 
 
 class NotProjectable(UsageError):
-    """An action can't be projected, because the process can't be copied."""
+    """The process can't be copied, so an action can't be projected."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(f"an action can't be projected here: {cause}")
-        self.cause = cause  # why it can't be copied, and what to do
+        self.cause = cause  # why the process can't be copied, and what to do
 
 
 class ProjectionDied(PlanFailure):
@@ -74,11 +73,11 @@ class ProjectionDied(PlanFailure):
     def __init__(self, action: str, cause: str) -> None:
         super().__init__(f"the projection of {action} {cause}")
         self.action = action  # name of the action
-        self.cause = cause  # what ended it
+        self.cause = cause  # why the process ended
 
 
 class ProjectedError(PlanFailure):
-    """A projected action failed with an error that can't leave its process."""
+    """A projected action failed with an error that can't be sent to this process."""
 
     def __init__(self, error: str) -> None:
         super().__init__(error)
@@ -90,20 +89,20 @@ export("pycram.projection", NotProjectable, ProjectionDied, ProjectedError)
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Outcome:
-    """The outcome of a projected action."""
+    """The result of a projected action."""
 
-    action: str  # its name
+    action: str  # name of the action
     succeeded: bool
-    #: Its result, with objects of this process; None if the result can't be pickled.
+    #: The action's return value, with objects of this process; None if the value can't be pickled.
     result: Result = None
-    #: Its error; ProjectionDied after a crash or at a limit, ProjectedError if the error can't be pickled.
+    #: The action's error; ProjectionDied after a crash or at a limit, ProjectedError if the error can't be pickled.
     failure: BaseException | None = None
     duration: float = 0.0  # s of simulated time in the current world
-    #: The current world's state at its end, for ``world.restore(outcome.state)``; None without a world, or while a body
-    #: followed a trajectory.
+    #: The current world's final state, for ``world.restore(outcome.state)``. It is None without a world, or if a body
+    #: followed a trajectory at the end.
     state: SavedState | None = None
     recording: Path | None = None  # None if nothing is recorded
-    unsent: str = ""  # text of a result that can't be pickled
+    unsent: str = ""  # text of a return value that can't be pickled
 
     def __bool__(self) -> bool:
         return self.succeeded
@@ -121,7 +120,7 @@ class Outcome:
         return " ".join(f"{self.action} {ended}, after {self.duration:.3f} s of simulated time".split())
 
     def __record__(self) -> object:
-        """Return the result of the projection's task."""
+        """Return the outcome as the recorded result of the projection's task."""
         return {
             "succeeded": self.succeeded,
             "result": self.result,
@@ -142,15 +141,12 @@ def project(
     """Run an action in a copy of this process, and return its outcome.
 
     Args:
-        action: A function of the plan.
-        args: Its arguments.
+        action: A function of the plan; ``args`` and ``kwargs`` are its arguments.
         timeout: Seconds of wall-clock time after which the copy is killed; None for no limit.
         memory: Megabytes of additional memory for the copy; None for no limit.
-        kwargs: The action's keyword arguments.
 
     Raises:
-        NotProjectable: A world has a window or runs in real time, the plan has threads of its own, or the system can't
-            fork.
+        NotProjectable: A world has a window or runs in real time, the plan has other threads, or the system can't fork.
         BadArgument: The action isn't callable, or a limit is wrong.
         LockHeld: The caller holds a lock.
     """
@@ -169,11 +165,11 @@ def project_all(
     """Run actions in copies of this process, in parallel on all cores, and return their outcomes in order.
 
     Args:
-        candidates: Actions, in the order of preference.
-        until: With "first", the outcomes end with the first candidate in order that succeeds; later candidates are
+        candidates: Actions; preferred actions come first.
+        until: With "first", the outcomes end with the first candidate in order that succeeds, and later candidates are
             killed. With "all", all candidates run to their ends.
-        timeout: Seconds of wall-clock time for each; None for no limit.
-        memory: Megabytes of additional memory for each; None for no limit.
+        timeout: Seconds of wall-clock time for each candidate; None for no limit.
+        memory: Megabytes of additional memory for each candidate; None for no limit.
 
     Raises:
         NotProjectable: See :func:`project`.
@@ -194,7 +190,7 @@ def _name(action: object) -> str:
 
 
 def _limits(timeout: float | None, memory: float | None) -> tuple[float | None, int | None]:
-    """Check the limits; return them in seconds and in bytes."""
+    """Check the limits, and return them in seconds and in bytes."""
     seconds = None if timeout is None else checks.number("timeout", timeout)
     if seconds is not None and seconds <= 0:
         raise BadArgument("timeout", timeout, "seconds, more than 0")
@@ -230,7 +226,7 @@ def _project_all(
         with closing(pool.run(waiting, start)) as results:
             for number, result in results:
                 outcomes[number] = outcome = projections[number].outcome(result, limit)
-                if until == "first" and outcome.succeeded:  # later candidates aren't needed
+                if until == "first" and outcome.succeeded:  # later candidates don't matter
                     needed = number + 1
                     waiting.clear()
                     for later in range(needed, len(actions)):
@@ -249,7 +245,7 @@ def _project_all(
 
 
 class _Projection:
-    """An action that runs in a child, as a task of this process."""
+    """An action that runs in a child; in this process it is a task."""
 
     def __init__(self, action: Action, name: str, memory: int | None, tasks: ExitStack, *, begun: bool) -> None:
         self._action = action
@@ -263,19 +259,17 @@ class _Projection:
         self._task_began = time.perf_counter_ns()
         self._begun = False
         self.tasks = tasks
-        tasks.push(lambda _, error, __: self._task.finish(error))  # if it was interrupted
+        tasks.push(lambda _, error, __: self._task.finish(error))  # after an interrupt
         if begun:
             self.begin()
 
     def start(self) -> Child:
-        """Fork the child."""
-        with Uninterrupted():  # an interrupt leaves no child running
+        with Uninterrupted():  # so that each child gets its callback
             child = Child(partial(_answer, self._action, self._task, self._recording, self.begin, self._memory))
             self.tasks.callback(child.kill)
         return child
 
     def outcome(self, ended: ChildResult, limit: float | None) -> Outcome:
-        """Return the outcome of its child's result."""
         if ended.late:
             return self._died(f"took longer than {limit:g} s")
         if not ended.answer:
@@ -298,13 +292,12 @@ class _Projection:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
 
     def begin(self) -> None:
-        """Record its beginning, in its turn; it isn't the current task, because several run in parallel."""
+        """Record the start of the task. It isn't the current task, because several projections run in parallel."""
         if not self._begun:
             self._begun = True
             self._task.start(self._task_began)
 
     def end(self, outcome: Outcome) -> None:
-        """Record its end."""
         self.begin()
         self._task.result = outcome
         self._task.finish()
@@ -331,12 +324,12 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
     result: Result = None
     _projected.set(True)
     try:
-        begin()  # in the parent it may not be recorded yet
+        begin()  # a parallel projection's start may not be recorded yet
         with (
             task.entered(),
             nullcontext() if recording is None else record(recording, name=task.name, arguments=(), output=True),
         ):
-            if memory is not None:  # not earlier: Python would wait forever for a thread that can't start
+            if memory is not None:  # not earlier: Python waits forever for a thread that can't start
                 limit_memory(memory)
             result = run(action)
     except BaseException as error:  # noqa: BLE001  sent to the parent
@@ -348,7 +341,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
         state = saved_state.save(world).command.SerializeToString()
     try:
         return _pickled((failure is None, result, failure, steps, state, ""))
-    except Exception:  # noqa: BLE001  pickling calls code of the plan's classes; a text replaces what it can't pickle
+    except Exception:  # noqa: BLE001  pickling calls code of the plan's classes; the answer then contains a text
         if failure is None:
             kind = type(result).__name__
             text = text_or(partial(repr, result), lambda error: f"<{kind}, without a text: {format_error(error)}>")
@@ -364,7 +357,7 @@ def _pickled(answer: object) -> bytes:
 
 
 class _Pickler(pickle.Pickler):
-    """Replaces objects and worlds by their names."""
+    """Replaces each object or world by its name."""
 
     def persistent_id(self, value: object) -> tuple[str, ...] | None:
         if isinstance(value, Object):
@@ -373,7 +366,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Finds objects and worlds by their names; if this process lacks one, the name itself replaces it."""
+    """Replaces names by this process's objects or worlds; a name stays if this process lacks its object."""
 
     def persistent_load(self, names: tuple[str, ...]) -> object:
         world = next((each for each in open_worlds() if each.name == names[0]), None)

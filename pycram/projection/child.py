@@ -1,7 +1,4 @@
-"""Forked children: processes that continue the plan, send one answer, and never outlive their parent.
-
-Projections, explorations and local sweeps run their children in a :class:`ChildPool`.
-"""
+"""Forked children: processes that continue the plan and send one answer; they end at the latest with their parent."""
 
 from __future__ import annotations
 
@@ -33,12 +30,12 @@ if TYPE_CHECKING:
 
 Job = TypeVar("Job")
 
-GRACE: Final = 5.0  # seconds that an interrupted run of a plan is given to end
+GRACE: Final = 5.0  # s between the interrupt of a run and its SIGKILL
 _PR_SET_PDEATHSIG: Final = 1
-_SIZE: Final = "/proc/self/statm"  # file with the size of this process, in pages
+_SIZE: Final = "/proc/self/statm"  # this file has the size of the process in pages
 _BLOCK: Final = 1 << 20  # bytes of one read
-_CRASHED: Final = 70  # exit code of a child that has an error of its own
-_prctl: Any = None  # looked up once: in each child, the lookup would change half a megabyte of memory
+_CRASHED: Final = 70  # exit code of a child with an error outside of the action
+_prctl: Any = None  # loaded before any fork: loading changes half a megabyte of memory in each child
 with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has it
     _prctl = ctypes.CDLL(None).prctl
 
@@ -47,12 +44,12 @@ class Child:
     """A forked process that calls a function and sends the result as its answer."""
 
     def __init__(self, answer: Callable[[], bytes]) -> None:
-        self.received = bytearray()  # the part of the answer that has arrived
+        self.received = bytearray()  # the received part of the answer
         self.ended = False
-        self.status = 0  # as ``os.waitpid`` returns it
+        self.status = 0  # the status from os.waitpid
         self.began = time.monotonic()
         self._reading, writing = os.pipe()
-        parent, dice = os.getpid(), random.getstate()  # Python seeds its generator again in a child
+        parent, dice = os.getpid(), random.getstate()  # a fork would reseed Python's random numbers
         with contextlib.ExitStack() as undoing:
             undoing.callback(os.close, self._reading)
             undoing.callback(os.close, writing)
@@ -64,32 +61,31 @@ class Child:
         os.close(writing)
 
     def fileno(self) -> int:
-        """Return the file descriptor of its answer."""
+        """Return the file descriptor of the answer."""
         return self._reading
 
     def read(self) -> None:
-        """Read a part of its answer; at its end, wait for the process."""
+        """Read a part of the answer; at the end of the answer, wait for the process."""
         part = os.read(self._reading, _BLOCK)
         self.received += part
         if not part:
             self._reap()
 
     def kill(self) -> None:
-        """Kill the process, if it runs."""
+        """Kill the process if it runs."""
         if not self.ended:
             os.kill(self.pid, signal.SIGKILL)
             self._reap()
 
     @property
     def how(self) -> str:
-        """How the process ended, in words."""
+        """How the process ended, as text."""
         code = os.waitstatus_to_exitcode(self.status)  # negative for a signal
         return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def _reap(self) -> None:
-        _, self.status = os.waitpid(
-            self.pid, 0
-        )  # first: after an interrupt here, the process is killed and reaped again
+        # an interrupt here leaves the process for a later kill(), which reaps it
+        _, self.status = os.waitpid(self.pid, 0)
         self.ended = True
         os.close(self._reading)
 
@@ -100,7 +96,7 @@ def usable_cores() -> int:
 
 
 def obstacle() -> str:
-    """Return why this process can't be copied now, and what to do; "" if it can."""
+    """Return why this process can't be copied now, and what to do; "" if it can be copied."""
     if not hasattr(os, "fork"):
         return "this system can't copy a process (os.fork)"
     for world in open_worlds():
@@ -118,31 +114,31 @@ def obstacle() -> str:
 
 
 def has_children() -> bool:
-    """Return whether this process has child processes, which a copy of it couldn't wait for."""
+    """Return whether this process has child processes; a copy can't wait for them."""
     if not hasattr(os, "waitid"):
         return False
     try:
-        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # leaves all of them
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # it reaps no child
     except ChildProcessError:
         return False
     return True
 
 
 def wait(children: Sequence[Child], timeout: float | None) -> None:
-    """Read from the first children that send data; return after the timeout in s if none does."""
+    """Read from all children that send data. Return when a child has sent data, or after the timeout in s."""
     for child in select.select(children, (), (), timeout)[0]:
         child.read()
 
 
 def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
-    """Run the child; it doesn't write to, close or clean up anything of the parent."""
+    """Run the child, which doesn't write to, close or clean up anything of the parent."""
     try:
         die_with(parent)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
-        nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  until its end
-        errors = open(os.devnull, "w", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115, PTH123  as Python's
-        for descriptor in range(3):  # also what native code and handlers of logging print
+        nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  open until the process ends
+        errors = open(os.devnull, "w", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115, PTH123  as above
+        for descriptor in range(3):  # native code and handlers of logging may print
             os.dup2(nothing.fileno(), descriptor)
         sys.stdin, sys.stdout, sys.stderr = nothing, nothing, errors
         os.register_at_fork(after_in_child=partial(_leave, writing, os.getpid()))
@@ -155,14 +151,14 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         text = answer()
         while text:
             text = text[os.write(writing, text) :]
-    except BaseException:  # noqa: BLE001  an error of the child itself: the answer has errors of the action
+    except BaseException:  # noqa: BLE001  errors of the action are in the answer
         os._exit(_CRASHED)
     os._exit(0)
 
 
 def _leave(writing: int, parent: int) -> None:
-    """Run in a process that the child's action has forked: it sends no part of the answer, and ends with the child."""
-    if os.getppid() == parent:  # its own children inherit its open files
+    """Run in a process that the child's action forks: it doesn't send the answer, and it ends with the child."""
+    if os.getppid() == parent:  # the child's own children inherit the open file
         os.close(writing)
         die_with(parent)
 
@@ -176,15 +172,15 @@ def die_with(parent: int) -> None:
 
 
 def can_limit_memory() -> bool:
-    """Return whether this system limits the additional memory of a process; only Linux tells its present size."""
+    """Return whether this system can limit the additional memory of a process, as Linux can."""
     return Path(_SIZE).exists()
 
 
 def limit_memory(memory: int) -> None:
-    """Limit the additional memory of this process, in bytes; larger requests raise MemoryError."""
-    import resource  # noqa: PLC0415  only systems that can fork have it
+    """Limit the additional memory of this process to some bytes; larger requests raise MemoryError."""
+    import resource  # noqa: PLC0415  this module exists only on systems that can fork
 
-    with open(_SIZE, encoding="ascii") as file:  # noqa: PTH123  of this very process
+    with open(_SIZE, encoding="ascii") as file:  # noqa: PTH123  the name is a string
         pages = int(file.read().split()[0])
     limit = pages * resource.getpagesize() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -195,13 +191,13 @@ class ChildResult:
     """The result of a child."""
 
     answer: bytes  # the answer of the child; b"" if it sent none
-    late: bool  # whether it exceeded the time limit
-    how: str  # how its process ended, in words
-    seconds: float  # its duration
+    late: bool  # whether the child exceeded its time limit
+    how: str  # how the process ended, as text
+    seconds: float  # duration
 
 
 class _Running:
-    """A child with a time limit: it is interrupted at the limit, and killed after a grace time."""
+    """A child with a time limit. At the limit it is interrupted, and after a grace time it is killed."""
 
     def __init__(self, child: Child, limit: float | None, grace: float) -> None:
         self.child = child
@@ -210,13 +206,13 @@ class _Running:
         self._late = False
 
     def time_left(self) -> float:
-        """Return the seconds until its next signal, at most the period in which missed signals are checked."""
+        """Return the seconds until the next signal, at most the period after which missed signals are checked."""
         if self._end is None:
             return MISSED_SIGNALS_EVERY
         return min(max(0.0, self._end - time.monotonic()), MISSED_SIGNALS_EVERY)
 
     def result(self) -> ChildResult | None:
-        """Return its result, None while it runs; send a due signal."""
+        """Send a due signal. Return the child's result, or None while it runs."""
         child = self.child
         if not child.ended and self._end is not None and time.monotonic() >= self._end:
             if self._late or not self._grace:
@@ -235,7 +231,7 @@ class ChildPool(Generic[Job]):
 
     Args:
         cores: Maximum number of children.
-        limit: Seconds of wall-clock time for each; None for no limit.
+        limit: Seconds of wall-clock time for each child; None for no limit.
         grace: Seconds between a SIGTERM at the limit and a SIGKILL; 0 for a SIGKILL at the limit.
     """
 
@@ -246,11 +242,9 @@ class ChildPool(Generic[Job]):
         self._running: dict[Job, _Running] = {}
 
     def run(self, waiting: deque[Job], start: Callable[[Job], Child]) -> Generator[tuple[Job, ChildResult], None, None]:
-        """Yield each job with its child's result when it ends; closing the generator kills the remaining children.
+        """Yield each job and its child's result when the child ends. Closing the generator kills the other children.
 
-        Args:
-            waiting: The jobs in order; the caller may add or remove jobs between results.
-            start: Starts the child of a job.
+        The caller may add jobs to ``waiting``, or remove jobs from it, between results. ``start`` starts a job's child.
         """
         running = self._running
         try:
@@ -274,17 +268,14 @@ class ChildPool(Generic[Job]):
         return job in self._running
 
     def kill(self, job: Job) -> None:
-        """Kill a job's child; the job is not yielded."""
+        """Kill a job's child; its job isn't yielded."""
         self._running.pop(job).child.kill()
 
 
 def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
-    """Return the number of the first question that is true, each answered in a copy of this process.
+    """Return the index of the first question that is true; None if none is, or if the process can't be copied now.
 
-    A question may change the worlds of its copy. Nothing is recorded, and an error is no.
-
-    Returns:
-        None if none is true, or if the process can't be copied now.
+    A copy of this process answers each question, and may change its worlds. Nothing is recorded; an error means no.
     """
     if obstacle() or is_held():
         return None
@@ -306,7 +297,7 @@ def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
 
 
 def run_from_start(answer: Callable[[], bytes]) -> Child:
-    """Fork a child that runs a program from its start, with the same names of worlds as in a new process."""
+    """Fork a child that runs a program from its start; its worlds get the same names as in a new process."""
 
     def answer_from_start() -> bytes:
         number_anew()

@@ -1,10 +1,7 @@
 """Sweeps: a plan runs many times, with different seeds and parameters, and each run is recorded into a folder.
 
-Each run is a fork of a process that has imported and parsed the modules and models of runs. It executes the whole plan
-from its start, with its own seed: so each recording is complete, and can be verified and retraced.
-
-In the folder, ``sweep.json`` describes the sweep, so that a restarted sweep makes only the missing runs. ``sweep.lock``
-is locked while a sweep runs. Files whose names begin with a dot are being written.
+Each run is a fork of a process that has loaded the modules and models of all runs. The run executes the whole plan with
+its own seed, so its recording can be verified and retraced. ``sweep.json`` in the folder describes the sweep.
 """
 
 from __future__ import annotations
@@ -46,17 +43,17 @@ FORMAT: Final = 1  # version of the format of sweep.json
 SWEEP: Final = "sweep.json"
 _LOCK: Final = "sweep.lock"
 _PART: Final = re.compile(r"\.(\d{5,}.*\.mcap|models-.*\.mcap|sweep\.json)\.part")
-_MAY_CHANGE: Final = frozenset({"runs", "plan"})  # entries that may change when a sweep is restarted
-_KEPT: Final = 100  # maximum number of failures and of remarks, so that memory doesn't grow with the runs
-_held: Final[set[Path]] = set()  # folders that this process sweeps into
+_MAY_CHANGE: Final = frozenset({"runs", "plan"})  # a restarted sweep may change these entries of sweep.json
+_KEPT: Final = 100  # maximum number of failures and of remarks that a Sweep keeps
+_held: Final[set[Path]] = set()  # folders into which this process sweeps
 
 
 class SweepRefused(UsageError):
-    """A sweep is impossible, or impossible into this folder."""
+    """A sweep can't run, or can't use this folder."""
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
-        self.cause = cause  # why it was rejected, and what to do
+        self.cause = cause  # why the sweep can't run, and what to do
 
 
 export("pycram.sweeping", SweepRefused)
@@ -68,16 +65,16 @@ class Sweep:
 
     folder: str  # folder of the recordings
     runs: int  # requested number of runs
-    before: int = 0  # number of runs that existed before
-    done: int = 0  # number of runs that were made now
-    failed: int = 0  # number of these that failed
+    before: int = 0  # number of runs from earlier sweeps into this folder
+    done: int = 0  # number of runs that this sweep made
+    failed: int = 0  # number of runs of this sweep that failed
     failures: list[RunOutcome] = field(default_factory=list)  # the first failed runs
-    stopped: str = ""  # why it ended before all runs were made; "" if it didn't
-    interrupted: bool = False  # whether Ctrl-C interrupted it
+    stopped: str = ""  # why the sweep stopped before its last run; "" if it didn't
+    interrupted: bool = False  # whether Ctrl-C interrupted the sweep
     remarks: list[str] = field(default_factory=list)  # errors of hooks
 
     def take(self, outcome: RunOutcome) -> bool:
-        """Count a run; return whether it was recorded. If not, no other run can be recorded."""
+        """Count a run, and return whether it was recorded. If it wasn't, the sweep stops."""
         if outcome.unrecorded:
             self.stopped = f"run {outcome.number} couldn't be recorded: {outcome.unrecorded}"
             return False
@@ -91,17 +88,14 @@ class Sweep:
         return True
 
     def has_not_begun(self) -> bool:
-        """Return whether the first run failed before the plan did anything; then all other runs would fail, too.
-
-        If so, its outcome gets the new name of its recording.
-        """
+        """Return whether the first run failed before the plan did anything; then all other runs would fail, too."""
         if self.before or self.done > 1 or not self.failures:
             return False
         first = self.failures[0]
         if first.started and not first.lost:
             return False
         self.stopped = f"the first run failed before the plan did anything: {first.failure}"
-        self.failures = [replace(first, name=f"{first.name}.failed")]
+        self.failures = [replace(first, name=f"{first.name}.failed")]  # the recording is renamed
         return True
 
 
@@ -123,31 +117,30 @@ def sweep(
     ray: str | None = None,
     progress: Callable[[Sweep, RunOutcome | None], None] = lambda _, __: None,
 ) -> Sweep:
-    """Run a plan many times; each run's recording is a file of a folder.
+    """Run a plan many times, and record each run into a file of a folder.
 
-    If this process has threads, like a notebook, or worlds, the runs are forks of another process.
+    The runs are forks of this process. If this process has worlds or threads, they are forks of another process.
 
     Args:
         plan: File of the plan.
-        runs: Number of runs; they are numbered from 0.
-        folder: Folder for the recordings; if it has some runs of this sweep, only the missing runs are made. With
+        runs: Number of runs, which are numbered from 0.
+        folder: Folder for the recordings. If it has some runs of this sweep, only the missing runs are made. With
             ``ray``, a folder that all nodes share, or any URL that fsspec supports.
-        seed: Run N has the seed ``seed + N``; its parameters are drawn from this seed.
+        seed: Run N has the seed ``seed + N``, which also determines its drawn parameters.
         set: Values of parameters; the runs take all combinations in turn.
-        sample: Distributions of parameters, such as ``"uniform(0,1)"``; also normal, integers, choice.
+        sample: Distributions of parameters, such as ``"uniform(0,1)"``, ``normal``, ``integers`` or ``choice``.
         cores: Maximum number of parallel runs; 0 for one per core.
-        limit: Seconds of wall-clock time for each run.
-        memory: Bytes of additional memory for each run; 0 for no limit.
-        arguments: Arguments of the plan.
+        limit: Time limit of each run in seconds of wall-clock time.
+        memory: Limit of additional memory for each run in bytes; 0 for no limit.
         motion: The execution environment if the plan names none.
-        locals: Whether failures hold the local variables of the plan's functions.
-        check: Properties that fail a run where they are violated (docs/properties.md).
-        ray: The address of a Ray cluster, or "" for one on this machine; None to use none.
+        locals: Whether failures contain the local variables of the plan's functions.
+        check: Properties (docs/properties.md); a violation fails the run.
+        ray: The address of a Ray cluster, or "" for a cluster on this machine; None to use none.
         progress: Called at the start and after each run.
 
     Raises:
         SweepRefused: The folder has another sweep or is in use, or the system can't fork.
-        UnknownParameter: The plan doesn't declare a parameter.
+        UnknownParameter: The plan doesn't declare the parameter.
         BadArgument: An argument is wrong.
         LockHeld: The caller holds a lock.
     """
@@ -185,11 +178,6 @@ def sweep(
 
 
 def _check(limit: float, memory: int, seed: int, runs: int, cores: int) -> None:
-    """Check the numbers of a sweep.
-
-    Raises:
-        BadArgument: A number is wrong.
-    """
     if checks.number("limit", limit) <= 0 or limit > threading.TIMEOUT_MAX:
         raise BadArgument("limit", limit, "seconds, more than 0")
     if checks.number("memory", memory) < 0:
@@ -211,7 +199,7 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
     progress(result, None)
     if not missing:
         return result
-    # forks would lack the threads of this process, and start with its worlds
+    # forks would lack the threads of this process, and would have its worlds
     kind = Worker if forking.others() or open_worlds() else Local
     try:
         with closing(kind(spec, cores, models if models in there else None)) as process:
@@ -221,7 +209,9 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
                         if not result.take(outcome):
                             return result
                         if result.has_not_begun():
-                            _set_aside(result, outcome)
+                            kept = (folder / outcome.name).replace(folder / result.failures[0].name)
+                            (folder / SWEEP).unlink(missing_ok=True)  # the folder accepts the repaired plan
+                            result.stopped += f"; pycram-replay why {shlex.quote(str(kept))}"
                             return result
                         progress(result, outcome)
                 if process.models:
@@ -233,23 +223,15 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
     return result
 
 
-def _set_aside(result: Sweep, outcome: RunOutcome) -> None:
-    """Rename the recording of a plan that can't start, so that the fixed plan can be swept into the same folder."""
-    folder = Path(result.folder)
-    kept = (folder / outcome.name).replace(folder / result.failures[0].name)
-    (folder / SWEEP).unlink(missing_ok=True)
-    result.stopped += f"; pycram-replay why {shlex.quote(str(kept))}"
-
-
 # --- the folder -------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Make a folder, and lock it against other sweeps while the ``with`` block runs.
+    """Create a folder, and lock it against other sweeps during the ``with`` block.
 
     Raises:
-        SweepRefused: Another sweep uses the folder, or it can't be made.
+        SweepRefused: Another sweep uses the folder, or it can't be created.
     """
     held = folder.resolve()
     who = f"process {os.getpid()} on {platform.node()} (since {time.strftime('%Y-%m-%d %H:%M:%S')})"
@@ -262,7 +244,7 @@ def locked(folder: Path) -> Iterator[None]:
         raise SweepRefused(f"{folder}: {error.strerror or error}") from error
     with os.fdopen(lock, "r+", encoding="utf-8", errors="replace") as file:
         try:
-            system.lock(lock, by_process=True)  # forks, which may outlive this process, don't hold it
+            system.lock(lock, by_process=True)  # forks don't hold this lock, because they may outlive this process
         except BlockingIOError:
             raise _in_use(folder, file.read(200).strip() or "another process") from None
         except OSError:  # a file system without locks
@@ -287,7 +269,7 @@ def _in_use(folder: Path, who: str) -> SweepRefused:
 
 
 def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Write the description of a sweep, and return the folder's earlier one; empty in a new folder.
+    """Write the description of a sweep, and return the folder's earlier description; {} in a new folder.
 
     Raises:
         SweepRefused: The folder has another sweep.
@@ -305,8 +287,8 @@ def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:
         differing = [key for key in given if key not in _MAY_CHANGE and given[key] != known[key]]
         if differing:
             key = differing[0]
-            what = f"its {key} was {known[key]!r}, not {given[key]!r}"
-            what = "its plan was different" if key == "plan_sha256" else what
+            what = f"the {key} was {known[key]!r}, not {given[key]!r}"
+            what = "the plan was different" if key == "plan_sha256" else what
             raise SweepRefused(f"{folder}: the folder has another sweep, and {what}; name another folder")
     write(folder, {**facts, "models": before.get("models")})
     return before

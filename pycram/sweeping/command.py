@@ -1,4 +1,4 @@
-"""``pycram sweep PLAN``: progress on stderr, and a summary at the end."""
+"""The command ``pycram sweep``, which prints progress to stderr and a summary at the end."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 5  # maximum number of printed failures
 _WIDTH: Final = 160  # maximum number of characters of a printed failure
-_NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers have one cause
+_NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers count as one cause
 
 
 def run(options: argparse.Namespace, arguments: Sequence[str], checks: Sequence[str] = ()) -> int:
-    """Sweep as the options say, and return the exit code: 0 if all runs succeeded, 1 if some failed."""
+    """Sweep with the given options. Return the exit code: 0 if all runs succeeded, 1 if some failed."""
     shown = _Shown(options.runs)
     try:
         with shown.bar or nullcontext():
@@ -71,7 +71,7 @@ class _Shown:
         self.seconds = 0.0
 
     def update(self, result: Sweep, outcome: RunOutcome | None) -> None:
-        """Update the bar; without a terminal, print a line every 10 s."""
+        """Update the bar; if stderr isn't a terminal, print a line every 10 s."""
         now = time.monotonic()
         self._began = now if outcome is None else self._began
         self.seconds = now - self._began
@@ -97,7 +97,7 @@ def _bar() -> Progress:
         TextColumn("{task.fields[rate]}, {task.fields[failed]} failed"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        auto_refresh=False,  # it would need a thread, which forks lack
+        auto_refresh=False,  # refreshing needs a thread, which forks lack
     )
 
 
@@ -107,14 +107,14 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
     yield f"{folder}: {result.done} runs{rate}{there}; {result.failed} failed"
     left = result.runs - result.before - result.done
     if left and not result.stopped:
-        yield f"{left} are missing; the same command makes them"
-    failures = sorted(result.failures, key=lambda each: each.number)  # they are in the order of their ends
+        yield f"{left} runs are missing; the same command makes them"
+    failures = sorted(result.failures, key=lambda each: each.number)  # the sweep lists them as they ended
     causes: dict[str, list[RunOutcome]] = {}
     for each in failures:
         causes.setdefault(_NUMBER.sub("#", each.failure), []).append(each)
     for alike in sorted(causes.values(), key=len, reverse=True)[:_SHOWN]:
         why = f"pycram-replay why {shlex.quote(f'{folder}/{alike[0].name}')}"
-        printable = "".join(each if each.isprintable() else " " for each in alike[0].failure)  # no control characters
+        printable = "".join(each if each.isprintable() else " " for each in alike[0].failure)
         line = " ".join(printable.split())
         yield f"  {len(alike):4}  {line if len(line) <= _WIDTH else f'{line[: _WIDTH - 3]}...'}  {why}"
     if len(causes) > _SHOWN:

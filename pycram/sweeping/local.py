@@ -1,11 +1,11 @@
-"""Runs of a sweep on this machine, each in a forked child: in forks of this process, or of a worker process.
+"""Runs of a sweep on this machine: each run is a forked child of this process, or of a worker process.
 
-:class:`Local` forks this process, after it has done the work that all runs share. If the process of a run crashes,
-hangs or is killed, the run is retried once; if that fails too, the run's recording says so.
+:class:`Local` forks this process. If the process of a run crashes, hangs or is killed, the run is retried once. If the
+retry also fails, the run's recording says why.
 
-:class:`Worker` uses another process, if this one can't fork: it has worlds, or threads like Ray's and Jupyter's. The
-worker reads batches as lines of JSON. It writes a line with each run's outcome, and after each batch a line with the
-file of models. It stays warm between batches.
+:class:`Worker` starts another process if this process can't fork: it has worlds, or threads like Ray's and Jupyter's.
+The worker reads batches as lines of JSON. It writes one line for each run, and one line after each batch. It keeps
+loaded modules and models between batches.
 """
 
 from __future__ import annotations
@@ -53,16 +53,16 @@ if TYPE_CHECKING:
 HOOKS: Final = "pycram.runs"
 """Group of entry points: functions that a run's process calls with the path of its recording.
 
-They aren't called for a first run that fails before the plan did anything, because its recording is renamed.
+Hooks aren't called for a first run that fails before the plan did anything, because its recording is renamed.
 """
 _ATTEMPTS: Final = 2
 _TIME_LIMIT: Final = "TimeLimit"
-_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # characters that names of files must not have on some system
-_MAX_LETTERS: Final = 120  # maximum number of characters of the parameters in a name
+_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # some systems don't allow these characters in names of files
+_MAX_LETTERS: Final = 120  # maximum length of the parameters in a file's name
 
 
 class RunLost(PlanFailure):
-    """The process of a run ended before the plan did, also in the retry."""
+    """The process of a run ended before the plan, also in the retry."""
 
 
 export("pycram.sweeping", RunLost)
@@ -70,13 +70,13 @@ export("pycram.sweeping", RunLost)
 
 @dataclass(frozen=True, slots=True)
 class SweepSpec:
-    """A sweep: its plan with the settings that all runs share, and the settings that vary."""
+    """A sweep: the settings that all runs share, and the settings that vary."""
 
-    shared: RunSpec  # settings without seed and parameters
+    shared: RunSpec  # its seed and parameters aren't used
     folder: str  # absolute path of the folder for recordings
-    seed: int = 0  # determines the seeds and sampled parameters of the runs
-    listed: Mapping[str, list[Any]] = field(default_factory=dict)  # values of parameters
-    sampled: Mapping[str, str] = field(default_factory=dict)  # distributions of parameters
+    seed: int = 0  # determines the seeds and drawn parameters of the runs
+    listed: Mapping[str, list[Any]] = field(default_factory=dict)  # values by parameter
+    sampled: Mapping[str, str] = field(default_factory=dict)  # distributions by parameter
     limit: float = 300.0  # s of wall-clock time for a run
     memory: int = 0  # bytes of additional memory for a run; 0 for no limit
 
@@ -86,10 +86,11 @@ class SweepSpec:
         return replace(self.shared, seed=(self.seed + number) % (MAX_SEED + 1), parameters=values)
 
     def name(self, number: int) -> str:
-        """Return the name of a run's recording, with its parameters shortened for people."""
+        """Return the name of a run's recording, which contains the shortened parameters."""
         values = self.run(number).parameters
-        shown = ((name, LEFT_OUT if is_secret(name) else value) for name, value in values.items())
-        words = ",".join(f"{name}={_shown(value)}" for name, value in shown)
+        shown = {name: LEFT_OUT if is_secret(name) else value for name, value in values.items()}
+        texts = {name: f"{value:.4g}" if isinstance(value, float) else str(value) for name, value in shown.items()}
+        words = ",".join(f"{name}={_UNSAFE.sub('_', text)}" for name, text in texts.items())
         return f"{number:05}{'.' if words else ''}{words[:_MAX_LETTERS]}.mcap"
 
     def part(self, number: int) -> Path:
@@ -110,22 +111,18 @@ class SweepSpec:
         return cls(**{**facts, "shared": shared})
 
 
-def _shown(value: object) -> str:
-    return _UNSAFE.sub("_", f"{value:.4g}" if isinstance(value, float) else str(value))
-
-
 @dataclass(frozen=True, slots=True)
 class RunOutcome:
     """The result of a run."""
 
     number: int
-    name: str  # name of its recording
+    name: str  # name of the recording
     succeeded: bool
-    failure: str = ""  # its failure, in words
-    seconds: float = 0.0  # its duration
-    started: bool = True  # whether it had a task or a query
-    lost: bool = False  # whether its process ended before the plan did
-    unrecorded: str = ""  # why it couldn't be recorded; "" if it was
+    failure: str = ""  # the failure, as text
+    seconds: float = 0.0
+    started: bool = True  # whether the run had a task or a query
+    lost: bool = False  # whether the process ended before the plan
+    unrecorded: str = ""  # why the run couldn't be recorded; "" if it was
     remark: str = ""  # error of a hook
 
 
@@ -157,10 +154,13 @@ def run_once(
     noting: bool = False,
     lost: str = "",
 ) -> bytes:
-    """Run the plan once, in a child of the sweep; return the outcome, and with ``noting`` notes to warm later runs.
+    """Run the plan once in a child of the sweep, and return the outcome as JSON.
 
-    The attempts are numbered from 1. The run began at ``began`` by the system's monotonic clock, in s. With ``lost``,
-    only this is recorded: why the run's process ended in each attempt.
+    Args:
+        attempt: Number of the attempt, from 1.
+        began: Start of the run by the system's monotonic clock, in s.
+        noting: Whether the answer contains notes that warm later runs.
+        lost: Why the run's process ended in each attempt. If it is given, the plan doesn't run, and this is recorded.
     """
     run, part, name = spec.run(number), spec.part(number), spec.name(number)
     if spec.memory and not lost:
@@ -173,7 +173,7 @@ def run_once(
         return f"the run was still running after {spec.limit:g} s" if over else ""
 
     def sink_of(start: Run) -> Sink:
-        if sinks:  # a recording that the plan itself makes: all runs would write to the same file
+        if sinks:  # the plan itself starts a recording; all runs would write it to the same file
             return NullSink()
         start.sweep.number, start.sweep.seed, start.sweep.attempt = number, spec.seed, attempt
         try:
@@ -182,7 +182,7 @@ def run_once(
             refused.append(error.cause)
             raise
         sinks[0].late = late
-        sinks[0].path = Path(spec.folder) / name  # projections are recorded next to it
+        sinks[0].path = Path(spec.folder) / name  # projections are recorded next to this file
         return sinks[0]
 
     with redirected(sink_of), warming.noted() if noting and not lost else nullcontext() as notes:
@@ -194,10 +194,13 @@ def run_once(
     if sink is None or sink.lost or sink.end is None:
         part.unlink(missing_ok=True)
         why = "".join(refused) if sink is None else sink.lost
-        return _answer(RunOutcome(number, name, succeeded=False, unrecorded=why or "its end is missing"))
+        why = why or "the end of the recording is missing"
+        return _answer(RunOutcome(number, name, succeeded=False, unrecorded=why))
     path = part.replace(Path(spec.folder) / name)
     failure = "" if sink.end.succeeded else format_failure(sink.end.failure)
-    remark = _call_hooks(path) if sink.started or sink.end.succeeded else ""
+    errors = []
+    if sink.started or sink.end.succeeded:
+        errors = call_all([hooks]) or call_all(partial(hook, path) for hook in hooks())
     outcome = RunOutcome(
         number,
         name,
@@ -206,7 +209,7 @@ def run_once(
         seconds=time.monotonic() - began,
         started=sink.started,
         lost=bool(lost),
-        remark=remark,
+        remark="; ".join(f"{type(error).__name__}: {error}" for error in errors),
     )
     return _answer(outcome, notes)
 
@@ -232,13 +235,8 @@ def _answer(outcome: RunOutcome, notes: warming.Notes | None = None) -> bytes:
 
 @cache
 def hooks() -> tuple[Callable[[Path], object], ...]:
-    """Return the functions that installed packages register for recordings."""
+    """Return the functions for recordings that installed packages register."""
     return tuple(each.load() for each in entry_points(group=HOOKS))
-
-
-def _call_hooks(path: Path) -> str:
-    errors = call_all([hooks]) or call_all(partial(hook, path) for hook in hooks())
-    return "; ".join(f"{type(error).__name__}: {error}" for error in errors)
 
 
 # --- many runs --------------------------------------------------------------------------------------------------------
@@ -249,17 +247,17 @@ class _Job(NamedTuple):
 
     number: int
     attempt: int = 1
-    lost: str = ""  # why its process ended in each attempt
+    lost: str = ""  # why its process ended in each attempt; not "" for a lost run
 
 
 class Local:
     """Makes runs in forks of this process, at most ``cores`` in parallel; 0 for one per core.
 
-    ``models`` is the name of the file of models that recordings share; None until a run has loaded models.
+    ``models`` is the name of the file of models that recordings share; None before a run has loaded models.
     """
 
     def __init__(self, spec: SweepSpec, cores: int = 0, models: str | None = None) -> None:
-        # the modules that plans import, once for all runs
+        # the runs import these modules, too
         import numpy.random  # noqa: F401, PLC0415
 
         from pycram import event, fluent, language, process_module  # noqa: F401, PLC0415
@@ -268,26 +266,32 @@ class Local:
         self._spec = spec
         self._pool: ChildPool[_Job] = ChildPool(cores or usable_cores(), spec.limit, GRACE)
         self._models = SharedModels.of(Path(spec.folder) / models) if models else None
-        self._warm = False  # whether this process has loaded what a run has noted
-        store.folder()  # shared by all runs
+        self._warm = False  # whether this process has loaded the models and modules that a run noted
+        store.folder()  # creates the folder that all runs share
         hooks()
         versions()
         look_up_revisions(spec.shared.plan)
 
     @property
     def models(self) -> dict[str, str] | None:
-        """Name and hash of the file of models; None as long as there is none."""
+        """Name and hash of the file of models; None without a file."""
         return None if self._models is None else {"file": self._models.file, "sha256": self._models.sha256}
 
     def close(self) -> None:
-        """Do nothing; only a :class:`Worker` has a process to end."""
+        """Do nothing; :class:`Worker` has a process to end."""
 
     def run(self, numbers: Iterable[int]) -> Generator[RunOutcome, None, None]:
-        """Make runs; yield each outcome when the run ends. Closing the generator kills the remaining runs."""
+        """Make runs, and yield each outcome when the run ends. Closing the generator kills the remaining runs."""
         waiting = deque(map(_Job, numbers))
         going = {job.number for job in waiting}
+
+        def start(job: _Job) -> Child:
+            began = time.monotonic()  # before the time limit begins
+            once = partial(run_once, self._spec, job.number, job.attempt, self._models, began)
+            return run_from_start(partial(once, noting=not self._warm, lost=job.lost))
+
         try:
-            with closing(self._pool.run(waiting, self._start)) as results:
+            with closing(self._pool.run(waiting, start)) as results:
                 for job, result in results:
                     again = self._again(job, result)
                     if again is not None:
@@ -296,16 +300,11 @@ class Local:
                         going.discard(job.number)
                         yield self._outcome(job, result)
         finally:
-            for number in going:  # incomplete recordings of runs that were killed
+            for number in going:  # these runs were killed
                 self._spec.part(number).unlink(missing_ok=True)
 
-    def _start(self, job: _Job) -> Child:
-        began = time.monotonic()  # not after its time limit begins
-        once = partial(run_once, self._spec, job.number, job.attempt, self._models, began)
-        return run_from_start(partial(once, noting=not self._warm, lost=job.lost))
-
     def _again(self, job: _Job, result: ChildResult) -> _Job | None:
-        """Return the next job for a run that didn't end by itself; None if it did, or after the last attempt."""
+        """Return the job that repeats or records a run whose process didn't end by itself; None for other runs."""
         if job.lost or (result.answer and not result.late):
             return None
         if job.attempt < _ATTEMPTS:
@@ -313,10 +312,10 @@ class Local:
             for left in (recording, *recording.parent.glob(f"{glob.escape(recording.stem)}.projection-*")):
                 left.unlink(missing_ok=True)
             return _Job(job.number, job.attempt + 1)
-        if result.answer:  # it was interrupted, and its recording says so
+        if result.answer:  # the plan was interrupted, and the recording says so
             return None
         how = f"its process {result.how}"
-        cause = f"it was still running after {self._spec.limit:g} s, and was killed" if result.late else how
+        cause = f"the run was still running after {self._spec.limit:g} s, and was killed" if result.late else how
         cause += f", at each of {_ATTEMPTS} attempts"
         part = self._spec.part(job.number)
         if part.exists():
@@ -325,7 +324,7 @@ class Local:
         return _Job(job.number, job.attempt, cause)
 
     def _outcome(self, job: _Job, result: ChildResult) -> RunOutcome:
-        if not result.answer:  # not even its loss could be recorded
+        if not result.answer:  # the child that records the loss has failed, too
             how = f"its process {result.how}"
             return RunOutcome(job.number, self._spec.name(job.number), succeeded=False, unrecorded=how)
         answer = json.loads(result.answer)
@@ -339,34 +338,34 @@ class Local:
 
 
 class WorkerLost(RuntimeError):
-    """The process that makes runs has ended."""
+    """The process that makes the runs has ended."""
 
 
 class Worker:
-    """Makes runs like :class:`Local`, with the same arguments, in forks of another process."""
+    """Makes runs like :class:`Local`, but in forks of another process."""
 
     def __init__(self, spec: SweepSpec, cores: int = 0, shared: str | None = None) -> None:
         self.spec = spec  # the sweep of the next batch
-        self.shared = shared  # name of the file of models, for the next batch
-        self.models: dict[str, str] | None = None  # name and hash of that file after the last batch
+        self.shared = shared  # name of the file of models for the next batch
+        self.models: dict[str, str] | None = None  # name and hash of the file of models after the last batch
         self._cores = cores
-        self._process = subprocess.Popen(  # noqa: S603  ours
+        self._process = subprocess.Popen(  # noqa: S603  the interpreter of this process
             [sys.executable, "-P", "-c", f"from {__name__} import main; main()", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | {"PYTHONHASHSEED": str(spec.seed)},
             text=True,
             encoding="utf-8",
-            start_new_session=True,  # Ctrl-C goes to the sweeping process, which kills this one
+            start_new_session=True,  # Ctrl-C reaches only this process, which then kills the worker
         )
 
     def close(self) -> None:
-        """Kill the process, and with it its runs."""
+        """Kill the process and its runs."""
         self._process.kill()
         self._process.communicate()
 
     def run(self, numbers: Iterable[int]) -> Generator[RunOutcome, None, None]:
-        """Make runs; yield each outcome when the run ends. Closing the generator kills the remaining runs.
+        """Make runs, and yield each outcome when the run ends. Closing the generator kills the remaining runs.
 
         Raises:
             WorkerLost: The process has ended.
@@ -389,11 +388,11 @@ class Worker:
                     outcome = RunOutcome(**answer["outcome"])
                     left.pop(outcome.number)
                     yield outcome
-            raise WorkerLost(f"the process that makes runs has ended with {self._process.wait()}")
+            raise WorkerLost(f"the process that makes the runs ended with exit code {self._process.wait()}")
         finally:
             if left:
                 self.close()
-            for number in left:  # incomplete recordings of runs that were killed
+            for number in left:  # these runs were killed
                 self.spec.part(number).unlink(missing_ok=True)
 
 
@@ -401,7 +400,7 @@ def main() -> None:
     """Make the runs of batches until stdin ends."""
     die_with(int(sys.argv[1]))
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # libraries may print there
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # libraries may print to stdout
     local: Local | None = None
     of: object = None
     for line in sys.stdin:

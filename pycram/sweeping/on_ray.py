@@ -1,8 +1,7 @@
-"""Sweeps on a Ray cluster: batches of runs are Ray tasks, and recordings go to a folder that all nodes can write to.
+"""Sweeps on a Ray cluster: Ray tasks make batches of runs, and recordings go to a folder that all nodes can write to.
 
-Ray repeats the batches of a lost node; their runs that are already in the folder aren't made twice. Each Ray process
-keeps a warm :class:`~pycram.sweeping.local.Worker`, and ends after a number of batches. PyCRAM and the plan have the
-same paths on all nodes.
+Ray repeats the batches of a lost node, but existing recordings aren't made twice. Each Ray process keeps a loaded
+:class:`~pycram.sweeping.local.Worker`. PyCRAM and the plan must have the same paths on all nodes.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ from recorder.mcap_writer import MODELS_NAME
 from recorder.packages import needed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
 
 with needed():
     import fsspec
     import ray
 
-_BATCH: Final = 10  # runs of a task: few, because a lost node loses them; its start costs some ms
-_CALLS: Final = 50  # batches of a Ray process
+_BATCH: Final = 10  # runs of a task; starting a task costs some ms, and a lost node loses its batches
+_CALLS: Final = 50  # batches after which a Ray process ends
 _AHEAD: Final = 3  # waiting batches per core
 
 
@@ -57,9 +56,11 @@ def sweep_on_ray(
         result = Sweep(url, runs, before=runs - len(missing))
         store.put(Path(here) / SWEEP)
         progress(result, None)
-        batches = _batches(missing)
+        # the first run is alone in its batch, because it shows whether the plan can start
+        starts = range(1, len(missing), _BATCH)
+        batches = iter([missing[:1], *(missing[start : start + _BATCH] for start in starts)])
         try:
-            for outcome in _made(spec, url, [next(batches, [])], models, 1):
+            for outcome in _made(spec, url, [next(batches)], models, 1):
                 if not result.take(outcome):
                     return result
                 if result.has_not_begun():
@@ -79,16 +80,8 @@ def sweep_on_ray(
     return result
 
 
-def _batches(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
-    """Yield the runs of each task: the first run alone, because it shows whether the plan can start."""
-    if numbers:
-        yield numbers[:1]
-    for start in range(1, len(numbers), _BATCH):
-        yield numbers[start : start + _BATCH]
-
-
 def _made(spec: SweepSpec, url: str, batches: Any, models: str | None, cores: int) -> Iterator[RunOutcome]:
-    """Submit batches, a few more at a time than there are cores; yield the outcomes when they arrive."""
+    """Submit some more batches than there are cores; yield the outcomes when they arrive."""
     task = ray.remote(num_cpus=1, max_calls=_CALLS, max_retries=-1)(_make)
     waiting = iter(batches)
     running: list[Any] = []
@@ -108,60 +101,54 @@ def _made(spec: SweepSpec, url: str, batches: Any, models: str | None, cores: in
 
 
 class _Store:
-    """A folder by its URL; a plain path is a folder that all nodes share.
-
-    Raises:
-        SweepRefused: The URL can't be used.
-    """
+    """The folder of a sweep by its URL; a plain path is a folder that all nodes share."""
 
     def __init__(self, url: str) -> None:
         given = url if "://" in url else str(Path(url).absolute())
         try:
             self._files, self.root = fsspec.core.url_to_fs(given)
-        except (ImportError, ValueError) as error:  # the URL's kind is unknown, or needs a package
-            raise SweepRefused(f"{url}: {error}, on all nodes") from error
-        kinds = (self._files.protocol, *self._files.protocol)  # a name, or several
+        except (ImportError, ValueError) as error:  # fsspec doesn't know the protocol, or needs another package
+            raise SweepRefused(f"{url}: {error}; all nodes need it") from error
+        kinds = (self._files.protocol, *self._files.protocol)  # protocol is a string or a tuple
         if "memory" in kinds:
-            raise SweepRefused(f"{url}: its files are lost when its process ends; name a folder of files")
+            raise SweepRefused(f"{url}: this file system ends with its process; name a folder or another URL")
         self.is_local = "file" in kinds
         self._files.makedirs(self.root, exist_ok=True)
 
     def names(self) -> set[str]:
-        """Return the names of its files."""
         self._files.invalidate_cache()
         return {Path(each).name for each in self._files.ls(self.root, detail=False)}
 
     def has(self, name: str) -> bool:
-        """Return whether a file exists, without listing the folder, which may be very large."""
+        """Return whether a file exists, without listing the folder, which may be large."""
         self._files.invalidate_cache()
         found: bool = self._files.exists(f"{self.root}/{name}")
         return found
 
     def put(self, file: Path, within: str = "") -> None:
-        """Copy a file into the folder, or into a folder within it, atomically."""
+        """Copy a file atomically into the folder, or into its subfolder ``within``."""
         folder = f"{self.root}/{within}" if within else self.root
         target = f"{folder}/{file.name}"
         if self.is_local:  # object storage is atomic by itself
             self._files.makedirs(folder, exist_ok=True)
             part = f"{folder}/.{file.name}.part"
             self._files.put_file(str(file), part)
-            shutil.copystat(file, part)  # tables identify a recording by its time
-            os.replace(part, target)  # noqa: PTH105  as texts
+            shutil.copystat(file, part)  # tables identify recordings by their times
+            os.replace(part, target)  # noqa: PTH105  both are strings
         else:
             self._files.put_file(str(file), target)
 
     def fetch(self, name: str, folder: Path) -> None:
-        """Copy a file from the folder, if it exists."""
         if self._files.exists(f"{self.root}/{name}") and not (folder / name).exists():
             self._files.get_file(f"{self.root}/{name}", str(folder / name))
 
     def set_aside(self, name: str, kept: str) -> None:
-        """Rename the recording of a plan that can't start, so that the fixed plan can be swept into the same folder."""
+        """Rename the recording of a plan that can't start; the folder then accepts the repaired plan."""
         self._files.mv(f"{self.root}/{name}", f"{self.root}/{kept}")
         self._files.rm(f"{self.root}/{SWEEP}")
 
     def described(self, name: str) -> dict[str, str]:
-        """Return name and hash of a file of models."""
+        """Return the name and hash of a file of models."""
         return {"file": name, "sha256": hashlib.sha256(self._files.cat_file(f"{self.root}/{name}")).hexdigest()}
 
 
@@ -169,7 +156,7 @@ _worker: Worker | None = None  # the worker of this Ray process
 
 
 def _warm(spec: SweepSpec, models: str | None) -> Worker:
-    """Return the worker of this Ray process, for runs into a folder of its own."""
+    """Return the worker of this Ray process, which records into a temporary folder."""
     global _worker  # noqa: PLW0603
     if _worker is None:
         folder = tempfile.mkdtemp(prefix="pycram-sweep-")
@@ -187,21 +174,21 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
     if models is not None:
         store.fetch(models, folder)
     missing = [number for number in numbers if not store.has(spec.name(number))]
-    # a lost node has made the existing runs, and their outcomes were lost
+    # a lost node made these runs, but their outcomes are lost
     outcomes = [_known(store, spec, number, folder) for number in numbers if number not in missing]
     finished = False
     try:
         for outcome in worker.run(missing):
             if not outcome.unrecorded:
-                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # and the files next to it
+                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # also files next to it
                     within = made.parent.relative_to(folder).as_posix().removeprefix(".")
-                    if store.is_local or not within:  # rows don't match a file with another time
+                    if store.is_local or not within:  # elsewhere files get new times, which tables would not recognise
                         store.put(made, within)
                     made.unlink()
             outcomes.append(asdict(outcome))
         finished = True
     finally:
-        if not finished:  # the worker may still run the batch
+        if not finished:  # the worker may still run this batch
             worker.close()
             _worker = None
     for made in folder.glob("models-*.mcap"):
