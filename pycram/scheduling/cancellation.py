@@ -1,8 +1,7 @@
-"""Cancellation and waiting: cancelled branches stop at checkpoints.
+"""Cancellation and waiting. A cancelled branch stops at its next checkpoint, where the world is consistent.
 
-A cancel scope is a part of the plan that can be cancelled, or that has a deadline; scopes nest like the plan's blocks.
-A cancelled branch stops at its next checkpoint (:mod:`pycram.scheduling`), where the world is consistent:
-:class:`~recorder.tracing.span.Cancelled` is raised there.
+A cancel scope is a part of the plan that can be cancelled or has a deadline; scopes nest like the plan's blocks.
+:class:`~recorder.tracing.span.Cancelled` is raised at the checkpoint.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ Value = TypeVar("Value")
 
 
 class Binding(Generic[Value]):
-    """Sets a context variable for a ``with`` block; a class, because a generator would be slower for each branch."""
+    """Sets a context variable for a ``with`` block. It is a class because a generator would be slower."""
 
     __slots__ = ("_token", "_value", "_variable")
     _token: Token[Value]
@@ -44,52 +43,50 @@ class Binding(Generic[Value]):
 
 
 class CancelScope(Condition):
-    """A part of the plan that can be cancelled from any thread; cancelling wakes the waits in it.
+    """A part of the plan that any thread can cancel; cancelling wakes the waits in it.
 
-    Args:
-        parent: The scope around it; cancelling that cancels this scope, too.
-        deadline: None for no deadline.
+    A scope is also cancelled with its ``parent``, the scope around it.
 
     Raises:
-        RecursionError: The scope would be nested deeper than Python's recursion limit.
+        RecursionError: The scopes would be nested deeper than Python's recursion limit.
     """
 
     def __init__(self, parent: CancelScope | None = None, deadline: Limit | None = None) -> None:
         super().__init__()
-        #: The scopes around it, from the inside out; without itself, because reference cycles are freed late.
+        #: The scopes around this scope, innermost first; without this scope, because reference cycles are freed late.
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
-        if len(self.around) >= sys.getrecursionlimit():  # Python doesn't check this: each branch has its own stack
+        if len(self.around) >= sys.getrecursionlimit():  # Python checks only the stack of one branch
             raise RecursionError(f"{len(self.around)} nested blocks and timeouts of the plan")
         known = parent.deadlines if parent is not None else ()
-        #: The deadlines of this scope and of the scopes around it.
+        #: The deadlines of this scope and of the scopes around it, innermost first.
         self.deadlines: tuple[Limit, ...] = known if deadline is None else (deadline, *known)
         self._deadline = deadline
-        self.cancel_called = False  # whether this scope itself was cancelled
-        self.struck = 0  # checkpoint of its thread, from 1, at which its deadline was first found passed; 0 before
+        self.cancel_called = False  # whether cancel() was called
+        self.struck = 0  # number of the checkpoint at which the thread noticed that the deadline had passed; 0 before
 
     @property
     def is_overdue(self) -> bool:
-        """Whether this scope's own deadline has passed."""
+        """Whether the deadline of this scope has passed; deadlines of outer scopes don't count."""
         return self._deadline is not None and self._deadline.has_come
 
     def refuse_late(self) -> None:
-        """Raise Cancelled if this scope's own deadline has passed."""
+        """Raise Cancelled if the deadline of this scope has passed."""
         if self._deadline is not None and self._deadline.was_missed:
             raise Cancelled
 
     @property
     def has_deadline(self) -> bool:
-        """Whether this scope has a deadline of its own."""
+        """Whether this scope has a deadline."""
         return self._deadline is not None
 
     @property
     def sources(self) -> tuple[Condition, ...]:
-        """The conditions that wake the waits in it."""
+        """The conditions that wake the waits in this scope."""
         return (self, *self.around, *self.deadlines)
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether the scope, or one around it, was cancelled or is overdue."""
+        """Whether this scope or a scope around it was cancelled or is overdue."""
         if self.cancel_called:
             return True
         for scope in self.around:
@@ -98,7 +95,7 @@ class CancelScope(Condition):
         return bool(self.deadlines) and any(deadline.has_come for deadline in self.deadlines)
 
     def cancel(self) -> None:
-        """Cancel the scope, and wake the waits in it."""
+        """Cancel the scope, and wake its waits."""
         self.cancel_called = True
         self.notify_all()
 
@@ -112,17 +109,17 @@ def current_scope() -> CancelScope | None:
 
 
 def entered(scope: CancelScope | None) -> Binding[CancelScope | None]:
-    """Run the ``with`` block in a scope; None for outside of all scopes."""
+    """Run the ``with`` block in a scope, or outside of all scopes for None."""
     return Binding(_scope, scope)
 
 
 def enter(scope: CancelScope) -> None:
-    """Put this context into a scope permanently."""
+    """Move this context into a scope permanently."""
     _scope.set(scope)
 
 
 def shielded() -> Binding[CancelScope | None]:
-    """Shield the ``with`` block from cancellation, for work that a cancelled branch must finish."""
+    """Shield the ``with`` block from cancellation; a cancelled branch uses this for work that it must finish."""
     return entered(None)
 
 
@@ -131,13 +128,13 @@ _uninterruptible: ContextVar[bool] = ContextVar("pycram_uninterruptible", defaul
 
 @contextmanager
 def uninterruptible() -> Iterator[None]:
-    """Run the ``with`` block, or the decorated function, so that changes of a world in it are no checkpoints."""
+    """Run the ``with`` block, or the decorated function, without checkpoints at changes of a world."""
     with Binding(_uninterruptible, value=True):
         yield
 
 
 def begin_alone() -> None:
-    """Leave all scopes and branches, in a forked child that continues with this context only."""
+    """Leave all scopes and branches in a forked child, which continues only this context."""
     _scope.set(None)
     _uninterruptible.set(False)
     body.set(None)
@@ -148,41 +145,40 @@ class BlockBody(Protocol):
     """The body of a block of the plan, which checks changes of worlds."""
 
     def before_change(self, change: str) -> None:
-        """Raise RunsEarly for a change by plain Python in the body, if earlier actions haven't run."""
+        """Raise RunsEarly if plain Python in the body changes a world before earlier actions have run."""
 
     def await_turn(self) -> None:
-        """Wait until plain Python in the body may act."""
+        """Wait until plain Python in the body may change worlds."""
 
 
-#: The block around this code; None outside of all blocks, in branches, and where actions run in order.
+#: The block around this code; None outside of all blocks, in branches, and in blocks whose actions run in order.
 body: Final[ContextVar[BlockBody | None]] = ContextVar("pycram_block", default=None)
 
 
 def before_change(change: str) -> None:
     """Make a checkpoint before a change of a world, except in :func:`uninterruptible` code or while a lock is held.
 
-    Args:
-        change: Name of the change, for messages.
+    ``change`` is the name of the change, for messages.
 
     Raises:
-        RunsEarly: Earlier actions of the plan have not run.
+        RunsEarly: Earlier actions of the plan haven't run.
         Cancelled: The branch is cancelled.
     """
     around = body.get()
     if around is not None:
         around.before_change(change)
-    if not _uninterruptible.get() and not is_held():  # several changes may form a whole
+    if not _uninterruptible.get() and not is_held():  # under a lock, several changes may form a whole
         checkpoint()
 
 
 def checkpoint() -> None:
-    """Let other branches run first; raise Cancelled if the branch is cancelled, or LockHeld if it holds a lock."""
+    """Run other branches first. Raise Cancelled if the branch is cancelled, or LockHeld if it holds a lock."""
     scheduler().yield_turn()
     raise_if_cancelled()
 
 
 def raise_if_cancelled() -> None:
-    """Raise Cancelled if the branch is cancelled, or an error that waits for a checkpoint; no other branch runs."""
+    """Raise Cancelled if the branch is cancelled, or a deferred error of the branch, without running other branches."""
     thread = scheduler()
     thread.checkpoints += 1
     if thread.failing and (error := thread.take_failure()) is not None:
@@ -201,13 +197,13 @@ def wait(
     timeout: float | None = None,
     reason: Reason = unknown_reason,
 ) -> bool:
-    """Wait until a predicate holds, while other branches run; return whether it holds, False only after the timeout.
+    """Wait until a predicate holds, while other branches run. Return False if the timeout came first, else True.
 
     Args:
         condition: Notified whenever the predicate may have changed.
-        predicate: Called in the branch that waits, without a lock.
+        predicate: Called in the waiting branch, without a lock.
         timeout: In seconds; None for no limit.
-        reason: What it waits for, for messages.
+        reason: Explains the wait in a deadlock.
 
     Raises:
         Cancelled: The branch is cancelled, and the predicate doesn't hold.
@@ -230,9 +226,9 @@ def wait_until(
     clock: Clock | None = None,
     reason: Reason = unknown_reason,
 ) -> bool:
-    """Wait until a predicate holds, or a deadline has passed; see :func:`wait`. The caller has entered the deadline.
+    """Wait until a predicate holds or a deadline has passed; see :func:`wait`. The caller has entered the deadline.
 
-    While nothing else is ready, a simulated clock passes: the given one, or the one of a deadline around the wait.
+    While nothing else is ready, a simulated clock runs: ``clock``, or the clock of a deadline around the wait.
     """
     scope = _scope.get()
     sources = (condition, *(() if scope is None else scope.sources), *(() if limit is None else (limit,)))
@@ -241,7 +237,9 @@ def wait_until(
     with Waiter(sources, None if clock is None else clock.may_pass, last=True, reason=reason) as waiter:
         while not predicate():
             raise_if_cancelled()
-            if limit is not None and limit.struck:  # it passed before the wait; other branches still run first
+            if (
+                limit is not None and limit.struck
+            ):  # the deadline passed before the wait; other branches still run first
                 waiter.wake()
             if waiter.sleep() and clock is not None:
                 clock.let_pass()

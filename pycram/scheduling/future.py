@@ -1,7 +1,7 @@
-"""Futures: lazy results of actions that may still run.
+"""Futures: results of actions that may still run.
 
-A future can be used like the result: attributes, comparisons, arithmetic, printing and iteration wait for the end of
-the branch and then act on its result. If the type matters (``is``, ``json.dumps``, ``str.join``), use :func:`unwrap`.
+Attributes, comparisons, arithmetic, printing and iteration of a future wait for the branch's end, and then use the
+result. If the type matters (``is``, ``json.dumps``, ``str.join``), use :func:`unwrap`.
 """
 
 from __future__ import annotations
@@ -36,10 +36,9 @@ class Pending(Protocol):
 
 
 class Future:
-    """Represents the result of a branch: every operation waits for the result and is applied to it.
+    """The result of a branch: every operation waits for the result, and is applied to it.
 
-    Its only method of its own is :meth:`result`; :func:`branch_of` returns its branch. Using the future of a failed
-    branch raises the branch's error.
+    Its only own method is :meth:`result`. Using the future of a failed branch raises the branch's error.
     """
 
     __slots__ = ("__weakref__", "_branch")
@@ -53,12 +52,12 @@ class Future:
         return self._branch.result(timeout)
 
     def __record__(self) -> object:
-        """Return the result, or the branch's name before there is a result: recording doesn't wait."""
+        """Return the result, or the branch's name before there is a result, because recording doesn't wait."""
         branch = self._branch
         return branch.result() if branch.state is State.SUCCEEDED else {"branch": branch.name}
 
-    @property  # type: ignore[misc]  # nobody assigns it
-    def __class__(self) -> type:  # isinstance() reads it after the type itself
+    @property  # type: ignore[misc]  # it is read-only
+    def __class__(self) -> type:  # isinstance() reads this attribute after the type
         return type(self._branch.result())
 
     def __repr__(self) -> str:
@@ -110,7 +109,7 @@ _FUNCTIONS: Final[dict[str, Callable[..., Result]]] = {
     **{function.__name__: function for function in (*_BUILTIN, copy.copy, copy.deepcopy, os.fspath)},
     "rdivmod": _reflected(divmod),
 }
-"""Functions of ``__add__``, ``__len__``, ..., applied to the result and to the results of other futures."""
+"""Functions behind ``__add__``, ``__len__`` and so on. They are applied to the results of futures."""
 
 
 def _operation(name: str, function: Callable[..., Result]) -> Callable[..., Result]:
@@ -126,20 +125,20 @@ for _name, _function in _FUNCTIONS.items():
 
 
 def is_future(value: object) -> bool:
-    """Return whether a value is a future; doesn't wait."""
+    """Return whether a value is a future, without waiting."""
     return issubclass(type(value), Future)
 
 
 def branch_of(value: object) -> Pending | None:
-    """Return the branch of a future, None for other values; doesn't wait."""
+    """Return the branch of a future without waiting; None for other values."""
     branch: Pending | None = object.__getattribute__(value, "_branch") if is_future(value) else None
     return branch
 
 
 def branches_in(value: object) -> Iterator[Pending]:
-    """Yield the branches of all futures in a value, nested in lists, tuples and dictionaries too; doesn't wait.
+    """Yield the branches of all futures in a value, also in nested lists, tuples and dictionaries, without waiting.
 
-    A caller that waits for each branch before taking the next one also gets the branches of futures in their results.
+    If the caller waits for each branch before the next one, it also gets the branches of futures in results.
     """
     queue = [value]
     seen = set()
@@ -155,7 +154,7 @@ def branches_in(value: object) -> Iterator[Pending]:
 
 
 def unwrap(value: Result) -> Result:
-    """Wait for a future's result and return it, or raise its branch's error; return other values unchanged."""
+    """Wait for a future's result and return it, or raise the branch's error; return other values unchanged."""
     while is_future(value):
         value = value.result()
     return value

@@ -1,15 +1,15 @@
-"""Orders of branches that are requested by name, as exploration does.
+"""Orders of branches that exploration requests.
 
 Branches have ranks, at first in the order in which they were added. The ready branch with the first rank runs until it
-waits or ends. A :class:`Precedence` is an exception: "branch 2 before branch 1 at its 3rd stop". Every order is ranks
-and exceptions, so a random order can be described, repeated, and simplified exception by exception.
+waits or ends. A :class:`Precedence` is an exception: "branch 2 before branch 1 at its 3rd stop". Ranks with exceptions
+can describe every order, so a random order can be repeated, and simplified exception by exception.
 
-Text of an order, on the command line and on record:
+The command line and records have an order as text:
 
-- ``added``: ranks without exceptions;
+- ``added``: ranks without exceptions.
 - ``added:2-1@3,1.2-1.1@0``: ranks with precedences. Branch 1.2 is the second branch that branch 1 began; 0 is the code
-  outside of all branches. Stop 0 is a branch's start, and each checkpoint and wait is another stop;
-- ``pct:17:3:120``: drawn by :class:`Pct`, with number 17 and depth 3 over 120 turns.
+  outside of all branches. Stop 0 is the start of a branch; each checkpoint and each wait is another stop.
+- ``pct:17:3:120``: :class:`Pct` draws the order, with number 17 and depth 3 over 120 turns.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from pycram.foundation.failures import BadArgument, UsageError
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping, Sequence
 
-#: A branch that takes this many turns in a row, for example because it polls, then lets all other branches run.
+#: If a branch takes this many turns in a row, for example because it polls, all other branches run next.
 MOST_IN_A_ROW: Final = 100
 ADDED: Final = "added"
 OUTSIDE: Final = "0"
@@ -40,29 +40,31 @@ class BlockedWait:
 
     branch: str  # name of the branch, or of the thread for code outside of branches
     line: str  # FILE:LINE of the plan's line that waits; "" if unknown
-    reason: str  # what it waits for; "" if unknown
-    depends_on: tuple[str, ...]  # names of the branches that could end it, or that last set what it waits for
+    reason: str  # what the branch waits for; "" if unknown
+    depends_on: tuple[str, ...]  # names of the branches that could end the wait, or that last set the awaited value
 
     def __str__(self) -> str:
         return f"{self.branch}{self.line and f' at {self.line}'}{self.reason and f' waits for {self.reason}'}"
 
 
 class DeadlockedBranches(UsageError):
-    """All branches wait, and nothing can wake one of them.
+    """All branches wait, and nothing can wake a branch.
 
-    It isn't raised while a wait may end otherwise: at a deadline, or by a thread or a signal handler of the plan.
+    It isn't raised if a deadline, or a thread or signal handler of the plan, may end a wait.
     """
 
     def __init__(self, waits: Sequence[BlockedWait]) -> None:
         self.waits = tuple(waits)
-        self.cycle = _cycle(waits)  # names of branches that wait for each other, the first also last; () for none
+        self.cycle = _cycle(
+            waits
+        )  # names of branches in a circle of waits; the first is also the last; () for none
         where = "; ".join(map(str, waits))
         cycle = f"; cycle: {' -> '.join(self.cycle)}" if self.cycle else ""
         super().__init__(f"deadlock: all branches wait, and nothing can wake them: {where}{cycle}")
 
     @property
     def waiting(self) -> dict[str, str]:
-        """FILE:LINE where each branch waits, by its name."""
+        """FILE:LINE where each branch waits, by the branch's name."""
         return {each.branch: each.line for each in self.waits}
 
 
@@ -71,7 +73,7 @@ def _cycle(waits: Sequence[BlockedWait]) -> tuple[str, ...]:
     for start in depends_on:
         paths: list[tuple[str, ...]] = [(start,)]
         seen = {start}
-        for path in paths:  # the loop appends to it
+        for path in paths:  # the body appends paths
             for name in depends_on.get(path[-1], ()):
                 if name == start:
                     return (*path, start)
@@ -85,11 +87,11 @@ export("pycram.failures", DeadlockedBranches)
 
 
 class Precedence(NamedTuple):
-    """A branch runs before another one that has the first rank, and stays ahead of it."""
+    """A rule by which one branch runs before another branch that has the first rank, and stays ahead of it."""
 
     branch: str  # number of the branch that runs first
     before: str  # number of the other branch
-    stop: int  # the stop of the other branch
+    stop: int  # stop of the other branch at which the rule applies
 
     def __str__(self) -> str:
         return f"{self.branch}-{self.before}@{self.stop}"
@@ -100,8 +102,8 @@ class BranchLine(NamedTuple):
 
     branch: str  # name of the branch, or of the thread for code outside of branches
     file: str  # "" if unknown
-    line: int  # the line with which the branch continues, or that added it if it hasn't begun
-    label: str = ""  # the branch's name for people, with its arguments; "" for the name
+    line: int  # the next line of the branch; the line that added the branch if it hasn't begun
+    label: str = ""  # the branch's name with its arguments, for people; "" for the name
 
 
 class AppliedPrecedence(NamedTuple):
@@ -110,7 +112,7 @@ class AppliedPrecedence(NamedTuple):
     precedence: Precedence
     first: BranchLine  # line of the branch that ran first
     second: BranchLine  # line of the other branch
-    #: Smaller precedences: the branch runs before each ready branch that it overtook, nearest in rank first.
+    #: Smaller precedences: the branch runs before each ready branch that it overtook; branches with near ranks first.
     passed: list[Precedence]
 
 
@@ -118,7 +120,7 @@ class Runnable(Protocol):
     """A branch or wait that can run next."""
 
     def plan_line(self) -> BranchLine:
-        """Return the plan's line at which it is."""
+        """Return the line of the plan that runs next."""
 
 
 @dataclass(slots=True, eq=False)
@@ -126,23 +128,22 @@ class Ranked:
     """A branch, or the code outside of all branches, in an order."""
 
     number: str  # "2" is the second branch that the code outside began, "2.1" the first branch that branch 2 began
-    stops: int = 0  # number of its checkpoints and waits so far
+    stops: int = 0  # number of its past checkpoints and waits
     begun: int = 0  # number of branches that it has begun
 
 
 class Pct:
     """Probabilistic concurrency testing: random priorities, which change at a few random moments.
 
-    A race of depth d needs d ordered pairs of steps. With n branches and k turns, a run finds a race of depth d or less
-    with a probability of at least 1 / (n k^(d-1)) (Burckhardt, Kothari, Musuvathi, Nagarakatte: A randomized scheduler
-    with probabilistic guarantees of finding bugs, ASPLOS 2010). The bound holds for runs of up to k turns, in which no
-    branch takes more than MOST_IN_A_ROW.
+    A race of depth d needs d ordered pairs of steps. With n branches and k turns or fewer, a run finds a race of depth
+    d or less with a probability of at least 1 / (n k^(d-1)) (Burckhardt, Kothari, Musuvathi, Nagarakatte: A randomized
+    scheduler with probabilistic guarantees of finding bugs, ASPLOS 2010), if no branch exceeds MOST_IN_A_ROW turns.
 
     Args:
         seed: The run's seed.
         number: Number of the draw.
-        depth: d; priorities change d - 1 times.
-        steps: k.
+        depth: The depth d; priorities change d - 1 times.
+        steps: The number k of turns.
     """
 
     def __init__(self, seed: int | None, number: int, depth: int, steps: int) -> None:
@@ -154,7 +155,7 @@ class Pct:
         self._priorities: dict[Ranked, float] = {}
 
     def choose(self, ready: Collection[Ranked]) -> Ranked:
-        """Return the branch with the highest priority."""
+        """Return the ready branch with the highest priority."""
         self._turns += 1
         for each in ready:
             if each not in self._priorities:
@@ -175,7 +176,7 @@ class Order:
     """Decides which branch of a thread runs next.
 
     Args:
-        draw: Chooses at random; None for the first in rank.
+        draw: Chooses branches at random; None to choose the branch with the first rank.
         precedences: Exceptions from the ranks.
     """
 
@@ -192,19 +193,19 @@ class Order:
         self._in_a_row = 0
 
     def begin(self, by: Ranked) -> Ranked:
-        """Return the rank of a new branch: the last one."""
+        """Return the rank of a new branch, which is the last rank."""
         by.begun += 1
         number = str(by.begun) if by is self.outside else f"{by.number}.{by.begun}"
         self._ranks.append(branch := Ranked(number))
         return branch
 
     def end(self, branch: Ranked) -> None:
-        """Remove a branch that has ended."""
+        """Remove the rank of a branch that has ended."""
         if branch in self._ranks:
             self._ranks.remove(branch)
 
     def choose(self, ready: Mapping[Ranked, Runnable]) -> Ranked:
-        """Return which of two or more branches runs next; they are given in the order in which they became ready."""
+        """Return which of two or more ready branches runs next; the branch that has been ready longest is first."""
         self.turns += 1
         top = next(each for each in self._ranks if each in ready)
         chosen = self._preceding(top, ready) if self._draw is None else self._draw.choose(ready.keys())
@@ -227,7 +228,7 @@ class Order:
         return chosen
 
     def _preceding(self, top: Ranked, ready: Collection[Ranked]) -> Ranked:
-        """Return the branch that a precedence puts before the first in rank; the earliest request counts."""
+        """Return the branch that a precedence puts before the branch with the first rank; early precedences count."""
         asked = self._asked.get((top.number, top.stops), ())
         while asked:
             number = asked.popleft()  # a branch that isn't ready loses its precedence
@@ -238,11 +239,9 @@ class Order:
 
 
 def order_of(text: str, seed: int | None) -> Order | None:
-    """Return a new order by its text; None for "", the scheduler's default order.
+    """Return a new order for its text, which the module describes; None for "", the scheduler's default order.
 
-    Args:
-        text: Text of an order, as in the module's description.
-        seed: The run's seed.
+    ``seed`` is the run's seed.
 
     Raises:
         BadArgument: The text isn't an order.
@@ -261,5 +260,5 @@ def order_of(text: str, seed: int | None) -> Order | None:
 
 
 def text_of(precedences: Iterable[Precedence]) -> str:
-    """Return the text of an order with precedences."""
+    """Return the text of an order of ranks with precedences."""
     return ":".join(filter(None, (ADDED, ",".join(map(str, precedences)))))

@@ -1,23 +1,18 @@
 """The scheduler of a thread: it chooses the branch that runs next, and wakes branches that wait.
 
-With a seed, the scheduler draws the next branch from all that are ready: the same seed gives the same order, in any
-process and under any load. Without a seed, the branch runs that has been ready longest. Orders that are requested by
-name are in :mod:`pycram.scheduling.order`.
+With a seed, the scheduler draws the next branch from all ready branches, so the same seed gives the same order. Without
+a seed, the branch that has been ready longest runs next. :mod:`pycram.scheduling.order` has other orders.
 
-A strike is an event from outside of this order: a deadline passes, or a worker ends. No seed determines its timing. The
-scheduler polls for strikes at checkpoints and when it chooses the next branch. Polls are numbered, and strikes of the
-main thread are recorded; a run that a recording guides has its strikes at the same polls. The sources of strikes are in
-:mod:`pycram.scheduling.strikes`.
+A strike is an event that no seed determines: a deadline passes, or a worker ends. The scheduler polls for strikes at
+checkpoints and when it chooses the next branch. Recordings have the polls with strikes, so that a guided run repeats
+them.
 
-A branch that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. If
-none is ready, the first patient wait resumes, such as a wait in simulated time. If there is none, the thread sleeps
-until another thread rings its bell or the first deadline passes. If neither can come, all branches are in a deadlock,
-and the code outside of them gets the error. That code takes turns, too.
+A branch that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. If no
+branch is ready, the first patient wait resumes, such as a wait in simulated time. Without a patient wait, the thread
+sleeps until another thread rings its bell or a deadline passes. If neither can happen, the branches are in a deadlock.
 
 A signal handler may raise an error between any two instructions, and a deep recursion may end in any call. Then the
-loop ends and the code outside of all branches gets the error. The next loop schedules all branches again.
-
-Locks of threads are held for a short time, and never across a checkpoint.
+loop ends, and the error is raised outside of all branches. The next loop schedules all branches again.
 """
 
 from __future__ import annotations
@@ -57,30 +52,30 @@ if TYPE_CHECKING:
     from recorder.tracing.call_stack import CallSite
 
 
-_BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  idents of threads that aren't the plan's
-#: Seconds until a signal is noticed that arrives just before the thread sleeps: Python doesn't wake it then.
+_BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  ids of threads that existed before the plan
+#: Seconds; Python doesn't wake a thread for a signal that arrives just before the thread sleeps.
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
 
-#: Returns what a wait waits for, words before the names of the branches that it depends on ("" if it names them), and
-#: these names; called only in a deadlock.
+#: A function that a deadlock calls. It returns the text of what a wait waits for, the names of the branches that the
+#: wait depends on, and between them the words before these names ("" if the text contains the names).
 Reason: TypeAlias = "Callable[[], tuple[str, str, Collection[str]]]"
 
 
 def unknown_reason() -> tuple[str, str, Collection[str]]:
-    """Return that it isn't known what a wait waits for."""
+    """Return the reason of a wait that gives no reason."""
     return "", "", ()
 
 
 class Waiter:
-    """A wait, in a branch or outside of all branches; its conditions wake it until its ``with`` block ends.
+    """A wait of a branch, or of code outside of all branches.
 
     Args:
-        sources: The conditions that wake it.
-        patience: For a patient wait, which resumes when nothing else of its thread is ready: whether it may resume now.
-        last: Whether it resumes only if no other patient wait may resume.
-        reason: What it waits for.
+        sources: The conditions that wake the wait during its ``with`` block.
+        patience: Returns whether a patient wait may resume now; a patient wait resumes when nothing else is ready.
+        last: Whether other patient waits resume before this one.
+        reason: Explains the wait in a deadlock.
     """
 
     __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "last", "parked", "patience", "reason", "undisturbed")
@@ -99,32 +94,32 @@ class Waiter:
         self.branch = self._scheduler.running  # None outside of all branches
         self.patience, self.last = patience, last
         self.reason = reason
-        self.parked = False  # whether it sleeps
-        self.undisturbed = False  # whether it resumed because nothing else was ready
+        self.parked = False  # whether the wait sleeps
+        self.undisturbed = False  # whether the wait resumed because nothing else was ready
 
     def wake(self) -> None:
-        """Schedule the wait to check its predicate again; from any thread."""
+        """Make the wait check its predicate again; any thread may call this."""
         self._scheduler.add(self)
 
     def resume(self) -> None:
-        """Switch to the waiting code; called by the scheduler's loop."""
+        """Switch to the waiting code; only the scheduler's loop calls this."""
         self._greenlet.switch()
 
     @property
     def ended(self) -> bool:
-        """Whether the code that waited has ended."""
+        """Whether the waiting code has ended."""
         return self._greenlet.dead
 
     def fail(self, error: BaseException) -> None:
-        """Switch to the waiting code, which raises an error."""
+        """Switch to the waiting code, and raise an error there."""
         self._greenlet.throw(error)
 
     def plan_line(self) -> BranchLine:
-        """Return the plan's line that waits."""
+        """Return the waiting line of the plan."""
         return _plan_line(self.branch, self._greenlet)
 
     def sleep(self) -> bool:
-        """Yield until woken, perhaps spuriously; return whether a patient wait resumes: nothing else is ready."""
+        """Yield until something wakes the wait. Return whether a patient wait resumes because nothing else is ready."""
         self._scheduler.park(self)
         return self.undisturbed
 
@@ -160,20 +155,19 @@ class _Branch:
 
     @property
     def branch(self) -> _Branch:
-        """The branch itself: the schedule takes waits and branches."""
+        """The branch itself; waits have the same property."""
         return self
 
     def plan_line(self) -> BranchLine:
-        """Return the plan's line that waits, or that added the branch before it starts."""
+        """Return the waiting line of the plan; the line that added the branch before the branch starts."""
         return _plan_line(self, self._greenlet)
 
     @property
     def ended(self) -> bool:
-        """Whether the branch has ended."""
         return self._started and self._greenlet is not None and self._greenlet.dead
 
     def resume(self) -> None:
-        """Start the branch or switch to it; called by the scheduler's loop."""
+        """Start or resume the branch; only the scheduler's loop calls this."""
         if not self._started or self._greenlet is None:
             self._greenlet = greenlet(self._run)
             self._greenlet.gr_context = self.context
@@ -199,7 +193,7 @@ def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine
     if suspended is not None:
         innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  as inspect has it
     lines = [(recorded_file(frame.f_code.co_filename), frame.f_lineno) for frame in plan_frames(innermost)]
-    if branch is not None:  # the line in the file that added it, which tells more than a helper's
+    if branch is not None:  # prefer a line of the file that added the branch to a line of a helper function
         site = next((line for line in lines if line[0] == branch.site[0]), branch.site)
         return BranchLine(branch.name, *site, branch.label())
     outermost = lines[-1][0] if lines else ""
@@ -232,13 +226,13 @@ _order = ""
 
 
 def seed_order(seed: int | None, order: str = "") -> None:
-    """Draw the order of branches from a seed from now on, in this thread and in threads that start later.
+    """Draw the order of branches from a seed, in this thread and in threads that start later.
 
     Args:
-        seed: None for the order in which branches became ready.
+        seed: None to run the branch that has been ready longest.
         order: Another order, as text of :mod:`pycram.scheduling.order`; raises BadArgument if it isn't an order.
     """
-    global _seed, _order  # seed of the run: a process has one run
+    global _seed, _order  # a process runs one plan
     order_of(order, seed)
     _seed, _order = seed, order
     scheduler().draw_from(seed, order)
@@ -253,54 +247,54 @@ class Condition:
     """A condition that branches and threads wait for; see :func:`pycram.scheduling.cancellation.wait`."""
 
     def __init__(self) -> None:
-        self.waiters: dict[Waiter, None] = {}  # present waits, in order of arrival
+        self.waiters: dict[Waiter, None] = {}  # present waits; the longest wait is first
 
     def notify_all(self) -> None:
-        """Wake all waits to check their predicates again; called after the change, from any thread."""
+        """Wake all waits after a change, so that they check their predicates again; any thread may call this."""
         for waiter in list(self.waiters):
             waiter.wake()
 
 
-#: Returns the recorded strikes of a poll by its number; None after the end of the recording.
+#: Returns the recorded strikes of a poll for its number; None after the end of the recording.
 RecordedStrikes: TypeAlias = "Callable[[int], Collection[int] | None]"
 
 
 class Scheduler:
-    """Lets the branches of one thread take turns."""
+    """Makes the branches of one thread take turns."""
 
     order: Order | None
-    """The requested order; None for the default one."""
+    """The requested order; None for the default order."""
 
     def __init__(self) -> None:
-        self.branches: dict[_Branch, None] = {}  # branches that haven't ended, in the order in which they were added
+        self.branches: dict[_Branch, None] = {}  # branches that haven't ended; the first was added first
         self.joining = False  # whether the code outside of all branches waits for their ends after Ctrl-C
-        self.checkpoints = 0  # number of checkpoints in this thread
+        self.checkpoints = 0  # number of past checkpoints of this thread
         self.running: _Branch | None = None  # None while the code outside of all branches runs
-        self.failing: dict[_Branch | None, BaseException] = {}  # errors that branches raise at their next checkpoints
+        self.failing: dict[_Branch | None, BaseException] = {}  # errors for the next checkpoints of branches
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.draw_from(_seed, _order)
         self._parked: dict[Waiter, None] = {}  # waits that sleep
-        self._deadlocked = False  # whether the code outside of the present branches has had the error of a deadlock
-        self.patient: dict[Waiter, None] = {}  # patient waits, in order of arrival
-        self._first: Waiter | None = None  # runs next, before all that are ready
-        self.strike_sources: dict[StrikeSource, None] = {}  # polled in this order
-        self.polls = 0  # number of polls
+        self._deadlocked = False  # whether the error of a deadlock was raised outside of the present branches
+        self.patient: dict[Waiter, None] = {}  # patient waits; the longest wait is first
+        self._first: Waiter | None = None  # this wait resumes before all that is ready
+        self.strike_sources: dict[StrikeSource, None] = {}  # sources in the order of polling
+        self.polls = 0  # number of past polls
         self.recorded_strikes: RecordedStrikes | None = None  # None if no recording guides this thread
         self._bell = _thread.allocate_lock()
         self._bell.acquire()
         self._loop: greenlet | None = None
-        self._outside: Waiter | None = None  # the code outside of all branches, while a branch runs
+        self._outside: Waiter | None = None  # the wait of the code outside of all branches, while a branch runs
 
     def draw_from(self, seed: int | None, order: str = "") -> None:
         """Set the order of branches; see :func:`seed_order`."""
         self._dice = None if seed is None else random.Random(f"order {seed}")  # separate from the plan's random numbers
         self.order = order_of(order, seed)
         for ready in list(self._ready):
-            if isinstance(ready, Waiter) and not ready.parked:  # a wait that has ended
+            if isinstance(ready, Waiter) and not ready.parked:  # the wait has ended
                 self.forget(ready)
 
     def continue_order(self, other: Scheduler) -> None:
-        """Continue the order of another scheduler, which this process doesn't use any more."""
+        """Continue the order of another scheduler, which isn't used any more."""
         self.checkpoints = other.checkpoints
         self._dice = copy(other._dice)
         self.order = other.order
@@ -316,7 +310,7 @@ class Scheduler:
         site: CallSite = ("", 0),
         label: Callable[[], str] = str,
     ) -> None:
-        """Schedule a new branch; after an error it isn't scheduled. May be called from any thread.
+        """Schedule a new branch; any thread may call this. An error leaves no branch.
 
         Args:
             name: Name in records.
@@ -324,7 +318,7 @@ class Scheduler:
             action: Runs the branch. It handles the branch's errors; an error that it raises ends the scheduler's loop.
             failed: Called first with an error that ``action`` raises.
             site: The plan's line that adds the branch.
-            label: Returns its name for people, with its arguments; "" for the name in records.
+            label: Returns the branch's name with its arguments, for people; "" for the name in records.
         """
         branch = _Branch(self, name, context, action, failed, site, label)
         if self.order is not None:
@@ -338,30 +332,30 @@ class Scheduler:
             raise
 
     def add(self, ready: Ready) -> None:
-        """Append a branch or wait to the ready ones, if it isn't among them; from any thread."""
+        """Make a branch or a wait ready; any thread may call this."""
         self._ready[ready] = None
         self.ring()
 
     def forget(self, ended: Waiter) -> None:
-        """Remove a wait that has ended from the ready ones."""
+        """Remove an ended wait from the ready waits."""
         self._ready.pop(ended, None)
 
     def ring(self) -> None:
-        """Wake the thread if it sleeps; from any thread, and from signal handlers."""
-        if self._bell.locked():  # otherwise the bell has rung already
-            with suppress(RuntimeError):  # another thread has just rung it
+        """Wake the thread if it sleeps; any thread and signal handlers may call this."""
+        if self._bell.locked():  # otherwise the thread is awake
+            with suppress(RuntimeError):  # another thread has just released the bell
                 self._bell.release()
 
     def fail_later(self, error: BaseException) -> None:
-        """Let the running branch raise an error at its next checkpoint, or at its end; an earlier error comes first."""
+        """Raise an error at the running branch's next checkpoint or end; an earlier error takes precedence."""
         self.failing.setdefault(self.running, error)
 
     def take_failure(self) -> BaseException | None:
-        """Return the error that the running branch has to raise, and forget it."""
+        """Return and forget the error that the running branch must raise."""
         return self.failing.pop(self.running, None)
 
     def yield_turn(self) -> None:
-        """Let the other branches that are ready run first; outside of all branches, raise a deferred Ctrl-C."""
+        """Run the other ready branches first; outside of all branches, raise a deferred Ctrl-C."""
         refuse_held()
         if interrupts.is_pending() and self._is_outside() and not self.joining:
             interrupts.raise_pending()
@@ -372,11 +366,11 @@ class Scheduler:
                 waiter.wake()
                 waiter.sleep()
                 return
-        if self.order is not None:  # in another order, others might have run here
+        if self.order is not None:  # another order might run other branches here
             self._ranked(self.order).stops += 1
 
     def park(self, waiter: Waiter) -> None:
-        """Run other branches until the waiter is woken; see :meth:`Waiter.sleep`."""
+        """Run other branches until something wakes the waiter; see :meth:`Waiter.sleep`."""
         refuse_held()
         if self.order is not None:
             self._ranked(self.order).stops += 1
@@ -402,7 +396,7 @@ class Scheduler:
             interrupts.raise_pending()
 
     def leave(self, branch: _Branch) -> None:
-        """Let a branch that ends return to the present loop: an error may have ended the loop that started it."""
+        """Return from an ended branch to the present loop; the loop that started the branch may have ended."""
         if self._loop is not None:
             getcurrent().parent = self._loop
         self.branches.pop(branch, None)
@@ -410,11 +404,10 @@ class Scheduler:
             self.order.end(branch.ranked)
 
     def _ranked(self, order: Order) -> Ranked:
-        """Return the running code's rank in an order."""
         return order.outside if self.running is None or self.running.ranked is None else self.running.ranked
 
     def suspended(self) -> Iterator[tuple[FrameType, Context]]:
-        """Yield innermost frames and contexts of suspended code: of branches, and of the code outside of them."""
+        """Yield the innermost frames and contexts of all branches, and of the code outside of them, if suspended."""
         waiting = [branch._greenlet for branch in self.branches]  # noqa: SLF001  same module
         if self._loop is not None:
             waiting.append(self._loop.parent)
@@ -423,11 +416,9 @@ class Scheduler:
                 yield each.gr_frame, each.gr_context
 
     def _is_outside(self) -> bool:
-        """Return whether the running code is outside of all branches."""
         return not self._loop or getcurrent() is self._loop.parent
 
     def _run(self) -> None:
-        """Run branches as long as there are any."""
         try:
             slept = False
             while self.branches:
@@ -449,7 +440,7 @@ class Scheduler:
                     self._sleep()
                     slept = True
                     continue
-                self.running = chosen.branch if not chosen.ended else None  # the code outside may run then
+                self.running = chosen.branch if not chosen.ended else None  # an ended branch resumes the code outside
                 chosen.resume()
             self._deadlocked = False
         finally:
@@ -458,7 +449,7 @@ class Scheduler:
             self.running = None
 
     def _next_patient(self) -> Waiter | None:
-        """Return the first patient wait that may resume, because nothing is ready."""
+        """Return the first patient wait that may resume when nothing is ready."""
         for waiter in sorted(self.patient, key=lambda each: each.last):
             if waiter.parked and waiter.patience is not None and waiter.patience():
                 waiter.undisturbed = True
@@ -466,12 +457,12 @@ class Scheduler:
         return None
 
     def is_awaited(self) -> bool:
-        """Return whether something is ready, or a Ctrl-C waits for the next checkpoint, while a patient wait runs."""
+        """Return whether something is ready or a Ctrl-C waits for the next checkpoint; a patient wait then returns."""
         self.poll()
         return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
 
     def _resume_all(self) -> None:
-        """Schedule all branches that an error has interrupted: it may have lost the next one, or a wake-up."""
+        """Schedule all branches, because an error has interrupted the loop and may have lost a wake-up."""
         for branch in list(self.branches):
             if branch.ended:
                 self.branches.pop(branch, None)
@@ -486,33 +477,33 @@ class Scheduler:
             self._sleep()
             self.poll(again=True)
         for ready in list(self._ready):
-            if isinstance(ready, Waiter):  # the waiting code checks its predicate anyway
+            if isinstance(ready, Waiter):  # the waiting code checks its predicate next
                 self._ready.pop(ready, None)
 
     def _sleep(self) -> None:
         """Block the thread until the bell rings or a deadline passes."""
         first = min((each.end for each in self.strike_sources if not each.struck), default=math.inf)
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
-            if first <= time.monotonic() or self.patient:  # otherwise Python has called signal handlers
+            if first <= time.monotonic() or self.patient:  # else a signal handler has run, and the thread sleeps again
                 break
 
     def awaits_strike(self) -> bool:
-        """Return whether a deadline of the clock or a worker will wake a wait."""
+        """Return whether a deadline in wall-clock time, or a worker, will wake a wait."""
         return any(not each.struck for each in self.strike_sources)
 
     def can_be_woken(self) -> bool:
         """Return whether a deadline, a thread or a signal handler of the plan may wake a wait of this thread.
 
-        A thread of native code isn't known before it has run Python.
+        A thread of native code is unknown until it runs Python.
         """
         if self.awaits_strike() or threads_of_plan() or interrupts.has_handlers():
             return True
-        return not self._bell.locked()  # last: a thread may have rung it before it ended
+        return not self._bell.locked()  # after the other checks: a thread may ring the bell and end
 
     def _fail_deadlocked(self) -> None:
-        """Raise DeadlockedBranches outside of the branches, or in one of them if that didn't end their waits.
+        """Raise DeadlockedBranches outside of the branches; if that didn't end the waits, raise it in a branch.
 
-        The first error cancels the branches. Then only their cleanup code can wait.
+        The first error cancels the branches, so only their cleanup code can wait afterwards.
         """
         error = DeadlockedBranches(self._blocked())
         inside = next((each for each in self._parked if each.branch is not None), None)
@@ -523,7 +514,7 @@ class Scheduler:
         inside.fail(error)
 
     def _blocked(self) -> list[BlockedWait]:
-        """Return the waits of all branches, and of the code outside unless it only waits for these branches."""
+        """Return the waits of all branches, and of the code outside unless it waits only for these branches."""
         waits = {each.branch: each for each in self._parked}
         names = {each.name: each.label() or each.name for each in self.branches}
         blocked: list[BlockedWait] = []
@@ -541,8 +532,7 @@ class Scheduler:
     def poll(self, *, again: bool = False) -> None:
         """Poll the sources of strikes, and notify the waits of each source that strikes.
 
-        Args:
-            again: Whether the thread only slept since the last poll; both count as one.
+        With ``again``, the thread has only slept since the last poll; both polls have one number.
         """
         waiting = [each for each in self.strike_sources if not each.struck]
         if not waiting:
@@ -561,11 +551,11 @@ class Scheduler:
             journal.strike(self.polls, struck)
 
     def defers(self, frame: FrameType) -> bool:
-        """Return whether a Ctrl-C that arrives in this frame has to wait for the next checkpoint."""
+        """Return whether a Ctrl-C that arrives in this frame must wait for the next checkpoint."""
         return not self._is_outside() or _in_own_code(frame)
 
     def interrupt(self) -> None:
-        """Handle a deferred Ctrl-C: the code outside of all branches runs next, and raises it."""
+        """Handle a deferred Ctrl-C: the code outside of all branches runs next and raises KeyboardInterrupt."""
         if self.branches and (self.joining or interrupts.is_pending()) and sys.stderr is not None:
             names = ", ".join(branch.name for branch in list(self.branches))
             sys.stderr.write(f"waiting for {names} to reach the next action; Ctrl-\\ ends the process immediately\n")
@@ -576,7 +566,7 @@ class Scheduler:
 
 
 def _in_own_code(frame: FrameType) -> bool:
-    """Return whether a frame of the plan language or the scheduler was called by the innermost frame of the plan."""
+    """Return whether PyCRAM's language or scheduler runs in a frame, rather than the plan's own code."""
     plan = plan_frame(frame)[0]
     current: FrameType | None = frame
     while current is not None and current is not plan:
@@ -587,11 +577,11 @@ def _in_own_code(frame: FrameType) -> bool:
 
 
 def threads_of_plan() -> bool:
-    """Return whether another thread may run the plan's code, also one that the threading module doesn't know."""
+    """Return whether another thread may run the plan's code; the threading module doesn't know all threads."""
     if forking.others():
         return True
     known = {thread.ident for thread in threading.enumerate()}
-    return bool(sys._current_frames().keys() - known - _BEFORE)  # noqa: SLF001  no other function knows them
+    return bool(sys._current_frames().keys() - known - _BEFORE)  # noqa: SLF001  only this function returns all threads
 
 
 class _Local(threading.local):
@@ -611,10 +601,7 @@ journal.looks = lambda: scheduler().polls
 
 
 def schedule_alone() -> None:
-    """Give this thread a new scheduler without branches, in a forked child.
-
-    The running code is outside of all branches then, and the order continues.
-    """
+    """Give this thread of a forked child a new scheduler without branches, which continues the order."""
     before, _local.scheduler = _local.scheduler, Scheduler()
     _local.scheduler.continue_order(before)
 
@@ -623,29 +610,29 @@ def schedule_alone() -> None:
 
 
 class LockHeld(UsageError):
-    """A branch waits or yields while it holds a lock: other branches of its thread would hold the lock too."""
+    """A branch waits or yields while it holds a lock, which the other branches of its thread would also hold."""
 
     def __init__(self) -> None:
         super().__init__("a branch must not wait or perform a motion while it holds the lock of a world or of fluents")
 
 
 class _Held(threading.local):
-    count = 0  # number of locks that the thread holds
+    count = 0  # number of locks that this thread holds
 
 
 _held: Final = _Held()
-_shared: Final[list[Callable[[], bool]]] = []  # for each shared lock, whether the thread holds it
+_shared: Final[list[Callable[[], bool]]] = []  # functions that return whether this thread holds a shared lock
 
 
 def shared_lock() -> threading.RLock:
-    """Return a lock of the whole process, which is never freed; entering it takes a fifth of a Lock's time."""
+    """Return a lock that exists until the process ends; entering it takes a fifth of a Lock's time."""
     lock = threading.RLock()
     _shared.append(lock._is_owned)  # type: ignore[attr-defined]  # noqa: SLF001  as threading.Condition does
     return lock
 
 
 class Lock:
-    """A re-entrant lock, as a context manager; the locks that a thread holds are counted."""
+    """A re-entrant lock as a context manager; each thread counts the locks that it holds."""
 
     __slots__ = ("_lock",)
 
@@ -662,7 +649,6 @@ class Lock:
         _held.count += 1
 
     def _try(self) -> bool:
-        """Acquire the lock unless another thread holds it; return whether it was acquired."""
         acquired = self._lock.acquire(blocking=False)
         _held.count += acquired
         return acquired
@@ -675,7 +661,7 @@ class Lock:
 
 
 def is_held() -> bool:
-    """Return whether the thread holds a lock."""
+    """Return whether this thread holds a lock."""
     if _held.count:
         return True
     for is_owned in _shared:  # noqa: SIM110  any() takes three times as long
@@ -685,6 +671,6 @@ def is_held() -> bool:
 
 
 def refuse_held() -> None:
-    """Raise LockHeld if the thread holds a lock; called wherever a branch may yield."""
+    """Raise LockHeld if this thread holds a lock; called before a branch may yield."""
     if is_held():
         raise refused(LockHeld(), "wait", {})

@@ -1,4 +1,4 @@
-"""Strikes: deadlines, and ends of workers. The scheduler polls for them at checkpoints; see :mod:`.schedule`."""
+"""Strikes: ends of deadlines and of workers. The scheduler polls for them at checkpoints; see :mod:`.schedule`."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
 
 
 class Clock(Protocol):
-    """Simulated time that a wait lets pass when nothing else of its thread is ready."""
+    """A simulated clock, which a wait lets run when nothing else of its thread is ready."""
 
     def may_pass(self) -> bool:
-        """Return whether it may pass now."""
+        """Return whether simulated time may pass now."""
 
     def let_pass(self) -> None:
-        """Let it pass until something is ready."""
+        """Let simulated time pass until something is ready."""
 
 
 class Limit(Condition, ABC):
-    """A deadline of a part of the plan; notified when it comes."""
+    """A deadline of a part of the plan, which notifies waits when it comes."""
 
     clock: Clock | None = None
-    """The simulated time that the waits before it let pass; None for a deadline in wall-clock time."""
+    """The simulated clock of the deadline; None for wall-clock time."""
 
     @property
     @abstractmethod
     def has_come(self) -> bool:
-        """Whether the deadline is now, or has passed."""
+        """Whether the deadline is now or has passed."""
 
     @property
     @abstractmethod
@@ -43,31 +43,31 @@ class Limit(Condition, ABC):
 
 
 class StrikeSource(Condition):
-    """A source of a strike: a clock or a worker, which the scheduler polls in a ``with`` block.
+    """A deadline or a worker that the scheduler polls during a ``with`` block.
 
     Args:
-        end: Time of time.monotonic() at which it strikes by itself; infinity if unknown.
+        end: Value of ``time.monotonic()`` at which it strikes; infinity if unknown.
     """
 
     def __init__(self, end: float = math.inf) -> None:
         super().__init__()
-        self.struck = False  # whether its thread has seen the strike
+        self.struck = False  # whether the scheduler has seen the strike
         self.end = end
         self._scheduler = scheduler()
 
     def is_due(self) -> bool:
-        """Return whether it strikes now."""
+        """Return whether the strike has come."""
         return self.end <= time.monotonic()
 
     def await_due(self) -> None:
-        """Block the thread until the strike that the recording has here can come; a deadline can always strike."""
+        """Block the thread until the recorded strike can come; a deadline can always strike."""
 
     @property
     def has_come(self) -> bool:
-        """Whether it has struck by now."""
+        """Whether the strike has come."""
         if self.struck:
             return True
-        if self._scheduler is not scheduler():  # in another thread or a forked child
+        if self._scheduler is not scheduler():  # this is another thread or a forked child
             return self.is_due()
         self._scheduler.poll()
         return self.struck
@@ -81,7 +81,7 @@ class StrikeSource(Condition):
 
 
 class Deadline(StrikeSource, Limit):
-    """A deadline of the clock, in seconds from now."""
+    """A deadline in wall-clock time, in seconds from now."""
 
     def __init__(self, seconds: float) -> None:
         super().__init__(time.monotonic() + seconds)
@@ -95,12 +95,12 @@ class Deadline(StrikeSource, Limit):
 def guide_strikes(recorded: RecordedStrikes, polls: int) -> None:
     """Make strikes come at the same polls of this thread as in a recorded run.
 
-    If the thread sleeps and the recording has no strike, strikes come by themselves: in the recorded run a signal or
-    another thread woke it, or the plan has changed.
+    If the recording has no strike for a sleeping thread, strikes come by themselves: a signal or another thread woke
+    the recorded thread, or the plan has changed.
 
     Args:
-        recorded: The recorded strikes, by the recorded run's numbers of polls.
-        polls: Number of polls that the recorded run had made by now.
+        recorded: The recorded strikes by the recorded run's poll numbers.
+        polls: Number of polls before this moment in the recorded run.
     """
     thread = scheduler()
     difference = polls - thread.polls

@@ -24,7 +24,6 @@ class _WorkerEnd(StrikeSource):
         self._set = threading.Event()
 
     def set(self) -> None:
-        """Signal the end, from the worker."""
         self._set.set()
         self._scheduler.ring()
 
@@ -36,16 +35,16 @@ class _WorkerEnd(StrikeSource):
 
 
 def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-    """Call a function in a worker thread, in the branch's context, while other branches run; return its result.
+    """Call a function in a worker thread while other branches run, and return its result.
 
-    Use it for calls that block outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, a long
-    calculation that releases the interpreter lock. The call is recorded as a task, with its result and the checkpoint
-    of the plan at which it returned. A cancelled branch stops only when the function has returned: give the function a
-    timeout. Changes that it makes in a world have no fixed place in the plan's order.
+    Use it for calls that block outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, or a long
+    calculation that releases the interpreter lock. The function runs in the branch's context. Its call is recorded as
+    a task. A cancelled branch waits until the function has returned, so the function should have a timeout. Changes of
+    a world by the function have no fixed place in the plan's order.
 
     Raises:
         BaseException: Any error of the function.
-        Cancelled: The branch was cancelled meanwhile.
+        Cancelled: The branch was cancelled during the call.
         LockHeld: The caller holds a lock.
     """
     refuse_held()
@@ -61,7 +60,7 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
 
     name = f"{current_name()} {getattr(function, '__name__', 'function')}"
     task = span("in-thread", getattr(function, "__name__", "function"))
-    # A daemon: only Ctrl-C outside of all branches abandons it, and then the process may end.
+    # A daemon thread doesn't keep the process alive when Ctrl-C, outside of all branches, abandons the call.
     with task, _WorkerEnd() as ended:
         threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True).start()
         join(ended, lambda: ended.struck)
@@ -73,4 +72,4 @@ def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) 
             task.result = results[0]
             return results[0]
         finally:
-            errors.clear()  # the error's traceback refers to this frame
+            errors.clear()  # the error's traceback would keep this frame alive
