@@ -55,9 +55,7 @@ class DeadlockedBranches(UsageError):
 
     def __init__(self, waits: Sequence[BlockedWait]) -> None:
         self.waits = tuple(waits)
-        self.cycle = _cycle(
-            waits
-        )  # names of branches in a circle of waits; the first is also the last; () for none
+        self.cycle = _cycle(waits)  # names of branches in a circle of waits; the first is also the last; () for none
         where = "; ".join(map(str, waits))
         cycle = f"; cycle: {' -> '.join(self.cycle)}" if self.cycle else ""
         super().__init__(f"deadlock: all branches wait, and nothing can wake them: {where}{cycle}")
