@@ -1,4 +1,4 @@
-"""Bodies in the engine, their states and contacts: PyBullet's ids and indices by the names of the URDF."""
+"""Bodies in the engine, with their states and contacts; they map names of the URDF to PyBullet's ids and indices."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Pose, Vector
 
-_SUPPORT_SLOPE: Final = 0.5  # least upward part of a unit normal: contacts steeper than 60 degrees support nothing
+_SUPPORT_SLOPE: Final = 0.5  # minimum z of a contact's unit normal; steeper contacts than 60 degrees support nothing
 
 
 @dataclass(frozen=True, slots=True)
 class MovableJoint:
-    """A movable joint."""
+    """A movable joint of a body."""
 
     name: str
     index: int  # PyBullet's index
@@ -27,23 +27,23 @@ class MovableJoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadedBody:
-    """A loaded body."""
+    """A body in the engine."""
 
-    id: int  # PyBullet's id; reused after removal
-    links: Mapping[str, int]  # index by name; the base link is -1
+    id: int  # PyBullet's id, which may be used again after removal
+    links: Mapping[str, int]  # indices of links by name; the base link has -1
     joints: Mapping[str, MovableJoint]  # movable joints by name
     offset: Pose | None  # pose of the base's centre of mass in the base link's frame; None if they coincide
     indices: tuple[int, ...]  # indices of the movable joints, in order
     gain: float  # share of a joint's error that its motor corrects in a step
-    forces: Mapping[str, float]  # largest forces of the motors, N m or N, by joint
+    forces: Mapping[str, float]  # largest forces of the motors by joint, N m or N
     targets: dict[str, float] = field(default_factory=dict)  # positions that the motors hold, by joint
 
 
 class Snapshot(NamedTuple):
-    """State of a body at one moment."""
+    """The state of a body at one moment."""
 
     pose: Pose  # pose of the base link in the world: position in m, orientation xyzw
-    velocity: tuple[float, ...]  # linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers
+    velocity: tuple[float, ...]  # linear (m/s) and angular (rad/s) velocity of the base's centre of mass, 6 values
     positions: tuple[float, ...]  # positions of the movable joints in order, rad or m
     velocities: tuple[float, ...]  # velocities of the movable joints in order, rad/s or m/s
 
@@ -53,9 +53,9 @@ class ClosestPoint(NamedTuple):
 
     link_a: str  # link of the first body
     link_b: str  # link of the second body
-    position: Vector  # position on the second body, world frame, m
-    normal: Vector  # unit vector from b to a
-    distance: float  # m, negative inside
+    position: Vector  # point on the second body, world frame, m
+    normal: Vector  # unit vector from the second body to the first body
+    distance: float  # m; negative if the links overlap
     force: float  # N along the normal in the last step; 0 without a step
 
     @property
@@ -65,11 +65,11 @@ class ClosestPoint(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """A point at which a body touched another one in the last step."""
+    """A point where a body touched another body in the last step."""
 
     link: int  # index of the body's link
     other: int  # id of the other body
     other_link: int  # index of the other body's link
-    position: Vector  # position on the other body, world frame, m
-    normal: Vector  # unit vector from the other body to this one
+    position: Vector  # point on the other body, world frame, m
+    normal: Vector  # unit vector from the other body to this body
     force: float  # N along the normal

@@ -1,9 +1,7 @@
 """A physics client: the only module that calls PyBullet.
 
-Its callers use names of bodies, links and joints, and poses of link frames as in the URDF; ids, indices and inertial
-frames stay in here. PyBullet doesn't check arguments (NaN, dead ids, meshes without shape), so callers check first.
-
-Simulation repeats bit for bit: overlapping pairs are ordered, all other settings are PyBullet's defaults.
+Its functions take names of bodies, links and joints, and poses of link frames as in the URDF. PyBullet doesn't check
+arguments, so callers check them. Overlapping pairs are ordered, so simulations repeat bit for bit.
 """
 
 from __future__ import annotations
@@ -33,7 +31,7 @@ if TYPE_CHECKING:
 
     from pycram.physics.loading import Loading
 
-with needed(), silenced(1, 2):  # it prints its build time
+with needed(), silenced(1, 2):  # PyBullet prints its build time
     import pybullet as bullet
 
 if len(list(Path(bullet.__file__).parent.glob("pybullet*-*.dist-info"))) > 1:
@@ -45,25 +43,25 @@ if len(list(Path(bullet.__file__).parent.glob("pybullet*-*.dist-info"))) > 1:
 
 __all__ = ["Engine", "bullet", "decompose"]
 
-# Groups of the collision filter, bits of a mask. A pair collides if the mask of either body has the other's group, so
-# both masks have to leave it out.
+# Bits of the collision filter. Two bodies collide if the mask of either body has the group of the other body. So both
+# masks must exclude a pair that doesn't collide.
 _DYNAMIC_GROUP: Final = 1
 _STATIC_GROUP: Final = 2
 _HELD_GROUP: Final = 32
 _ROBOT_GROUP: Final = 64
 _ALL: Final = -1
 
-_BUTTON: Final = 2  # a mouse event's kind: a button was pressed or released
+_BUTTON: Final = 2  # kind of a mouse event: a button was pressed or released
 
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
-_NEXT_TO_NOTHING: Final = 1e-9  # m, replaces a distance of exactly 0
-_FAR: Final = 1e4  # m, where PyBullet's vectors of the picture reach
+_NEXT_TO_NOTHING: Final = 1e-9  # m, used for a distance of exactly 0
+_FAR: Final = 1e4  # m, length of PyBullet's vectors for the picture
 
 
 def decompose(source: Path, target: Path) -> None:
-    """Split a concave OBJ mesh into convex pieces with V-HACD; the target gets one group per piece."""
-    journal.flush()  # takes seconds
+    """Split a concave OBJ mesh into convex pieces with V-HACD; the target has a group for each piece."""
+    journal.flush()  # V-HACD takes seconds
     with silenced(1):
         bullet.vhacd(str(source), str(target), str(target.with_suffix(".log")), resolution=200_000)
 
@@ -74,7 +72,7 @@ class Engine:
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
         self._grip: tuple[int, int] | None = None  # body and link that the mouse drags
-        #: The state of each body by its id, or an empty list. Lists are replaced: another thread may be filling one.
+        #: States of bodies by id: a list of one state, or an empty list. Threads share these lists.
         self._known: dict[int, list[Snapshot]] = {}
         if window:
             with silenced(1):
@@ -104,22 +102,21 @@ class Engine:
 
         Args:
             pose: Pose of the base link in the world.
-            fixed: Whether the base is fixed to the world.
             robot: Whether the links pass through objects that a robot holds.
-            start: Positions of joints in rad or m by name; 0 by default.
+            start: Positions of joints in rad or m by name; other joints start at 0.
 
         Raises:
             AssetError: PyBullet rejects the file.
         """
         c = self._client
         flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
-        if not self._window:  # pictures are drawn from the model itself
+        if not self._window:  # cameras render the model's own meshes
             flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
-        journal.flush()  # loading takes up to 90 ms; a process that is killed meanwhile writes nothing
+        journal.flush()  # loading takes up to 90 ms, in which a killed process writes nothing
         try:
             number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
-        except bullet.error as error:  # the model of a damaged recording may pass all checks
-            raise AssetError(str(urdf), f"PyBullet rejects it: {error}") from error
+        except bullet.error as error:  # a damaged recording's model may pass all checks
+            raise AssetError(str(urdf), f"PyBullet rejects the model: {error}") from error
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
         joints = {}
@@ -156,7 +153,6 @@ class Engine:
         return body
 
     def _loads(self, number: int, parents: Sequence[int]) -> list[Load]:
-        """Return the loads of the joints of a body that has just been loaded, by index."""
         loads = []
         for index, parent in enumerate(parents):
             place = bullet.getLinkState(number, index, physicsClientId=self._client)[4]
@@ -165,17 +161,17 @@ class Engine:
         return loads
 
     def reset_collision_filter(self, body: LoadedBody, *, fixed: bool, robot: bool = False) -> None:
-        """Let a body's links collide as when it was loaded (see :meth:`load`); the engine drops its cached contacts."""
-        if robot:  # the base of a fixed body never collides with static things
+        """Set the collision filter of a loaded body's links (see :meth:`load`); the engine drops cached contacts."""
+        if robot:  # the base of a fixed body must not collide with static bodies
             self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP & ~_STATIC_GROUP, links=(-1,))
             self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP, links=[index for index in body.links.values() if index >= 0])
-        elif fixed:  # furniture never moves: no contact between it and the floor has to be solved
+        elif fixed:  # furniture doesn't collide with the floor, so the solver has no such contacts
             self._filter(body, _STATIC_GROUP, ~_STATIC_GROUP)
         else:
             self._filter(body, _DYNAMIC_GROUP, _ALL)
 
     def ghost(self, body: LoadedBody) -> None:
-        """Let a body pass through everything permanently; contact and distance queries still see it."""
+        """Let a body pass through all bodies permanently; contact and distance queries still include it."""
         self._filter(body, 0, 0)
 
     def _filter(self, body: LoadedBody, group: int, mask: int, links: Iterable[int] | None = None) -> None:
@@ -183,12 +179,12 @@ class Engine:
             bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=self._client)
 
     def remove(self, body: LoadedBody) -> None:
-        """Remove a body that has no constraints."""
+        """Remove a body without constraints."""
         bullet.removeBody(body.id, physicsClientId=self._client)
         self._forget(body)
 
     def snapshot(self, body: LoadedBody) -> Snapshot:
-        """Return the state of a body; the same object as long as the state doesn't change."""
+        """Return the state of a body, the same Python object until the state changes."""
         known = self._known.setdefault(body.id, [])
         if not known:
             known.append(Snapshot(self.pose(body), self.velocity(body), *self.joints(body)))
@@ -208,31 +204,31 @@ class Engine:
         return geometry.multiply(pose, geometry.invert(body.offset))
 
     def set_pose(self, body: LoadedBody, pose: Pose) -> None:
-        """Set the pose of the base link, at rest."""
+        """Set the pose of the base link; its velocity becomes 0."""
         self.set_center_pose(body, pose if body.offset is None else geometry.multiply(pose, body.offset))
 
     def center_pose(self, body: LoadedBody) -> Pose:
-        """Return the pose of the base's centre of mass in the world, without the rounding of :meth:`pose`."""
+        """Return the pose of the base's centre of mass in the world; :meth:`pose` rounds it."""
         pose: Pose = bullet.getBasePositionAndOrientation(body.id, physicsClientId=self._client)
         return pose
 
     def set_center_pose(self, body: LoadedBody, pose: Pose) -> None:
-        """Set the pose of the base's centre of mass, at rest."""
+        """Set the pose of the base's centre of mass; its velocity becomes 0."""
         bullet.resetBasePositionAndOrientation(body.id, *pose, physicsClientId=self._client)
         self._forget(body)
 
     def velocity(self, body: LoadedBody) -> tuple[float, ...]:
-        """Return linear (m/s) and angular (rad/s) velocity of the base's centre of mass: 6 numbers."""
+        """Return the linear (m/s) and angular (rad/s) velocity of the base's centre of mass as 6 values."""
         linear, angular = bullet.getBaseVelocity(body.id, physicsClientId=self._client)
         return (*linear, *angular)
 
     def set_velocity(self, body: LoadedBody, velocity: Sequence[float]) -> None:
-        """Set linear (m/s) and angular (rad/s) velocity: 6 numbers."""
+        """Set the linear (m/s) and angular (rad/s) velocity of the base's centre of mass as 6 values."""
         bullet.resetBaseVelocity(body.id, velocity[:3], velocity[3:], physicsClientId=self._client)
         self._forget(body)
 
     def joints(self, body: LoadedBody) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return positions and velocities of the movable joints, in order, in rad or m (per second)."""
+        """Return the positions (rad or m) and velocities (rad/s or m/s) of the movable joints in order."""
         if not body.indices:
             return (), ()
         states = bullet.getJointStates(body.id, body.indices, physicsClientId=self._client)
@@ -240,7 +236,7 @@ class Engine:
         return positions, velocities
 
     def joint(self, body: LoadedBody, name: str) -> float:
-        """Return the position of one movable joint in rad or m."""
+        """Return the position of a movable joint in rad or m."""
         index = body.joints[name].index
         position: float = bullet.getJointState(body.id, index, physicsClientId=self._client)[0]
         return position
@@ -248,7 +244,7 @@ class Engine:
     def set_joints(
         self, body: LoadedBody, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None
     ) -> None:
-        """Set positions of joints, at rest unless speeds (rad/s or m/s) are given; their motors hold them there."""
+        """Set joints to positions (rad or m), with speeds (rad/s or m/s) or at rest. Motors hold these positions."""
         for name, position in positions.items():
             joint, speed = body.joints[name], speeds[name] if speeds else 0.0
             bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)
@@ -256,7 +252,7 @@ class Engine:
         self._forget(body)
 
     def pose_joints(self, body: LoadedBody, positions: Mapping[str, float]) -> None:
-        """Set positions of joints of a body that is never stepped; ten times as fast, because motors aren't set."""
+        """Set joints of a body that is never simulated. This is ten times as fast, because it doesn't set motors."""
         bullet.resetJointStatesMultiDof(
             body.id,
             [body.joints[name].index for name in positions],
@@ -267,19 +263,18 @@ class Engine:
         self._forget(body)
 
     def set_targets(self, body: LoadedBody, targets: Mapping[str, float]) -> None:
-        """Set the motors' targets (rad or m, by joint name), without moving the joints."""
+        """Set the motors' targets (rad or m) by joint name, without moving the joints."""
         for name, position in targets.items():
             self._hold(body, body.joints[name], position)
 
     def drive(
         self, body: LoadedBody, joints: Sequence[MovableJoint], start: Sequence[float], end: Sequence[float]
     ) -> None:
-        """Let motors move joints in one step from their planned positions to the next ones (rad or m).
+        """Command motors to move joints in one step from planned positions to the next positions (rad or m).
 
-        The difference is commanded as a velocity, which acts in full. A remaining error is corrected by the motor's
-        gain.
+        The motor gets the difference as a velocity, and corrects a remaining error by its gain.
         """
-        bullet.setJointMotorControlArray(  # keeps the velocity limit that _hold has set
+        bullet.setJointMotorControlArray(  # this call keeps the velocity limit from _hold
             body.id,
             [joint.index for joint in joints],
             bullet.POSITION_CONTROL,
@@ -292,7 +287,7 @@ class Engine:
         )
 
     def positions(self, body: LoadedBody, joints: Sequence[MovableJoint]) -> list[float]:
-        """Return the positions of some joints in rad or m."""
+        """Return the positions of these joints in rad or m."""
         indices = [joint.index for joint in joints]
         return [state[0] for state in bullet.getJointStates(body.id, indices, physicsClientId=self._client)]
 
@@ -307,12 +302,12 @@ class Engine:
             force=body.forces[joint.name],
             positionGain=body.gain,
             velocityGain=1.0,
-            maxVelocity=100.0,  # otherwise the engine keeps an earlier value
+            maxVelocity=100.0,  # without it, the engine keeps an earlier value
             physicsClientId=self._client,
         )
 
     def link_pose(self, body: LoadedBody, link: str) -> Pose:
-        """Return the pose of a link's frame in the world; up to date without a step."""
+        """Return the pose of a link's frame in the world. It is valid without a simulation step."""
         index = body.links[link]
         if index < 0:
             return self.pose(body)
@@ -320,7 +315,7 @@ class Engine:
         return state[4], state[5]
 
     def link_frames(self, body: LoadedBody, links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return frames of several links in the world: (n, 3) positions in m, (n, 4) orientations xyzw."""
+        """Return the frames of links in the world: (n, 3) positions in m, (n, 4) orientations xyzw."""
         if len(body.links) == 1:
             at, turn = self.snapshot(body).pose
             return np.array([at] * len(links)).reshape(-1, 3), np.array([turn] * len(links)).reshape(-1, 4)
@@ -341,17 +336,17 @@ class Engine:
         return found[:, :3], found[:, 3:]
 
     def box(self, body: LoadedBody, link: str) -> tuple[Vector, Vector]:
-        """Return the axis-aligned bounds of a link's shape in the world; up to date without a step."""
+        """Return the axis-aligned bounds of a link's shape in the world. They are valid without a simulation step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
         return bounds
 
     def set_color(self, body: LoadedBody, color: Sequence[float]) -> None:
-        """Set the colour of all links, RGBA 0..1."""
+        """Set the colour of all links to RGBA values from 0 to 1."""
         for index in body.links.values():
             bullet.changeVisualShape(body.id, index, rgbaColor=color, physicsClientId=self._client)
 
     def center_of_mass(self, body: LoadedBody) -> tuple[Vector, float]:
-        """Return the centre of mass of all links in the world, m, and their mass in kg."""
+        """Return the centre of mass of all links in the world in m, and their mass in kg."""
         c = self._client
         masses = [bullet.getDynamicsInfo(body.id, index, physicsClientId=c)[0] for index in body.links.values()]
         centers = [
@@ -366,11 +361,7 @@ class Engine:
     # --- attachments -------------------------------------------------------------------------------------------------
 
     def fix(self, carrier: LoadedBody, link: str, body: LoadedBody, body_link: str, pose: Pose) -> int:
-        """Join two bodies by a fixed constraint, which keeps their relative pose in simulation; return its id.
-
-        Args:
-            pose: Pose of the body's link in the carrier's link.
-        """
+        """Join two bodies by a fixed constraint that holds a pose of the body's link in the carrier's link."""
         c = self._client
         parent = self._to_inertial(carrier, link, pose)
         child = self._to_inertial(body, body_link, IDENTITY)
@@ -391,7 +382,7 @@ class Engine:
         return number
 
     def _to_inertial(self, body: LoadedBody, link: str, pose: Pose) -> Pose:
-        """Return a pose in a link's frame relative to the link's inertial frame, as constraints need it."""
+        """Return a pose in a link's frame relative to the link's inertial frame, which constraints use."""
         at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
         return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
 
@@ -400,10 +391,7 @@ class Engine:
         bullet.removeConstraint(constraint, physicsClientId=self._client)
 
     def pass_through(self, carrier: LoadedBody, link: str, body: LoadedBody, *, robot: bool, enable: bool) -> None:
-        """Let a held body pass through its carrier in simulation, or collide with it again.
-
-        Contact and distance queries still see both.
-        """
+        """Let a held body pass through its carrier in simulation, or collide with its carrier again."""
         if robot:
             group, mask = (_HELD_GROUP, ~_ROBOT_GROUP) if enable else (_DYNAMIC_GROUP, _ALL)
             self._filter(body, group, mask)
@@ -426,10 +414,10 @@ class Engine:
         self._known = {}
 
     def dragged(self, bodies: Iterable[LoadedBody]) -> list[tuple[LoadedBody, str]]:
-        """Return the bodies, with their links, that the mouse has dragged since the last call.
+        """Return the bodies and links that the mouse has dragged since the last call.
 
-        PyBullet doesn't report drags. It grips the body under the pointer when the left button is pressed without Alt
-        and Control, which turn the camera, and releases it with the button.
+        PyBullet doesn't report drags. It grips the body under the pointer when the left button is pressed, and releases
+        the body with the button. If Alt or Control is pressed, the mouse turns the camera.
         """
         if not self._window:
             return []
@@ -451,34 +439,34 @@ class Engine:
         return (body, link) if body >= 0 else None
 
     def closest_points(self, a: LoadedBody, b: LoadedBody, distance: float = 0.0) -> list[ClosestPoint]:
-        """Return the closest points of all pairs of links of two bodies within a distance in m."""
+        """Return the closest points of all pairs of links of two bodies that are within a distance in m."""
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
         return _named(a, b, points)
 
     def deepest(self, a: LoadedBody, b: LoadedBody) -> ClosestPoint | None:
-        """Return the closest points at which two bodies overlap most; None if they don't touch."""
+        """Return the closest points where two bodies overlap most; None if they don't touch."""
         return min(self.closest_points(a, b), key=lambda point: point.distance, default=None)
 
     def link_closest_points(
         self, a: LoadedBody, link: str, b: LoadedBody, distance: float = 0.0, *, link_b: str | None = None
     ) -> list[ClosestPoint]:
-        """Return the closest points of a link of the first body, and optionally of one link of the second."""
+        """Return the closest points of a link of the first body and all links, or one link, of the second body."""
         client = self._client
         if link_b is None:
             return _named(a, b, bullet.getClosestPoints(a.id, b.id, distance, a.links[link], physicsClientId=client))
-        if a is b:  # at exactly 0, PyBullet finds no contacts between boxes of one body
+        if a is b:  # for a distance of exactly 0, PyBullet finds no contacts between boxes of one body
             distance = max(distance, _NEXT_TO_NOTHING)
         pair = a.links[link], b.links[link_b]
         points = bullet.getClosestPoints(a.id, b.id, distance, *pair, physicsClientId=client)
         return [ClosestPoint(link, link_b, *p[6:10]) for p in points or ()]
 
     def contacts(self, body: LoadedBody) -> list[Contact]:
-        """Return the contacts with other bodies in the last step."""
+        """Return the contacts with other bodies in the last simulation step."""
         points = bullet.getContactPoints(body.id, physicsClientId=self._client) or ()
         return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
 
     def friction(self, body: int, link: int) -> float:
-        """Return a link's coefficient of sliding friction, by id and index; a contact has the product of two."""
+        """Return a link's coefficient of sliding friction by id and index; the friction of a contact is a product."""
         coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
         return coefficient
 
@@ -492,11 +480,11 @@ class Engine:
 
     @property
     def connected(self) -> bool:
-        """Whether the client is connected; somebody may have closed the window."""
+        """Whether the client is connected; a user may have closed the window."""
         return self._client >= 0 and bool(bullet.isConnected(physicsClientId=self._client))
 
     def pump(self) -> None:
-        """Let a window handle its events."""
+        """Let the window handle its events."""
         bullet.configureDebugVisualizer(lightPosition=[4, -4, 6], physicsClientId=self._client)
 
 
@@ -509,13 +497,11 @@ def _named(a: LoadedBody, b: LoadedBody, points: Sequence[tuple[Any, ...]] | Non
 
 
 def _pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends of the line of sight through a pixel, in the world, m.
+    """Return both ends of the line of sight through a pixel of the window, in the world, m.
 
-    Args:
-        camera: The window's camera as PyBullet describes it: width, height, ..., forward, horizontal, vertical, ...,
-            distance, target. ``horizontal`` and ``vertical`` span the picture at a great distance.
-        x: Pixels from the left.
-        y: Pixels from above.
+    ``camera`` has PyBullet's order: width, height, ..., forward, horizontal, vertical, ..., distance, target. The
+    vectors ``horizontal`` and ``vertical`` span the picture at a great distance. x and y count pixels from the upper
+    left corner.
     """
     width, height, *_ = camera
     forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))

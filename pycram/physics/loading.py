@@ -1,7 +1,7 @@
-"""Loading of models into the engine: options, which are recorded, and the forces of joint motors.
+"""Options of loading a model into the engine, and the forces of joint motors.
 
-Recordings of earlier releases have to give the same result when they are executed again. So everything that changes the
-loaded body is an option here; if a record lacks the option, its value is that of 0.1.0.
+A recording must give the same result in later releases, so the options are recorded. If a record lacks an option, the
+option has the value of release 0.1.0.
 """
 
 from __future__ import annotations
@@ -21,51 +21,50 @@ if TYPE_CHECKING:
 
 
 MOTOR_GAIN: Final = 0.1
-"""Share of a joint's error that its motor corrects in a step, for bodies that aren't robots: PyBullet's default."""
-#: Least forces (N, N m) with which joints keep their position. With less than 1e4 the PR2's torso sinks.
+"""Share of a joint's error that a motor corrects in a step. It is PyBullet's default, for bodies that aren't robots."""
+#: Least forces (N m, N) with which motors hold joints. With less than 1e4 N the PR2's torso sinks.
 _LEAST: Final = {"revolute": 500.0, "prismatic": 1e4}
-_GRAVITY: Final = 9.81  # m/s^2, the gravity that motors of robots have to bear
+_GRAVITY: Final = 9.81  # m/s^2, the gravity that motors of robots must resist
 
 
 @dataclass(frozen=True, slots=True)
 class Loading:
-    """Options by which the engine makes a body of a model."""
+    """Options of loading a model; they affect the loaded body."""
 
     undamped: bool = True
-    """Damping and friction of the URDF's joints are ignored. PyBullet applies them against the motors, explicitly in
-    time, so a damping that is large for the link's inertia causes growing oscillations (2e10 N m s/rad in a published
-    PR2: 4 rad off after 0.5 s)."""
+    """Whether damping and friction of the URDF's joints are ignored. PyBullet integrates damping explicitly, so damping
+    that is large for a link's inertia causes growing oscillations. A published PR2 has 2e10 N m s/rad."""
     clamped: bool = True
-    """Joints start at 0, or at the nearest limit if 0 isn't allowed; otherwise they would jump in the first steps."""
+    """Whether joints start within their limits. Joints that start outside would jump in the first steps."""
     mimic: bool = True
-    """Joints that mimic another one follow it whenever that is set. In simulation a motor holds each of them, as
-    PyBullet has no mimic joints."""
+    """Whether joints that mimic another joint are set with it. In simulation, motors hold them, because PyBullet has no
+    mimic joints."""
     inertia: bool = True
-    """Links of robots have the URDF's moments of inertia. Otherwise PyBullet computes them from the boxes around the
-    collision shapes, which gives no inertia to a link without shape."""
+    """Whether links of robots have the URDF's moments of inertia. Otherwise PyBullet computes them from collision
+    shapes, and a link without a shape has no inertia."""
     armature: float = 0.001
-    """Least moment of inertia of a robot's moving links, kg m^2, like that of the rotors of geared motors. Without it
-    the solver's 50 iterations don't converge for the motors of wrists and fingers."""
+    """Least moment of inertia of a robot's moving links in kg m^2, like that of rotors of geared motors. Without it,
+    the solver's 50 iterations don't converge for wrists and fingers."""
     gain: float = 1.0
-    """Share of the error of a robot's joint that its motor corrects in a step. The solver's remaining error grows on
-    long chains of joints: with 0.1, some sagged by 5 mrad."""
+    """Share of the error of a robot's joint that its motor corrects in a step. With 0.1, long chains of joints sagged
+    by up to 5 mrad."""
     strength: float = 2.0
-    """Largest force of a robot's motors, as a multiple of the largest load by gravity, if that is more than the 500 N m
-    or 10 kN of all motors: an industrial arm of 330 kg sank by 1.3 rad."""
+    """Largest force of a robot's motors as a multiple of the largest load by gravity. It only raises the least forces.
+    Without it, an industrial arm of 330 kg sank by 1.3 rad."""
 
     @classmethod
     def of(cls, record: LoadBody) -> Loading:
-        """Return the options with which a recorded body was loaded."""
+        """Return the options of a recorded body."""
         then = record.loading
         gain = then.gain or _AS_0_1_0.gain
         return cls(then.undamped, then.clamped, then.mimic, then.inertia, then.armature, gain, then.strength)
 
     def to_record(self) -> LoadingRecord | None:
-        """Return the options' record; None for the options of 0.1.0, which had no such record."""
+        """Return the options as a record; None for the options of 0.1.0, whose recordings lack this record."""
         return LoadingRecord(**asdict(self)) if self != _AS_0_1_0 else None
 
     def start(self, urdf: Urdf) -> dict[str, float]:
-        """Return the start positions (rad or m) of the joints that don't start at 0, by name."""
+        """Return the start positions (rad or m) of the joints that don't start at 0, by joint name."""
         values = {}
         if self.clamped:
             joints = (urdf.joints[name] for name in urdf.movable)
@@ -86,24 +85,24 @@ _AS_0_1_0: Final = Loading(
 class Load(NamedTuple):
     """A link that hangs on a joint."""
 
-    parent: int  # index of the parent joint, -1 for none; parents come first
-    place: Vector  # position of the joint in the world, with all joints at 0, m
+    parent: int  # index of the parent joint, -1 for none; a parent has a smaller index
+    place: Vector  # position of the joint in the world if all joints are at 0, m
     mass: float  # mass of the link, kg
     lever: float  # distance of the link's centre of mass from the joint, m
 
 
 def least_forces(joints: Collection[MovableJoint]) -> dict[str, float]:
-    """Return the least motor forces (N, N m) of any body, by joint."""
+    """Return the least motor forces (N m or N) by joint."""
     return {joint.name: _LEAST[joint.kind] for joint in joints}
 
 
 def holding_forces(joints: Collection[MovableJoint], loads: Sequence[Load], strength: float) -> dict[str, float]:
-    """Return the motor forces (N, N m) that hold a robot's links in any posture, by joint.
+    """Return the motor forces (N m or N) by joint that hold a robot's links in any posture.
 
     Args:
         joints: The joints with motors.
         loads: Loads of all joints by index, including fixed joints.
-        strength: Multiple of the largest load by gravity that the motors hold.
+        strength: Motor forces as a multiple of the largest load by gravity.
     """
     slides = [joint for joint in joints if joint.kind == "prismatic" and math.isfinite(joint.upper - joint.lower)]
     travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}

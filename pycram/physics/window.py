@@ -1,7 +1,4 @@
-"""PyBullet's window: whether one can open, and how long it stays open.
-
-The check comes first because PyBullet ends the whole process if it can't open a window.
-"""
+"""PyBullet's window. If the window can't open, PyBullet ends the process, so the display is checked before."""
 
 from __future__ import annotations
 
@@ -28,12 +25,10 @@ _POLL_PERIOD: Final = 1 / 30  # s
 
 @contextmanager
 def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
-    """Check that a window can open, and keep the display open while the ``with`` block opens the window.
+    """Check that a window can open. The display stays open during the ``with`` block, which opens the window.
 
-    Many display servers reset when their last client disconnects, and reject others meanwhile.
-
-    Args:
-        open_windows: Names of the worlds that have a window.
+    Many display servers reset when their last client disconnects; they reject new clients during a reset.
+    ``open_windows`` has the names of worlds with a window.
 
     Raises:
         DisplayError: There is no display, it doesn't answer, or another world has PyBullet's only window.
@@ -58,7 +53,7 @@ def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
 
 @contextmanager
 def _opened(display: str) -> Iterator[str | None]:
-    """Open a display of this machine with PyBullet's library; yield None, or the reason why it doesn't answer."""
+    """Open a display of this machine with PyBullet's library; yield None, or why the display doesn't answer."""
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError as error:
@@ -76,7 +71,7 @@ def _opened(display: str) -> Iterator[str | None]:
 
 @contextmanager
 def _connected(host: str, port: int) -> Iterator[str | None]:
-    """Connect to another machine's display; without an answer, PyBullet's library would wait for ever."""
+    """Connect to another machine's display. If it doesn't answer, PyBullet's library would wait forever."""
     try:
         connection = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT)
     except OSError as error:
@@ -87,20 +82,20 @@ def _connected(host: str, port: int) -> Iterator[str | None]:
 
 
 def watch(engine: Engine) -> None:
-    """Keep a window open until it is closed by hand."""
+    """Keep a window open until a user closes it."""
     while engine.connected:
         engine.pump()
         time.sleep(_POLL_PERIOD)
 
 
 def outlives_script(engine: Engine, world: str) -> None:
-    """Keep a world's window open when the script ends (thesis 4.2.2), if somebody at a terminal can close it."""
+    """Keep a world's window open when the script ends (thesis 4.2.2), if a user at a terminal can close it."""
     atexit.register(_at_end, weakref.ref(engine), world, os.getpid())
 
 
 def _at_end(reference: weakref.ref[Engine], world: str, process: int) -> None:
     engine = reference()
-    if engine is None or not engine.connected or os.getpid() != process:  # a fork has no window
+    if engine is None or not engine.connected or os.getpid() != process:  # a forked process has no window
         return
     if os.environ.get("CI") or sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
         return  # nobody could close the window

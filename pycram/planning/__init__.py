@@ -1,7 +1,7 @@
-"""Motions that take time: collision-free paths, and the fastest timing of each. Nothing here changes a world.
+"""Motions that take time: collision-free paths, and their fastest timing. Nothing here changes a world.
 
-A query has a start and a goal in a :mod:`space`, which has the free configurations. :mod:`path` takes the straight
-line, or a path that :mod:`rrt_connect` finds. :mod:`timing` makes it as fast as the limits allow.
+:mod:`path` takes the straight line in a configuration :mod:`space`, or a path that :mod:`rrt_connect` finds.
+:mod:`timing` makes the path as fast as the limits allow.
 """
 
 from pycram.planning.motions import (

@@ -1,4 +1,4 @@
-"""Motions of joints and bases on collision-free paths, along way points, and on straight lines."""
+"""Motions of joints and bases: on collision-free paths, along way points, or on straight lines."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
 
 
 _JOINT_STEP: Final = 0.05  # rad or m of a joint between checked configurations in a search
-_THERE: Final = 1e-3  # rad or m from its goal within which a joint isn't moved; motors are no more accurate
+_THERE: Final = 1e-3  # rad or m; a joint that is nearer to its goal doesn't move, because motors aren't more accurate
 _LINE_STEP: Final = 0.01  # m of the tool between neighbouring postures
 _LINE_TURN: Final = 0.05  # rad of the tool between neighbouring postures
-_JUMP: Final = 0.35  # rad or m of a joint between neighbouring postures, above which the arm changes its posture
+_JUMP: Final = 0.35  # rad or m of a joint between neighbouring postures; a larger change is a new posture of the arm
 _ROOM: Final = 3.0  # m around start and goal for a path
-_WIDER: Final = 9.0  # m around start and goal for a second search, such as a detour through the next door
-_METRES_A_TURN: Final = 0.5  # m for a radian of turn, as a robot's outline moves
+_WIDER: Final = 9.0  # m around start and goal for a second search, for example through the next door
+_METRES_A_TURN: Final = 0.5  # m by which a robot's outline moves during a turn of one radian
 _BASE_STEP: Final = 0.06  # m between checked poses in a search
 
 
@@ -59,21 +59,20 @@ def joint_motion(
     ignored_links: Collection[tuple[Object, str]] = (),
     seed: int | None = None,
 ) -> PlannedMotion:
-    """Return a motion of joints to a goal without new collisions: the robot touches only what it touches at the start.
+    """Return a motion of joints to a goal. The robot and held objects touch only what they touch at the start.
 
-    Held objects move along. Joints without limits go to the nearest equivalent angle. The choice between the straight
-    line and a search is recorded.
+    Joints without limits move to the nearest equivalent angle. The choice of the path is recorded.
 
     Args:
-        goal: joint values in rad or m by name; other joints stay, and so do the joints of an arm that is there already.
-        start: joint values at the start that differ from the present ones.
+        goal: joint positions in rad or m by name. Other joints don't move, and neither does an arm that is at its goal.
+        start: joint positions at the start that differ from the present positions.
         ignored: objects that aren't obstacles.
         ignored_links: objects with links that aren't obstacles.
-        seed: seed of the search; the run's seed by default.
+        seed: seed of the search; None for the run's seed.
 
     Raises:
         UnknownName: The robot has no such joint.
-        BadArgument: A value isn't a number, or joints that mimic each other contradict each other.
+        BadArgument: A position isn't a number, or joints that mimic each other have contradictory positions.
         JointLimitError: The goal is outside a joint's limits.
         PostureInCollision: The robot would touch something at the goal.
         NoPath: The search found no path within :data:`pycram.planning.path.MAX_CHECKS` checks.
@@ -102,7 +101,7 @@ def joint_motion(
 
 
 def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> PlannedMotion:
-    """Return the motion of all moving joints on a path, including joints that mimic others."""
+    """Return the motion of all moving joints on a path, including the joints that mimic other joints."""
     way_points = moved.with_followers(found.way_points)
     knots = found.knots
     if len(moved.joints) > len(moved.searched):
@@ -114,11 +113,11 @@ def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> PlannedM
 
 
 class _Moved:
-    """The moving joints between two postures.
+    """The joints that move between two postures.
 
     Args:
-        now: values of all joints at the start.
-        wanted: values of the joints to move.
+        now: positions of all joints at the start.
+        wanted: goal positions of joints.
     """
 
     def __init__(self, robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> None:
@@ -130,44 +129,43 @@ class _Moved:
         moving = [group for group in groups if any(abs(wanted[name] - now[name]) > _THERE for name in group)]
         names = {name for group in moving or groups for name in group}
         followers = [name for name in wanted if name in mimics and mimics[name].leader in wanted]
-        # names of the joints that are searched; the other moving joints mimic them
+        # names of the searched joints; the other moving joints mimic them
         self.searched = tuple(name for name in wanted if name in names and name not in followers)
         self._followers = [name for name in followers if mimics[name].leader in self.searched]
         self.joints = (*self.searched, *self._followers)  # names of all moving joints
         self._robot = robot
-        # values of the other relevant joints, by name
+        # goal positions of the joints that don't move, by name
         self.kept = {name: wanted[name] for name in wanted if name not in self.joints}
-        # (d, n) factors of joints that mimic, for each searched joint
+        # (d, n) factors by which the n followers mimic the d searched joints
         self.slopes = np.zeros((len(self.searched), len(self._followers)))
         for column, name in enumerate(self._followers):
             self.slopes[self.searched.index(mimics[name].leader), column] = mimics[name].multiplier
         self._lower, self._upper = np.array([robot.joint_limits(name) for name in self.searched]).reshape(-1, 2).T
         self._slides = np.array([robot.urdf.joint(name).type == "prismatic" for name in self.searched])
-        self.start = np.array([now[name] for name in self.searched])  # (d,) values of the searched joints
-        # (d,) values of the searched joints, at the nearest equivalent angles
+        self.start = np.array([now[name] for name in self.searched])  # (d,) positions of the searched joints
+        # (d,) goal positions of the searched joints, as the nearest equivalent angles
         self.goal = np.array([wanted[name] for name in self.searched]) if moving else self.start
         self.arms = [arm.name for arm in arms if any(name in self.joints for name in arm.joints)]
 
     @property
     def name(self) -> str:
-        """Name of the moving part, for messages."""
         return f"{' and '.join(self.arms)} arm" if self.arms else ", ".join(self.searched)
 
     def space(self) -> Space:
-        """Return the space: within the joints' limits, and half a turn around start and goal."""
+        """Return the space within the joints' limits, and within half a turn around start and goal."""
         low, high = np.minimum(self.start, self.goal), np.maximum(self.start, self.goal)
         turn = np.where(self._slides, np.inf, np.pi)
         lower, upper = np.maximum(low - turn, self._lower), np.minimum(high + turn, self._upper)
         return Space(np.minimum(lower, low), np.maximum(upper, high), np.ones(len(low)), _JOINT_STEP)
 
     def posture(self, row: Array) -> dict[str, float]:
-        """Return the values of all joints that matter, by name, for values (d,) of the searched joints."""
+        """Return the positions of all joints of the motion by name, for positions (d,) of the searched joints."""
         searched = dict(zip(self.searched, row.tolist(), strict=True))
         followers = self._robot.urdf.followers(searched) if self._followers else {}
         return self.kept | searched | {name: followers[name] for name in self._followers}
 
     def with_followers(self, rows: Array) -> Array:
-        """Return values (n, joints) of all moving joints for values (n, d) of the searched joints."""
+        """Return positions (n, joints) of all moving joints for positions (n, d) of the searched joints."""
         if not self._followers:
             return rows
         postures = [self.posture(row) for row in rows]
@@ -175,8 +173,8 @@ class _Moved:
 
 
 def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> dict[str, float]:
-    """Return the equivalent values of joints that are nearest to their present values."""
-    slides = [robot.urdf.joint(name).type == "prismatic" for name in wanted]  # no equivalent values
+    """Return the equivalent joint positions that are nearest to the present positions."""
+    slides = [robot.urdf.joint(name).type == "prismatic" for name in wanted]  # these have no equivalent positions
     lower, upper = np.array([robot.joint_limits(name) for name in wanted]).reshape(-1, 2).T
     lower = np.where(slides, np.inf, lower)
     start, goal = np.array([now[name] for name in wanted]), np.array([*wanted.values()])
@@ -184,22 +182,22 @@ def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]
 
 
 def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> PlannedMotion:
-    """Return the fastest motion of a body's joints along a given path; see :func:`together`."""
+    """Return the fastest motion of a body's joints along a given path; see :func:`together` for errors."""
     return together([(body, way_points)])[0]
 
 
 def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> list[PlannedMotion]:
-    """Return the fastest motions of several bodies, such as an arm and a drawer, that reach their way points together.
+    """Return the fastest motions of several bodies, such as an arm and a drawer; they reach way points together.
 
     Collisions aren't checked. Corners between distant way points are rounded by up to 0.04 rad.
 
     Args:
-        paths: for each body its way points from its present state to its goal, equally many for all bodies. A way point
-            has values in rad or m by joint name; all way points of a body have the same joints.
+        paths: for each body, way points from its present state to its goal: positions in rad or m by joint name. All
+            bodies have the same number of way points, and all way points of a body have the same joints.
 
     Raises:
         UnknownName: A body has no such joint.
-        BadArgument: There are no way points, different numbers for the bodies, or different joints.
+        BadArgument: There are no way points, or the numbers of way points or the joints differ.
         JointLimitError: A way point is outside a joint's limits.
     """
     tables: list[Array] = []
@@ -208,11 +206,9 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
     for body, way_points in paths:
         postures = [coupled(body, checked_positions(body, way_point)) for way_point in way_points]
         if not postures or not postures[0] or any(posture.keys() != postures[0].keys() for posture in postures):
-            raise BadArgument(
-                "way_points", way_points, f"at least one way point of {body.name}, all of the same joints"
-            )
+            raise BadArgument("way_points", way_points, f"way points of {body.name} that all have the same joints")
         if tables and len(postures) != len(tables[0]):
-            raise BadArgument("way_points", way_points, f"{len(tables[0])} way points, as the other bodies have")
+            raise BadArgument("way_points", way_points, f"{len(tables[0])} way points for each body")
         joints = tuple(postures[0])
         tables.append(np.array([[posture[name] for name in joints] for posture in postures]))
         names.append(joints)
@@ -223,17 +219,17 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
 
 
 def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) -> list[dict[str, float]]:
-    """Return postures that bring an arm's tool to a pose on a straight line, with a constant turn.
+    """Return postures that move an arm's tool on a straight line to a pose, while the tool turns uniformly.
 
     Collisions aren't checked.
 
     Args:
-        start: joint values in rad or m by name at the start of the line, also of other joints, which don't move.
-            Joints without a value keep their present one.
+        start: joint positions in rad or m by name at the start of the line; the returned postures contain all of them.
+            Other joints keep their present positions.
         goal: position and orientation of the tool in the world.
 
     Returns:
-        Postures of all joints of the start, from the start to the end of the line.
+        Postures from the start to the end of the line.
 
     Raises:
         Unreachable: The arm doesn't reach the pose, or would have to change its posture during the motion.
@@ -260,7 +256,7 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
             chain, posture[None], goals, turns, np.zeros(1, dtype=np.intp), stop_early=True
         )
         change = found[0] - posture
-        moved = np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)  # less than half a turn
+        moved = np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)  # by less than half a turn
         left = float(np.linalg.norm(way)) * (1 - (number - 1) / count)
         if not reached[0]:
             raise Unreachable(arm.name, position, left, "the straight line ends there")
@@ -272,7 +268,7 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
 
 
 def _rotation(vector: np.ndarray) -> np.ndarray:
-    """Return the matrix (3, 3) of a rotation vector (3,) in rad."""
+    """Return the matrix (3, 3) of a rotation vector (3,), whose length is the angle in rad."""
     angle = float(np.linalg.norm(vector))
     x, y, z = (vector / angle if angle else vector).tolist()
     sine = math.sin(angle / 2)
@@ -287,16 +283,16 @@ def base_motion(
     start: tuple[Sequence[float], Sequence[float]] | None = None,
     seed: int | None = None,
 ) -> PlannedMotion:
-    """Return a motion of a robot's base to a pose without new collisions: it touches only what it touches at the start.
+    """Return a motion of a robot's base to a pose. The robot touches only what it touches at the start.
 
-    All links of the robot in its present posture are checked, with the held objects. Height and lean are constant; x,
-    y and yaw move together. The choice between the straight line and a search is recorded.
+    All links of the robot in its present posture are checked, and the held objects. Height and lean are constant, while
+    x, y and yaw change together. The choice of the path is recorded.
 
     Args:
         position: xyz of the goal, m.
         orientation: xyzw of the goal.
-        start: position and orientation at the start; the present ones by default.
-        seed: seed of the search; the run's seed by default.
+        start: position and orientation at the start; None for the present pose.
+        seed: seed of the search; None for the run's seed.
 
     Raises:
         BadArgument: The goal isn't a pose.
@@ -322,19 +318,14 @@ def base_motion(
             if touched := clearance.touched:
                 choice.reject(path.STRAIGHT, Touching(touched))
                 raise InCollision(target, turn, list(dict.fromkeys(pair.body for pair in touched)), touched)
-            space, wider = (_space(begin, end, room) for room in (_ROOM, _WIDER))
+            low, high = np.minimum(begin, end), np.maximum(begin, end)
+            rooms = (np.array([room, room, np.pi]) for room in (_ROOM, _WIDER))
+            weights = np.array([1.0, 1.0, _METRES_A_TURN])
+            space, wider = (Space(low - room, high + room, weights, _BASE_STEP) for room in rooms)
             query = path.Query("base", BASE_COORDINATES, space, begin, end, base_rates(robot), seed, wider)
             found = path.find_path(query, clearance, choice)
     return PlannedMotion(trajectory_of((), found.knots), search_record(found, clearance.checks, found.way_points))
 
 
-def _space(begin: Array, end: Array, room: float) -> Space:
-    """Return the space of x, y and yaw with some room (m) around both ends."""
-    around = np.array([room, room, np.pi])
-    low, high = np.minimum(begin, end) - around, np.maximum(begin, end) + around
-    return Space(low, high, np.array([1.0, 1.0, _METRES_A_TURN]), _BASE_STEP)
-
-
 def _row(pose: Pose) -> tuple[float, float, float]:
-    """Return x, y and yaw of a pose."""
     return pose[0][0], pose[0][1], geometry.to_rpy(pose[1])[2]

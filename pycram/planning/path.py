@@ -1,4 +1,4 @@
-"""A path between configurations: the straight line if it is free, else a searched path; timed and checked again."""
+"""Paths between configurations: the straight line if it is free, otherwise a path that a search finds."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 
 STRAIGHT: Final = "straight line"
 RRT_CONNECT: Final = "RRT-Connect"
-MAX_CHECKS: Final = 20_000  # configurations in all searches for a path
+MAX_CHECKS: Final = 20_000  # maximum number of checked configurations in all searches for a path
 
-_STEPS: Final = (1.0, 0.5, 0.25)  # shares of the space's step for the searches; each overlooks less than the last
-_FINE: Final = 0.25  # share of the space's step for the final check
+_STEPS: Final = (1.0, 0.5, 0.25)  # step of each search as a share of the space's step; small steps overlook less
+_FINE: Final = 0.25  # step of the final check as a share of the space's step
 _RATE: Final = 240.0  # samples of a timed path per second for its check
-_MAX_PAIRS: Final = 3  # pairs in a failure that were in the way most often
+_MAX_PAIRS: Final = 3  # maximum number of pairs of links in a failure
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,38 +51,38 @@ class Query:
     wider: Space | None = None  # space of the second search; None for the same space
 
     def drawn_seed(self, attempt: int) -> int:
-        """Return the seed of an attempt, from 1 to 2**31; it depends only on the run's seed and on the query."""
+        """Return the seed of an attempt, from 1 to 2**31. It depends only on the run's seed and the query."""
         run = run_seed() if self.seed is None else self.seed
         text = f"path {run} {attempt} {self.names} {self.start.tolist()} {self.goal.tolist()}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") % 2**31 + 1
 
     def named(self, row: Array) -> dict[str, float]:
-        """Return a configuration by name."""
+        """Return a configuration as values by coordinate name."""
         return dict(zip(self.names, row.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A path without new collisions, and its times."""
+    """A path without new collisions, with its times."""
 
     planner: str  # STRAIGHT or RRT_CONNECT
     seed: int  # seed of the successful search; 0 without a search
     attempts: int  # number of searches
-    way_points: Array  # (n, d) configurations of the path before its timing
+    way_points: Array  # (n, d) configurations of the path before timing
     knots: Knots  # knots of the timed path
 
 
 def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
-    """Return a path without new collisions: it touches only what is touched at its ends.
+    """Return a path that touches only what the robot touches at the ends.
 
-    The first search, with half of the budget, keeps a distance to obstacles and stays in the narrow space.
+    The first search has half of the budget, keeps a distance from obstacles and stays in the query's narrow space.
 
     Raises:
         NoPath: The search found no path within the budget.
     """
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
-    reached = [query.start]  # with the nearest configuration of each search
+    reached = [query.start]  # and the nearest configuration of each search
     rooms = (True, query.space, MAX_CHECKS // 2), (False, query.wider or query.space, MAX_CHECKS)
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
@@ -105,8 +105,8 @@ def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
 
 
 def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:
-    """Return a free path (n, d), or None. The nearest configuration of each search is added to ``reached``."""
-    from pycram.planning import rrt_connect  # noqa: PLC0415  OMPL takes as long to load as a plan without motion runs
+    """Return a free path (n, d), or None; append the nearest configuration of each search to ``reached``."""
+    from pycram.planning import rrt_connect  # noqa: PLC0415  loading OMPL takes as long as a plan without motions
 
     for share in _STEPS:
         found, nearest = rrt_connect.search(
@@ -126,7 +126,7 @@ def _searched(query: Query, clearance: Clearance, space: Space, budget: int, rea
 
 
 def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knots:
-    """Return the fastest knots of a path whose rounded corners are free."""
+    """Return the fastest knots of a path for which its rounded corners are free."""
     for spacing in timing.SPACINGS:
         knots = timing.timed(path, query.rates, spacing)
         if clearance.free(_looked_at(query, knots, fine)):
@@ -135,7 +135,7 @@ def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knot
 
 
 def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
-    """Return configurations (n, d) of a timed path that are about a step apart."""
+    """Return configurations (n, d) of a timed path, about a step apart."""
     rows = timing.at(knots, np.arange(0.0, knots.times[-1], 1 / _RATE))
     moved = np.cumsum(np.abs(np.diff(rows, axis=0) * query.space.weights).max(axis=1, initial=0.0))
     wanted = np.diff(np.floor(moved / fine), prepend=0.0) > 0
@@ -152,18 +152,18 @@ class PlannedMotion:
 
     @property
     def end(self) -> dict[str, float]:
-        """Final joint values in rad or m by name; x, y and yaw of a base."""
+        """Final joint positions in rad or m by name; x, y and yaw of a base."""
         return dict(zip(self.trajectory.coordinates, self.trajectory.positions[-1], strict=True))
 
 
 def trajectory_of(joints: Sequence[str], knots: Knots) -> Trajectory:
-    """Return knots as a trajectory of joints, or of a base if there are no joints."""
+    """Return knots as a trajectory of joints; without joints, of a base."""
     rows = (tuple(map(tuple, values.tolist())) for values in (knots.positions, knots.velocities))
     return Trajectory(tuple(joints), tuple(knots.times.tolist()), *rows)
 
 
 def search_record(found: Path, checks: int, way_points: Array) -> records.PathSearch:
-    """Return the record of a search for a path, with the way points before the timing."""
+    """Return the record of a search for a path; way points are the configurations before timing."""
     return records.PathSearch(
         planner=found.planner,
         seed=found.seed,
@@ -175,6 +175,6 @@ def search_record(found: Path, checks: int, way_points: Array) -> records.PathSe
 
 
 def given(joints: Sequence[str], knots: Knots, way_points: Array) -> PlannedMotion:
-    """Return a trajectory along a given path, without a search."""
+    """Return a trajectory along a given path, which wasn't searched."""
     search = records.PathSearch(planner="given", way_points=way_points.ravel().tolist())
     return PlannedMotion(trajectory_of(joints, knots), search)

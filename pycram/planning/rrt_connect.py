@@ -1,7 +1,7 @@
-"""RRT-Connect (Kuffner, LaValle, ICRA 2000) and shortcuts, by OMPL (Sucan, Moll, Kavraki, 2012).
+"""RRT-Connect (Kuffner, LaValle, ICRA 2000) and shortcuts, with OMPL (Sucan, Moll, Kavraki, 2012).
 
-OMPL's objects draw their seeds from one sequence of the process. It is restarted for each query, and all objects are
-made again, so that a query's result doesn't depend on earlier queries.
+OMPL's objects draw their seeds from one sequence of the process. Each query restarts this sequence and creates new
+objects, so earlier queries don't affect its result.
 """
 
 from __future__ import annotations
@@ -26,19 +26,16 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_RANGE: Final = 1.0  # maximum distance by which a tree grows in a step
-_SHORTCUTS: Final = 60  # number of tries to shorten a path
-_EMPTY_SHORTCUTS: Final = 25  # number of useless tries in a row after which shortening ends
-_START_TREE: Final = 1  # OMPL's tag of the start tree's vertices
+_RANGE: Final = 1.0  # maximum weighted distance by which a tree grows in a step
+_SHORTCUTS: Final = 60  # maximum number of tries to shorten a path
+_EMPTY_SHORTCUTS: Final = 25  # shortening ends after this number of useless tries in a row
+_START_TREE: Final = 1  # OMPL's tag for vertices of the start tree
 
-_one_query = threading.Lock()  # because the process has one sequence of seeds
+_one_query = threading.Lock()  # the process has one sequence of seeds
 
 
-class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
-    """Checks whole edges of the trees.
-
-    An error, such as Ctrl-C, can't be raised through OMPL. It is stored, and ends the search.
-    """
+class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
+    """Checks edges of the trees. OMPL can't pass on errors such as Ctrl-C, so they are stored and end the search."""
 
     def __init__(self, information: Any, check: Callable[[Array, Array], bool], dimensions: int) -> None:
         super().__init__(information)
@@ -52,13 +49,13 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL is untyped
         try:
             return self._check(_row(a, self._range), _row(b, self._range))
         except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
-            # a Ctrl-C's traceback would keep OMPL's objects until the process exits, when OMPL would print a warning
+            # a traceback would keep OMPL's objects until the process exits, and OMPL would then print a warning
             self.error = error if isinstance(error, Exception) else error.with_traceback(None)
             return False
 
 
-class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL is untyped
-    """Accepts all single configurations: OMPL also asks for each edge, whose check includes both ends."""
+class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL has no types
+    """Accepts all configurations, because the check of an edge includes both ends."""
 
     def isValid(self, _state: Any) -> bool:  # noqa: N802  OMPL's name
         return True
@@ -79,23 +76,19 @@ def search(
     seed: int,
     max_checks: int,
 ) -> tuple[Array | None, Array]:
-    """Return a free path, and the nearest configuration to the goal that was reached.
+    """Return a free path (n, d), or None, and the reached configuration (d,) that is nearest to the goal.
 
     Args:
         start: (d,) first configuration.
         goal: (d,) last configuration.
-        clearance: checks configurations.
-        step: weighted distance of any coordinate between checked configurations in the search.
-        fine: weighted distance between checked configurations during shortening.
-        seed: a number from 1 to 2**31.
+        step: weighted change of any coordinate between checked configurations in the search.
+        fine: weighted change of any coordinate between checked configurations during shortening.
+        seed: an integer from 1 to 2**31.
         max_checks: number of the clearance's checks after which the search ends.
-
-    Returns:
-        The path (n, d) from start to goal, or None; and the nearest configuration (d,).
     """
     with _one_query:
         level = util.getLogLevel()
-        util.setLogLevel(util.LogLevel.LOG_NONE)  # OMPL would print messages, also about the new seed
+        util.setLogLevel(util.LogLevel.LOG_NONE)  # OMPL would print messages
         try:
             util.RNG.setSeed(seed)
             found, nearest, error = _search(space, start, goal, clearance, step, fine, max_checks)
@@ -148,7 +141,7 @@ def _search(
         simplifier = geometric.PathSimplifier(information)
         simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
         simplifier.partialShortcutPath(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
-        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # remove the ends of shortcuts
+        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # this removes the ends of shortcuts
         found = np.array([_row(state, range(dimensions)) for state in path.getStates()]) / weights
         found[0], found[-1] = start, goal
     reached = goal if found is not None else _nearest(information, planner, space, goal)
@@ -156,7 +149,7 @@ def _search(
 
 
 def _nearest(information: Any, planner: Any, space: Space, goal: Array) -> Array:
-    """Return the configuration nearest to the goal in the tree from the start."""
+    """Return the configuration of the start tree that is nearest to the goal."""
     data = base.PlannerData(information)
     planner.getPlannerData(data)
     vertices = map(data.getVertex, range(data.numVertices()))

@@ -1,4 +1,4 @@
-"""Configuration spaces: coordinates of a path, and the configurations that are free of collisions."""
+"""Configuration spaces: the coordinates of a path, and its free configurations."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-MARGIN: Final = 5e-3  # m between the robot and other objects
-_DEEPER: Final = 1e-3  # m by which an overlap may be deeper than at the start or the goal
-_SLACK: Final = 0.01  # m of further overlap between hulls of the robot's own links, if there is no other path
+MARGIN: Final = 5e-3  # m, least distance between the robot and other objects
+_DEEPER: Final = 1e-3  # m by which an overlap may exceed the overlap at the start or goal
+_SLACK: Final = 0.01  # m, additional allowed overlap between hulls of the robot's own links, without another path
 _BATCH: Final = 64  # configurations that are checked together
-_FIRST_BATCH: Final = 16  # configurations, spread over an edge, that are checked first: they reveal most blocked edges
+_FIRST_BATCH: Final = 16  # configurations, spread over an edge, of the first check; it finds most blocked edges
 
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """Coordinates of joints or of a base. All are plain numbers, also angles without limits."""
+    """Coordinates of joints or of a base; an angle without limits is also a plain number."""
 
     lower: Array  # (d,) lower limits
     upper: Array  # (d,) upper limits
-    weights: Array  # (d,) weights in distances: a weighted unit of any coordinate moves the robot about as far
-    step: float  # weighted distance of any coordinate between checked configurations in a search
+    weights: Array  # (d,) weights in distances; the same weighted change of any coordinate moves the robot about as far
+    step: float  # weighted change of any coordinate between checked configurations in a search
 
     def along(self, path: Array, step: float) -> Array:
-        """Return configurations (n, d) along a path (m, d), without its first one; see :func:`between`."""
+        """Return configurations (n, d) along a path (m, d), without the first configuration; see :func:`between`."""
         parts: Sequence[Array] = [between(a, b, step / self.weights) for a, b in pairwise(path)]
         return np.concatenate(parts)
 
     def distance(self, a: Array, b: Array) -> Array:
-        """Return weighted Euclidean distances (n,) between rows (n, d) and rows (n, d) or one row (d,)."""
+        """Return weighted Euclidean distances (n,) between rows (n, d), and rows (n, d) or one row (d,)."""
         distances: Array = np.linalg.norm((a - b) * self.weights, axis=-1)
         return distances
 
 
 def between(a: Array, b: Array, step: float | Array) -> Array:
-    """Return configurations (n, d) from a to b, without a, with at most one step in any coordinate."""
+    """Return configurations (n, d) from a to b, without a; no coordinate changes by more than ``step`` between two."""
     count = max(1, math.ceil(float((np.abs(b - a) / step).max(initial=0.0))))
     rows: Array = a + (b - a) * (np.arange(1, count + 1)[:, None] / count)
     rows[-1] = b
@@ -56,18 +56,17 @@ def between(a: Array, b: Array, step: float | Array) -> Array:
 
 
 def nearest_turns(start: Array, goal: Array, lower: Array, upper: Array) -> Array:
-    """Return the goal (d,) with equivalent angles nearest to the start, within the limits."""
+    """Return the goal (d,) with the equivalent angles that are within the limits and nearest to the start."""
     turned: Array = start + (goal - start + np.pi) % (2 * np.pi) - np.pi
     other = (np.abs(goal - start) > np.pi) & (lower <= turned) & (turned <= upper)
     return np.where(other, turned, goal)
 
 
 class Clearance:
-    """Checks of configurations for collisions, which are counted.
+    """Checks whether configurations are free of collisions, and counts these checks.
 
-    A configuration is a row of joint values, or a pose of a base. The robot keeps a few millimetres away from objects,
-    because it would push them. If it is nearer at the start or at the goal, for example to an object that it takes, it
-    may be that near on the whole path.
+    A configuration is a row of joint positions, or a pose of a base. The robot keeps a distance from objects. If it is
+    nearer at the start or at the goal, for example to an object that it takes, this distance is allowed on the path.
 
     Args:
         predict: returns the checker's candidates for configurations (n, d).
@@ -83,18 +82,18 @@ class Clearance:
         self._allowed: dict[Pair, float] = {}  # allowed overlap of each pair in m
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
-        # whether the robot keeps its distance; if not, it may nearly touch, and hulls of its own links may overlap a
-        # little more: they are larger than the links
+        # Whether the robot keeps its distance. If not, the robot may nearly touch objects, and hulls of its own links
+        # may overlap a little more, because hulls are larger than links.
         self.strict = True
         self.checks = 0  # number of checked configurations
-        # how often each pair of links was in the way, and its deepest overlap in m
+        # how often a pair of links was in the way
         self.blocking: Counter[Pair] = Counter()
         self._allow(start)
-        # pairs that overlap at the goal, but not as deep at the start, deepest first
+        # pairs that overlap more at the goal than at the start; the deepest overlap is first
         self.touched = self._allow(goal)
 
     def _allow(self, row: Array) -> list[CollisionPair]:
-        """Allow links to be as near as in a configuration (d,); return the pairs that touch but mustn't."""
+        """Allow links to be as near as in a configuration (d,). Return the forbidden contacts in that configuration."""
         touched = []
         ((candidate, pairs),) = self._candidates(row[None])
         for pair in pairs:
@@ -106,7 +105,7 @@ class Clearance:
         return sorted(touched, key=lambda pair: -pair.depth)
 
     def free(self, rows: Array) -> bool:
-        """Return whether configurations (n, d) are free; the check begins with configurations in the middle."""
+        """Return whether configurations (n, d) are free; configurations spread over the rows are checked first."""
         if not len(rows):
             return True
         spread = rows[_spread(len(rows))]
@@ -114,7 +113,7 @@ class Clearance:
         return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
 
     def first_touch(self, rows: Array) -> CollisionPair | None:
-        """Return the pair that touches in the first configuration of (n, d) with a collision; None if all are free."""
+        """Return the touching pair of the first configuration of (n, d) that isn't free; None if all are free."""
         for begin in range(0, len(rows), _BATCH):
             for pair, depth in self._touched(rows[begin : begin + _BATCH]):
                 return self._checker.named(pair, max(depth, 0.0))
@@ -127,12 +126,12 @@ class Clearance:
         ]
 
     def _touched(self, rows: Array) -> Iterable[tuple[Pair, float]]:
-        """Yield for each configuration (n, d) with a collision the first pair found, and its depth.
+        """Yield a colliding pair for each configuration (n, d) that isn't free, and its depth in m.
 
-        The depth is in m. It is negative for a pair that is too near, but apart.
+        The depth is negative for a pair that is too near but doesn't touch.
         """
         for candidate, pairs in self._candidates(rows):
-            if self._last in pairs:  # the last pair is usually in the way again
+            if self._last in pairs:  # the last pair is often in the way again
                 pairs.insert(0, self._last)
             for pair in pairs:
                 depth = self._checker.depth(candidate, pair)
@@ -144,14 +143,14 @@ class Clearance:
                     break
 
     def _candidates(self, rows: Array) -> list[tuple[PostureCandidate, list[Pair]]]:
-        """Return candidates for configurations (n, d), with the pairs that could touch in each."""
+        """Return candidates for configurations (n, d), each with the pairs that may touch."""
         self.checks += len(rows)
         candidates = self._predict(rows)
         owns = self._checker.self_pairs(candidates)
         return [(each, [*self._checker.pairs(each), *own]) for each, own in zip(candidates, owns, strict=True)]
 
     def _allowed_depth(self, pair: Pair) -> float:
-        """Return the overlap in m up to which a pair isn't in the way."""
+        """Return the overlap in m up to which a pair isn't in the way; negative for a necessary distance."""
         usual = self._checker.least(pair)
         if pair[0] is pair[2]:
             usual += 0.0 if self.strict else _SLACK

@@ -1,8 +1,7 @@
-"""Timing of paths: as fast as the limits of velocity and acceleration allow, by TOPP-RA.
+"""Timing of paths: as fast as the limits of velocity and acceleration allow, with TOPP-RA in the package toppra.
 
-The method is by Pham, Pham: A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis, IEEE
-T-RO 2018, in the package toppra. A spline rounds the path at its way points. More way points between them keep the
-spline nearer to the path, and make it slower at corners.
+Source: Pham, Pham: A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis, IEEE T-RO 2018.
+A spline rounds the path at its way points. More way points keep the spline nearer to the path, but slow it at corners.
 """
 
 from __future__ import annotations
@@ -32,28 +31,28 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 SPACINGS: Final = (0.3, 0.1, 0.03)  # rad or m between way points of the spline; smaller spacings round corners less
-_RATE: Final = 30.0  # positions and velocities of a trajectory per second; cubic in between
-_STILL: Final = 1e-4  # rad or m; shorter paths are one step
-_GRID: Final = 25  # points of toppra's grid between way points, if its own choice fails
-_FINE: Final = np.linspace(0.0, 1.0, 9)  # shares of the time between two knots, at which velocities are checked
+_RATE: Final = 30.0  # knots of a trajectory per second; it is cubic between knots
+_STILL: Final = 1e-4  # rad or m; a shorter path takes one step
+_GRID: Final = 25  # points of toppra's grid between way points, if toppra's own grid fails
+_FINE: Final = np.linspace(0.0, 1.0, 9)  # moments between two knots at which velocities are checked
 _DEFAULTS: Final = MotionLimits()
 _OCTAGON: Final = math.cos(math.pi / 8)  # distance of an octagon's sides from the centre, as a share of its radius
 
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """Limits of velocity and acceleration, of the coordinates or of their sums."""
+    """Limits of velocity and acceleration: of coordinates, or of weighted sums of coordinates."""
 
     lower: Array  # (d,) lower limits of the coordinates
     upper: Array  # (d,) upper limits of the coordinates
-    directions: Array  # (k, d) factors of the limited sums
+    directions: Array  # (k, d) weights of the limited sums
     velocities: Array  # (k,) rad/s or m/s
     accelerations: Array  # (k,) rad/s^2 or m/s^2
 
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """Times in s from 0 on, with positions and velocities (n, d); cubic in between."""
+    """Times in s from 0 on, with positions and velocities (n, d); the motion is cubic between knots."""
 
     times: Array
     positions: Array
@@ -61,7 +60,7 @@ class Knots:
 
 
 def timed(path: Array, rates: Rates, spacing: float) -> Knots:
-    """Return a path with times, from rest to rest.
+    """Return a path with times; the motion starts and ends at rest.
 
     Args:
         path: (n, d) configurations.
@@ -80,7 +79,7 @@ def timed(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def stopping(path: Array, rates: Rates) -> Knots:
-    """Return a path with times that rests at each way point, and so doesn't round its corners."""
+    """Return a path with times. The motion stops at each way point, so it doesn't round corners."""
     parts = [timed(np.array(ends), rates, math.inf) for ends in pairwise(path)]
     ends = np.cumsum([0.0, *(part.times[-1] for part in parts)])
     return Knots(
@@ -93,8 +92,8 @@ def stopping(path: Array, rates: Rates) -> Knots:
 @cache
 def _toppra() -> Any:
     with needed(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", SyntaxWarning)  # compiled by Python 3.12 or newer, its docstrings cause some
-        import toppra  # noqa: PLC0415  takes 2 s, most of them for matplotlib
+        warnings.simplefilter("ignore", SyntaxWarning)  # Python 3.12 warns about docstrings of toppra
+        import toppra  # noqa: PLC0415  importing it takes 2 s, mostly for matplotlib
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
     return toppra
@@ -105,7 +104,9 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
     toppra = _toppra()
     lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(lengths)])
-    spline = toppra.SplineInterpolator(at, dense @ rates.directions.T, "natural")  # sums of splines are splines of sums
+    spline = toppra.SplineInterpolator(
+        at, dense @ rates.directions.T, "natural"
+    )  # a spline of sums is a sum of splines
     constraints = [
         toppra.constraint.JointVelocityConstraint(rates.velocities),
         toppra.constraint.JointAccelerationConstraint(rates.accelerations),
@@ -126,8 +127,8 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def slowed(knots: Knots, rates: Rates) -> Knots:
-    """Return knots within the limits, also in between: they are slowed down if toppra or the cubic exceeds a limit."""
-    inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may exceed a limit where it turns
+    """Return knots that keep the limits, also between knots; they are slower if toppra or the cubic exceeds a limit."""
+    inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may exceed a limit at a turning point
     knots = Knots(knots.times, inside, np.where(inside == knots.positions, knots.velocities, 0.0))
     spans = np.diff(knots.times)[:, None]
     rows, speeds = (values @ rates.directions.T for values in (knots.positions, knots.velocities))
@@ -143,7 +144,7 @@ def slowed(knots: Knots, rates: Rates) -> Knots:
 
 
 def at(knots: Knots, times: Array) -> Array:
-    """Return positions (n, d) at times (n,) between the first and the last knot."""
+    """Return positions (n, d) at times (n,) from the first to the last knot."""
     after = np.clip(np.searchsorted(knots.times, times, side="right"), 1, max(1, len(knots.times) - 1))
     if len(knots.times) == 1:
         return np.repeat(knots.positions, len(times), axis=0)
@@ -156,18 +157,18 @@ def at(knots: Knots, times: Array) -> Array:
 
 
 def split(knots: Knots, widths: Sequence[int]) -> list[Knots]:
-    """Return the knots of several bodies, whose columns follow each other."""
+    """Return the knots of several bodies; ``widths`` has each body's number of columns."""
     ends = np.cumsum(widths)[:-1]
     parts = zip(np.split(knots.positions, ends, axis=1), np.split(knots.velocities, ends, axis=1), strict=True)
     return [Knots(knots.times, positions, velocities) for positions, velocities in parts]
 
 
 class NoVelocityLimit(UserWarning):
-    """A warning: joints have no velocity limit in the URDF, so the robot's description or a default limits them."""
+    """A warning: the URDF has no velocity limits for joints, so the robot's description or a default limits them."""
 
 
 def joint_rates(body: Object, joints: Sequence[str]) -> Rates:
-    """Return the limits of joints; warn once about a robot's joints without velocity limits."""
+    """Return the limits of joints; warn once about joints of a robot without velocity limits."""
     limits = body.description.limits if body.description else _DEFAULTS
     velocities, accelerations, unlimited = [], [], []
     for name in joints:
@@ -187,9 +188,8 @@ def joint_rates(body: Object, joints: Sequence[str]) -> Rates:
 
 @cache
 def _warn(name: str, robot: str, joints: tuple[str, ...], limits: MotionLimits) -> None:
-    """Warn once in a process about joints of a robot."""
     text = (
-        f"{name}: the URDF {robot!r} has no velocity limit for {', '.join(joints)}; they move at up to "
+        f"{name}: the URDF {robot!r} has no velocity limit for {', '.join(joints)}; the joints move at up to "
         f"{limits.turning_velocity:g} rad/s or {limits.sliding_velocity:g} m/s. Set <limit velocity=...> in the URDF, "
         "or turning_velocity and sliding_velocity under [limits] in the robot's description."
     )
@@ -197,7 +197,7 @@ def _warn(name: str, robot: str, joints: tuple[str, ...], limits: MotionLimits) 
 
 
 def base_rates(robot: Object) -> Rates:
-    """Return the limits of a base's x, y and heading. Its speed is limited in eight directions, and so in all."""
+    """Return the limits of a base's x, y and yaw. Speed is limited in eight directions, which approximates a circle."""
     limits = robot.description.limits if robot.description else _DEFAULTS
     half = math.sqrt(0.5)
     directions = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [half, half, 0.0], [half, -half, 0.0], [0.0, 0.0, 1.0]])
@@ -208,7 +208,7 @@ def base_rates(robot: Object) -> Rates:
 
 
 def stacked(parts: Sequence[Rates]) -> Rates:
-    """Return the limits of several bodies, with their columns one after the other."""
+    """Return the limits of several bodies together; the columns of each body follow those of the body before."""
     rows, columns = (sum(part.directions.shape[axis] for part in parts) for axis in (0, 1))
     directions = np.zeros((rows, columns))
     row = column = 0

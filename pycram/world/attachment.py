@@ -1,12 +1,12 @@
-"""Attachments: which object carries which, with what relative pose, and which objects move along.
+"""Attachments: the pairs of a carrier and a carried object, and the objects that move along with a moving object.
 
-An attached body keeps its pose relative to the carrier's link whenever the carrier or its joints move, without
-simulation; in simulation a fixed constraint keeps it there. :func:`attach` and :func:`detach` are transactions;
+An attached body keeps its pose relative to the carrier's link. When the carrier moves without simulation, the body is
+moved, too; in simulation a fixed constraint holds it. Each of :func:`attach` and :func:`detach` is a transaction;
 :func:`put_back`, :func:`renew` and :func:`end` are parts of other transactions.
 
-A body is supported by a link if it rests on it, hangs just above its floor after being put in, or rests on a supported
-body. Supported bodies move with drawers. What lies in or on a body that a hand takes is attached to it loosely, and
-released with it (:func:`taken_along`).
+A link supports a body if the body rests on the link, hangs just above its floor, or rests on a supported body.
+Supported bodies move with drawers. If a hand takes a body, bodies in or on it are attached to it loosely
+(:func:`taken_along`).
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.urdf import Urdf
 
-_CONTACT_GAP: Final = 0.003  # m; a settled body stays about half a millimetre above its support
-_DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the drawer into which it was put
+_CONTACT_GAP: Final = 0.003  # m; a body at rest is about half a millimetre above its support
+_DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the drawer that contains it
 _GRIP_GAP: Final = 0.001  # m between a body and a finger that holds it
-_SLIGHT: Final = 2e-3  # m; overlap of bodies that can be moved apart without pushing each other
-_BELOW: Final = -0.1  # vertical part of a unit normal, below which a body touches another one from above
+_SLIGHT: Final = 2e-3  # m; bodies with a smaller overlap move apart without pushing each other
+_BELOW: Final = -0.1  # z of a unit normal; a smaller z means that a body touches another body from above
 
 
 class StillHeld(UserWarning):
@@ -43,23 +43,23 @@ class StillHeld(UserWarning):
 
 @dataclass(frozen=True, slots=True)
 class BodyAttachment:
-    """One object carried by another."""
+    """An object that another object carries."""
 
     carrier: Object
     carrier_link: str
     body: Object
-    body_link: str  # the link by which the body is held
+    body_link: str  # the link that the carrier holds
     pose: Pose  # pose of the body's base link in the carrier's link: position in m, orientation xyzw
     constraint: int  # the engine's id of the constraint that holds the body in simulation
-    loose: bool = False  # whether the body merely lies in or on the carrier, and is released with it
-    left: Sequence[Object] = ()  # bodies through which the body passes in simulation while it is held
+    loose: bool = False  # whether the body lies in or on the carrier, and is released with it
+    left: Sequence[Object] = ()  # bodies that don't collide with the body in simulation while it is held
 
     def other(self, side: Object) -> Object:
-        """Return the other one of the two objects."""
+        """Return the other object of the attachment."""
         return self.body if side is self.carrier else self.carrier
 
     def record(self) -> records.Attachment:
-        """Return the attachment's record."""
+        """Return the attachment as a record."""
         return records.Attachment(
             carrier=self.carrier.name,
             carrier_link=self.carrier_link,
@@ -82,22 +82,22 @@ def attach(
     left: Sequence[Object] = (),
     loose: bool = False,
 ) -> None:
-    """Make an object carry another; an existing attachment stays as it is.
+    """Make an object carry another object; an existing attachment doesn't change.
 
-    If only the body has a fixed base, as robots and furniture do, it carries the other object instead.
+    If only the body has a fixed base, as robots and furniture do, it becomes the carrier.
 
     Args:
         link: The carrier's link; None for its base link.
-        body_link: The link by which the body is held; None for its base link.
-        pose: Pose of the body's base link in the carrier's link; None for the present one.
-        along: Bodies that lie in or on the body and go along, until it is released; see :func:`taken_along`.
-        left: Bodies that overlap or lean on them, and stay; in simulation they pass through each other.
-        loose: Whether the body merely lies in or on the carrier, and is released with it.
+        body_link: The held link of the body; None for its base link.
+        pose: Pose of the body's base link in the carrier's link; None for the present pose.
+        along: Bodies in or on the body that move along until the body is released; see :func:`taken_along`.
+        left: Bodies that stay but overlap the moving bodies or lean on them; these don't collide in simulation.
+        loose: Whether the body lies in or on the carrier, and is released with it.
 
     Raises:
         UnknownName: There is no such link.
-        AttachmentError: The two are the same or in different worlds, both are fixed, another object carries the body,
-            or the body carries the carrier.
+        AttachmentError: The objects are the same, are in different worlds or are both fixed, another object carries the
+            body, or the body carries the carrier.
     """
     if body in carrier.attachments:
         return
@@ -123,10 +123,10 @@ def attach(
 
 
 def detach(side: Object, other: Object) -> None:
-    """End the attachment between two objects, from either side; both stay where they are, with what lies in them.
+    """End the attachment between two objects, from either side; the objects and their contents don't move.
 
     Raises:
-        AttachmentError: The two aren't attached to each other.
+        AttachmentError: The objects aren't attached to each other.
     """
     command = records.Mutation(detach_body=records.DetachBody())
     with side.world.transactions.begin(command) as transaction:
@@ -138,7 +138,7 @@ def detach(side: Object, other: Object) -> None:
 
 
 def put_back(carrier: Object, body: Object, saved: records.Attachment, transaction: Transaction) -> None:
-    """Restore an attachment as it was saved, as part of a transaction; both objects are at their saved poses."""
+    """Restore a saved attachment in a transaction; both objects are at their saved poses."""
     held = carrier.attachments.get(body)
     if held is not None:
         carrier.world.engine.unfix(held.constraint)
@@ -152,7 +152,7 @@ def put_back(carrier: Object, body: Object, saved: records.Attachment, transacti
 
 
 def renew(body: Object, transaction: Transaction) -> None:
-    """Update the pose of a carried object relative to its carrier, after a move without the carrier."""
+    """Update the pose of a carried object relative to its carrier after a move without the carrier."""
     carrier = body.carrier
     if carrier is not None:
         old = carrier.attachments[body]
@@ -161,11 +161,11 @@ def renew(body: Object, transaction: Transaction) -> None:
 
 
 def end(attachment: BodyAttachment, transaction: Transaction) -> None:
-    """End an attachment as part of a transaction, and release the objects that lie loosely in or on the body."""
+    """End an attachment in a transaction, and release the objects that lie loosely in or on the body."""
     carrier, body = attachment.carrier, attachment.body
     if carrier.attachments.get(body) is not attachment:
-        return  # it ended with the carrier's own
-    del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  this module keeps both sides equal
+        return  # it has ended with another attachment of the carrier
+    del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  both objects refer to the attachment
     for held in body.carried:
         if held.loose:
             end(held, transaction)
@@ -200,7 +200,7 @@ def _hold(
     engine.pass_through(carrier.handle, link, body.handle, robot=carrier.is_robot, enable=True)
     _pass_through(body, left, enable=True)
     attachment = BodyAttachment(carrier, link, body, body_link, pose, constraint, loose, left)
-    carrier._attachments[body] = body._attachments[carrier] = attachment  # noqa: SLF001  see end
+    carrier._attachments[body] = body._attachments[carrier] = attachment  # noqa: SLF001  as in end()
     transaction.mark_attached(attachment)
 
 
@@ -227,7 +227,7 @@ def _check(carrier: Object, body: Object) -> None:
 
 
 def move_attached(carrier: Object, transaction: Transaction) -> None:
-    """Move everything that an object carries to its relative pose, after the object or its joints have moved."""
+    """Move everything that an object carries to its relative pose after the object or its joints have moved."""
     engine = carrier.world.engine
     for attachment in carrier.carried:
         body = attachment.body
@@ -238,7 +238,7 @@ def move_attached(carrier: Object, transaction: Transaction) -> None:
 
 
 def gripping(robot: Object, body: Object) -> str:
-    """Return the name of the arm that has an object between its fingers; "" if no arm has."""
+    """Return the name of the arm that holds an object between its fingers; "" if no arm holds it."""
     engine = robot.world.engine
     for arm in robot.description.arms.values() if robot.description else ():
         normals = [
@@ -252,12 +252,12 @@ def gripping(robot: Object, body: Object) -> str:
 
 
 def attached_to(carrier: Object, link: str) -> Object | None:
-    """Return the object that is attached to a link of the carrier; None if there is none."""
+    """Return an object that is attached to a link of the carrier; None without such an object."""
     return next((attachment.body for attachment in carrier.carried if attachment.carrier_link == link), None)
 
 
 def held(robot: Object, arm: Arm | None = None) -> list[Object]:
-    """Return the objects that a robot carries, also indirectly; with an arm, the objects on its tool frame."""
+    """Return the objects that a robot carries, also indirectly; with an arm, only objects on its tool frame."""
     found = [each.body for each in robot.carried if arm is None or each.carrier_link == arm.tool_frame]
     for body in found:
         found.extend(each.body for each in body.carried)
@@ -265,16 +265,16 @@ def held(robot: Object, arm: Arm | None = None) -> list[Object]:
 
 
 def root_of(body: Object) -> Object:
-    """Return the last carrier in the chain of an object's carriers; the object itself if nothing carries it."""
+    """Return the last carrier in an object's chain of carriers; the object itself without a carrier."""
     while body.carrier is not None:
         body = body.carrier
     return body
 
 
 def moved_links(urdf: Urdf, joints: Iterable[str]) -> list[str]:
-    """Return the links that move with joints: their child links and all links below, in the URDF's order."""
+    """Return the links that move with joints, in the URDF's order: child links of the joints, and all links below."""
     moved = {urdf.joint(name).child for name in joints}
-    for link in urdf.links:  # parents come before their children
+    for link in urdf.links:  # a parent comes before its children
         joint = urdf.parent_joint(link)
         if joint is not None and joint.parent in moved:
             moved.add(link)
@@ -282,7 +282,7 @@ def moved_links(urdf: Urdf, joints: Iterable[str]) -> list[str]:
 
 
 def supported_bodies(container: Object, links: Iterable[str]) -> dict[Object, str]:
-    """Return the free bodies on or in links of an object, each with the link that supports it, also indirectly."""
+    """Return the free bodies that links of an object support, also indirectly, with the supporting link of each."""
     world = container.world
     engine = world.engine
     free = [body for body in world.objects if not body.fixed and body.carrier is None]
@@ -312,10 +312,10 @@ def supported_bodies(container: Object, links: Iterable[str]) -> dict[Object, st
 def move_supported(
     container: Object, before: Mapping[str, Pose], supported: Mapping[Object, str], transaction: Transaction
 ) -> None:
-    """Move supported bodies as their links have moved.
+    """Move supported bodies along with their links.
 
     Args:
-        before: Poses of the links before they moved.
+        before: Poses of the links before the links moved.
         supported: Result of :func:`supported_bodies` before the links moved.
     """
     engine = container.world.engine
@@ -327,10 +327,10 @@ def move_supported(
 
 
 def taken_along(body: Object) -> tuple[list[Object], list[Object]]:
-    """Return the free objects that go along when a hand lifts an object off its support, and those that it leaves.
+    """Return the free objects that move along when a hand lifts an object, and the free objects that it leaves.
 
-    What lies in or on the object goes along, unless it also rests on something that stays: then it leans on the object
-    and is left. What overlaps the object otherwise is left, too.
+    Objects in or on the lifted object move along, unless they also rest on an object that stays: then they lean on the
+    lifted object, and are left. Other objects that overlap the lifted object are also left.
     """
     engine, objects = body.world.engine, body.world.objects
     free = [other for other in objects if other is not body and not other.fixed and other.carrier is None]
@@ -347,7 +347,7 @@ def taken_along(body: Object) -> tuple[list[Object], list[Object]]:
 
     def rests_elsewhere(load: Object) -> bool:
         others = [other for other in objects if other not in (body, load, *along)]
-        return any(  # furniture may be a hull around its contents
+        return any(  # the shape of furniture may be a hull around its contents
             point.carries and not (other.fixed and point.distance < -DEEP)
             for other in others
             for point in points(other, load)

@@ -1,7 +1,6 @@
-"""Beliefs of the robots of one world about objects, while the plan runs; see :mod:`recorder.records.beliefs`.
+"""Beliefs of a world's robots about objects, while the plan runs; see :mod:`recorder.records.beliefs`.
 
-They are a part of the world's state, so forked processes, saved states and keyframes have them. They are kept whether
-or not a recording runs.
+Beliefs are a part of the world's state, so forked processes, saved states and keyframes contain them.
 """
 
 from __future__ import annotations
@@ -20,28 +19,28 @@ if TYPE_CHECKING:
     from recorder.records.beliefs import Key
     from recorder.tracing.journal import Journal
 
-    #: The step of a record in each recording.
+    #: The step of one record in each recording.
     Steps: TypeAlias = Mapping[Journal, int]
 
 
 class WorldBeliefs:
-    """The beliefs of a world's robots; used with the world's lock held."""
+    """The beliefs of a world's robots; callers hold the world's lock."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
         self._beliefs: dict[Key, Belief] = {}
-        self._steps: dict[Key, Steps] = {}  # steps of the records by which the beliefs were learned
+        self._steps: dict[Key, Steps] = {}  # steps of the records from which robots learned the beliefs
 
     def of(self, robot: str) -> list[tuple[Belief, int]]:
-        """Return a robot's beliefs, the latest first, each with the step of the record from which it was learned.
+        """Return a robot's beliefs, the latest first, with the step of the record from which it learned each belief.
 
-        The step is -1 if no running recording has that record.
+        The step is -1 if no running recording has the record.
         """
         own = [belief for (name, _), belief in self._beliefs.items() if name == robot]
         return [(belief, self._step(belief)) for belief in reversed(own)]
 
     def look(self, evidence: Mapping[str, object], steps: Steps = MappingProxyType({})) -> None:
-        """Update the beliefs by a perception.
+        """Update the beliefs after a perception.
 
         Args:
             evidence: The perceived objects, in the form of :func:`recorder.records.beliefs.sightings`.
@@ -51,7 +50,7 @@ class WorldBeliefs:
         self._steps.update(dict.fromkeys(learned, steps))
 
     def follow(self, transaction: Transaction, steps: Steps) -> None:
-        """Update the beliefs by a transaction, given the steps of its record."""
+        """Update the beliefs after a transaction; ``steps`` are the steps of its record."""
         world = self._world
         carriers: dict[str, str] | None = None
         if transaction.attached or transaction.detached:
@@ -76,16 +75,16 @@ class WorldBeliefs:
         return {key: self._steps.get(key, {}) for key in self._beliefs}
 
     def restored(self, steps: Mapping[Key, Steps]) -> None:
-        """Set the steps of the beliefs that a saved state has restored."""
+        """Set the steps of beliefs from a saved state."""
         self._steps = dict(steps)
 
     def rebuild(self, recorded: Iterable[Belief]) -> None:
-        """Set the beliefs to recorded ones, in a world that is built from a recording."""
+        """Set the beliefs from a recording, in a world that is rebuilt from it."""
         fold.restore(self._beliefs, recorded)
         self._steps.clear()
 
     def records(self, journal: Journal | None = None) -> list[Belief]:
-        """Return copies of the beliefs for a record, with the steps of a recording."""
+        """Return copies of the beliefs for a record, with the steps of a recording, or -1 without a recording."""
         copies = []
         for key, belief in self._beliefs.items():
             copy = Belief()

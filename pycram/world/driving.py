@@ -1,9 +1,8 @@
 """Driving: bodies follow trajectories in simulated time, and plans wait until the trajectories have ended.
 
-Before each step, a motor gets the joint's planned position as its target, and the velocity to the position planned
-after the step; so motors of any gain follow without lag. A base is moved to its pose step by step, with everything
-attached to it. Everything else is physics: objects that are pushed move, and an obstacle keeps joints from following.
-A stopped trajectory slows down along its path (:mod:`recorder.records.motion`).
+Before each step, a motor gets the joint's planned position as its target, and the velocity to the next planned
+position. So motors of any gain follow without lag. A base is set to its pose in each step, with all attached
+objects. Everything else is physics: pushed objects move, and obstacles keep joints from following.
 """
 
 from __future__ import annotations
@@ -32,32 +31,32 @@ if TYPE_CHECKING:
 
 
 LOST: Final = {"revolute": 0.1, "prismatic": 0.05}
-"""Largest deviation of a joint from its trajectory, rad or m; without contacts it is less than 1e-3."""
+"""Largest deviation of a joint from its trajectory, rad or m; without contacts, joints deviate by less than 1e-3."""
 _MAX_SECONDS: Final = 3600.0
-_MAX_NUMBERS: Final = 200_000  # a minute of 100 rows a second for 30 joints
-_FARTHEST: Final = 1e6  # m or rad, as of any pose
+_MAX_NUMBERS: Final = 200_000  # values of a trajectory: a minute with 100 rows a second for 30 joints
+_FARTHEST: Final = 1e6  # m or rad, as for any pose
 _FASTEST: Final = 1e3  # m/s or rad/s
-_START: Final = 0.2  # share of LOST by which a joint may be away from the start of its trajectory
-_BASE_START: Final = (0.01, 0.01, 0.02)  # m of x and y, and rad of yaw, by which a base may be away from the start
+_START: Final = 0.2  # share of LOST by which a joint may deviate from the start of its trajectory
+_BASE_START: Final = (0.01, 0.01, 0.02)  # x and y in m, yaw in rad by which a base may deviate from the start
 
 
 class Followed:
-    """A trajectory that a body follows, or has followed.
+    """A trajectory that a body follows or has followed.
 
     Raises:
-        UnknownName: The body lacks one of its joints.
+        UnknownName: The body lacks a joint of the trajectory.
         BadArgument: The record isn't a trajectory, or positions of joints that mimic others contradict each other.
-        JointLimitError: A position is outside of its joint's limits.
+        JointLimitError: A position is outside the joint's limits.
     """
 
     def __init__(self, body: Object, following: records.Following, sim_step: int) -> None:
         self.body = body
-        self.following = following  # its record; ``stopped`` is set when the trajectory is stopped
-        #: The trajectory of all joints that move, including joints that mimic others.
+        self.following = following  # the record; ``stopped`` is set when the trajectory is stopped
+        #: The trajectory of all moving joints, including joints that mimic other joints.
         self.trajectory = with_followers(body, Trajectory.of_record(following.begin.trajectory))
-        #: The joints that move; empty for the base.
+        #: The moving joints; empty for the base.
         self.joints: tuple[MovableJoint, ...] = tuple(body.handle.joints[name] for name in self.trajectory.joints)
-        self.time = time_of(following, sim_step)  # s of the trajectory up to which it was driven
+        self.time = time_of(following, sim_step)  # s of the trajectory that the body has followed
         self.lost: tuple[str, float] | None = None  # the first joint that deviated by more than LOST, and its deviation
         self.ended = False
         self._targets: Sequence[float] = self.trajectory.at(self.time)[0]
@@ -70,12 +69,12 @@ class Followed:
         return self.following.begin.number
 
     def begin_stretch(self) -> None:
-        """Reset the largest deviation, at the start of a transaction."""
+        """Reset the largest deviation at the start of a transaction."""
         self.error = 0.0  # largest deviation of a joint, rad or m
-        self.worst = ""  # the joint that deviated most; "" for the base
+        self.worst = ""  # the joint with the largest deviation; "" for the base
 
     def drive(self, sim_step: int, transaction: Transaction) -> None:
-        """Let the engine move the body to its target at the next simulated step."""
+        """Command the engine to move the body to its target at the next simulated step."""
         self.time = min(time_of(self.following, sim_step), self.trajectory.duration)
         before, self._targets = self._targets, self.trajectory.at(self.time)[0]
         engine = self.body.world.engine
@@ -86,7 +85,7 @@ class Followed:
         attachment.move_attached(self.body, transaction)
 
     def measure(self) -> None:
-        """Measure how far the joints are from their targets."""
+        """Measure the deviations of the joints from their targets."""
         if not self.joints:
             return
         positions = self.body.world.engine.positions(self.body.handle, self.joints)
@@ -98,14 +97,14 @@ class Followed:
                 self.lost = joint.name, error
 
     def hold(self) -> None:
-        """Let the motors hold the joints at their targets, or at their positions if the track is lost."""
+        """Make the motors hold the joints at their targets, or at their present positions after a lost track."""
         if self.joints and self.body.alive:
             engine, handle = self.body.world.engine, self.body.handle
             targets = engine.positions(handle, self.joints) if self.lost else self._targets
             engine.set_targets(handle, {joint.name: at for joint, at in zip(self.joints, targets, strict=True)})
 
     def driven(self) -> records.Driven:
-        """Return the trajectory's part of the record of a simulation."""
+        """Return the record of the trajectory's progress in a simulation."""
         return records.Driven(
             number=self.number,
             body=self.body.name,
@@ -121,16 +120,16 @@ class Trajectories:
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
-        self.active: dict[int, Followed] = {}  # by number, in the order in which they began
+        self.active: dict[int, Followed] = {}  # by number; the first began first
         self.last = 0  # number of the latest trajectory
 
     def add(self, followed: Followed) -> None:
-        """Let a body follow a trajectory from the next step on; part of a transaction, or of building a world."""
+        """Make a body follow a trajectory from the next step on, in a transaction or a world that is rebuilt."""
         self.active[followed.number] = followed
         self.last = followed.number
 
     def step(self, steps: int, transaction: Transaction) -> None:
-        """Simulate steps of 1/240 s in which bodies follow their trajectories, then measure their deviations."""
+        """Simulate steps of 1/240 s while bodies follow their trajectories, then measure their deviations."""
         engine, start = self._world.engine, self._world.sim_step
         for sim_step in range(start + 1, start + steps + 1):
             for followed in self.active.values():
@@ -143,19 +142,19 @@ class Trajectories:
             followed.measure()
 
     def end(self, followed: Followed) -> None:
-        """End a trajectory; the body's motors hold it there."""
+        """End a trajectory; motors hold the body's joints."""
         del self.active[followed.number]
         followed.ended = True
         followed.hold()
 
     def end_all(self, body: Object | None = None) -> None:
-        """End the trajectories of a body, or all, in a transaction that moves or removes the body."""
+        """End all trajectories, or those of a body, in a transaction that moves or removes the body."""
         for followed in list(self.active.values()):
             if body in (None, followed.body):
                 self.end(followed)
 
     def refuse(self, action: str, body: Object, joints: Collection[str] = ()) -> None:
-        """Raise FollowsTrajectory if one of the joints follows a trajectory; without joints, if the base does."""
+        """Raise FollowsTrajectory if a joint follows a trajectory; without joints, if the base follows one."""
         for number, followed in self.active.items():
             moved = followed.trajectory.joints
             both = [name for name in moved if name in joints]
@@ -169,7 +168,7 @@ class Trajectories:
 
 
 class FollowableMotion(Protocol):
-    """A motion that was planned."""
+    """A planned motion."""
 
     @property
     def trajectory(self) -> Trajectory:
@@ -177,30 +176,30 @@ class FollowableMotion(Protocol):
 
     @property
     def search(self) -> records.PathSearch | None:
-        """The search for its path; None if the path was given."""
+        """The search for the trajectory's path; None if the path was given."""
 
 
 @refusing(name="follow")
 def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]]) -> None:
-    """Let bodies follow trajectories that start together, and wait in simulated time until all have ended.
+    """Make bodies follow trajectories that start together, and wait in simulated time until all have ended.
 
-    An error that ends the wait early stops all of them: they slow down along their paths for at most 0.2 s of
-    simulated time, and have stopped when the error is raised.
+    If an error ends the wait early, all trajectories are stopped before the error is raised. They slow down along their
+    paths for at most 0.2 s of simulated time.
 
     Args:
-        motions: Bodies, each with its planned motion.
+        motions: Bodies with their planned motions.
 
     Raises:
         TrackingLost: A joint deviated too far from its trajectory.
-        TrajectoryEnded: A trajectory was stopped elsewhere, or the world was reset or restored.
+        TrajectoryEnded: Another call stopped a trajectory, or the world was reset or restored.
         BadArgument: A body can't follow its trajectory, or isn't at its start; no body has moved.
-        FollowsTrajectory: A body follows another trajectory with the same joints; no body has moved.
+        FollowsTrajectory: A joint follows another trajectory; no body has moved.
         Cancelled: The branch is cancelled.
     """
     raise_if_cancelled()
     begun: list[Followed] = []
     try:
-        with uninterruptible(), Uninterrupted():  # all motions start, or none
+        with uninterruptible(), Uninterrupted():  # all motions start or none
             for body, planned in motions:
                 begun.append(begin(world, body, planned.trajectory, planned.search))
         simulation.wait(world, lambda: all(each.ended for each in begun) or any(each.lost for each in begun))
@@ -216,7 +215,7 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]
 
 
 def _stop_all(world: BulletWorld, begun: Sequence[Followed]) -> None:
-    """Stop the trajectories that haven't ended, and let time pass until they have, even if the branch is cancelled."""
+    """Stop the trajectories, and let time pass until all have ended, even if the branch is cancelled."""
     with shielded(), uninterruptible():
         with world.lock:
             for each in begun:
@@ -233,10 +232,9 @@ def begin(
     search: records.PathSearch | None = None,
     number: int | None = None,
 ) -> Followed:
-    """Let a body follow a trajectory; see :meth:`pycram.world.world.BulletWorld.begin_trajectory`.
+    """Make a body follow a trajectory; see :meth:`pycram.world.world.BulletWorld.begin_trajectory`.
 
-    Args:
-        number: The recorded number, if a recorded trajectory begins again.
+    ``number`` is the recorded number if a recorded trajectory begins again.
     """
     if not isinstance(trajectory, Trajectory):
         raise BadArgument("trajectory", trajectory, "a Trajectory")
@@ -268,19 +266,17 @@ def stop(world: BulletWorld, number: int) -> None:
         if followed is None:
             raise UnknownName("trajectory", number, world.name, map(str, world.trajectories.active))
         mutation.stop_trajectory.body = followed.body.name
-        if followed.following.began == world.sim_step:  # nothing has moved yet
+        if followed.following.began == world.sim_step:  # the body hasn't moved
             world.trajectories.end(followed)
         elif not followed.following.stopped:
             followed.following.stopped = world.sim_step
 
 
 def resume(body: Object, following: records.Following) -> None:
-    """Let a body continue a trajectory that it followed in a recorded state.
-
-    This is no transaction and leaves no record: it builds worlds from recordings.
+    """Make a body continue a recorded trajectory, in a world that is rebuilt from a recording, without a record.
 
     Raises:
-        BadArgument: The body can't follow the trajectory, or its steps contradict the world's time.
+        BadArgument: The body can't follow the trajectory, or the trajectory's steps contradict the world's time.
     """
     world = body.world
     if not following.began <= world.sim_step >= following.stopped >= 0 or has_ended(following, world.sim_step):
@@ -292,7 +288,7 @@ def resume(body: Object, following: records.Following) -> None:
 
 
 def _check(body: Object, trajectory: Trajectory) -> None:
-    """Raise BadArgument for a trajectory that the body could never follow; a recorded one may hold any numbers."""
+    """Raise BadArgument for a trajectory that the body could never follow; recorded values may be impossible."""
     if trajectory.duration > _MAX_SECONDS:
         raise BadArgument("times", trajectory.duration, f"an end after at most {_MAX_SECONDS:g} s")
     if len(trajectory.times) * len(trajectory.coordinates) > _MAX_NUMBERS:
@@ -312,7 +308,7 @@ def _check(body: Object, trajectory: Trajectory) -> None:
 def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, float] | None:
     """Return the first coordinate of a body that isn't at the start of a trajectory, its start and its position.
 
-    Start and position are in rad or m. None if all coordinates are near enough for motors to follow.
+    Start and position are in rad or m. Returns None if all coordinates are near enough for motors to follow.
     """
     engine, joints = body.world.engine, body.handle.joints
     if trajectory.joints:
@@ -333,7 +329,7 @@ def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, floa
 
 
 def _touching(body: Object, joint: str) -> list[CollisionPair]:
-    """Return the contacts of the last step of the links that a joint moves and of their load, hardest first."""
+    """Return the contacts of a joint's moving links and their load in the last step; the strongest contact is first."""
     moved = set(attachment.moved_links(body.urdf, [joint]))
     movers: dict[Object, set[str]] = {body: moved}
     for mover in movers.copy():

@@ -1,8 +1,7 @@
-"""Events, and the handlers that are called when they fire (thesis 4.2.3).
+"""Events and their handlers (thesis 4.2.3).
 
-Firing an event has two phases. ``prepare`` records the event and returns a function that calls the present handlers.
-A world prepares with its lock held, so events are recorded in the order of its transactions. It calls the handlers
-after releasing the lock, so handlers may change any world. ``fire`` does both.
+``Event.prepare`` records an event and returns a function that calls the handlers. A world prepares events under its
+lock, so their records have the order of transactions. It calls handlers without the lock, so they may change any world.
 """
 
 from __future__ import annotations
@@ -31,10 +30,9 @@ if TYPE_CHECKING:
 class Event:
     """An event with handlers.
 
-    ``event += handler`` registers a handler, ``event -= handler`` removes it, and ``event(...)`` or ``event.fire(...)``
-    calls all handlers. A handler that is registered twice is called once. Handlers are called in the order of their
-    registration, in the thread that fires, without any lock held. All are called even if one raises; then the first
-    error is raised with the others in its context.
+    ``event += handler`` registers a handler once, ``event -= handler`` removes it, and ``event(...)`` or
+    ``event.fire(...)`` calls all handlers in the order of registration. Handlers are called in the thread that fires
+    the event, without a lock. All handlers are called, then the first error is raised; other errors are its context.
     """
 
     def __init__(
@@ -44,13 +42,13 @@ class Event:
         envelope: Envelope | None = None,
         parameters: Sequence[str] = (),
     ) -> None:
-        """Make an event without handlers.
+        """Create an event without handlers.
 
         Args:
-            name: Name of the event ("attachment", ...) in recordings.
-            sender: Name of the world or object that fires it, in recordings.
-            envelope: Returns the world's name and simulated steps when the event fires; None for no world.
-            parameters: Names of the positional arguments in recordings; further arguments are recorded by their index.
+            name: Name of the event in recordings, such as "attachment".
+            sender: Name of the sending world or object in recordings.
+            envelope: Returns the world's name and the number of simulated steps; None without a world.
+            parameters: Names of positional arguments in recordings; further arguments have their index.
         """
         self.name = name
         self.sender = sender
@@ -61,7 +59,7 @@ class Event:
 
     @property
     def handlers(self) -> tuple[Handler, ...]:
-        """The registered handlers, in order."""
+        """The registered handlers, in the order of registration."""
         return self._handlers
 
     def _envelope(self) -> tuple[str, int]:
@@ -69,11 +67,11 @@ class Event:
 
     @refusing("event", name="+=")
     def __iadd__(self, handler: Handler) -> Self:
-        """Register a handler, once; it is called with the event's arguments.
+        """Register a handler once; it gets the event's arguments.
 
         Raises:
             BadArgument: The handler isn't callable.
-            RecordingError: The registration can't be recorded, and isn't made.
+            RecordingError: The registration can't be recorded, so it isn't made.
         """
         if not callable(handler):
             raise BadArgument(f"handler of {self}", handler, "a function")
@@ -90,7 +88,7 @@ class Event:
 
         Raises:
             UnknownName: The handler isn't registered.
-            RecordingError: The removal can't be recorded, and isn't made.
+            RecordingError: The removal can't be recorded, so it isn't made.
         """
         name = qualified_name(handler)
         with Uninterrupted(), self._lock:
@@ -129,7 +127,7 @@ class Event:
         def call_one(handler: Handler) -> None:
             with (
                 span.span("handler", qualified_name(handler), {"event": self.name, "sender": self.sender}),
-                OnError(mark_recorded, Exception),  # the handler's task records it, so it isn't a refusal
+                OnError(mark_recorded, Exception),  # the handler's task has the error, so it isn't a refusal
             ):
                 handler(*args, **kwargs)
 
@@ -145,8 +143,8 @@ class Event:
         """Record the event, then call the handlers with these arguments.
 
         Raises:
-            RecordingError: The event can't be recorded; no handler is called.
-            Exception: The first error that a handler raised, after all have been called.
+            RecordingError: The event can't be recorded, so no handler is called.
+            Exception: The first error of a handler, raised after all handlers were called.
         """
         self.prepare(*args, **kwargs)()
 
@@ -155,7 +153,7 @@ class Event:
         self.fire(*args, **kwargs)
 
     def __record__(self) -> object:
-        """Return its reference in records."""
+        """Return the event's reference in records."""
         return {"event": f"{self.name} of {self.sender}" if self.sender else self.name}
 
     def __repr__(self) -> str:

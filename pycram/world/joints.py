@@ -1,4 +1,4 @@
-"""Joints of an object: checked positions, joints that mimic others, and bodies that move along."""
+"""Joints of an object: checked positions, joints that mimic other joints, and bodies that move with them."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.urdf import Urdf
 
-_LIMIT_TOLERANCE: Final = 1e-3  # rad or m by which positions may exceed limits, as with simulated motors and splines
-_MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which positions of a mimic group may differ: files contain rounded values
+_LIMIT_TOLERANCE: Final = 1e-3  # rad or m by which positions may exceed limits; motors and splines exceed them a little
+_MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which positions of a mimic group may differ; files contain rounded values
 
 
 def set_positions(body: Object, positions: Mapping[str, float]) -> None:
-    """Set joints to positions (rad or m, by name); see :meth:`pycram.world.object.Object.set_joint_positions`."""
+    """Set joints to positions (rad or m) by name; see :meth:`pycram.world.object.Object.set_joint_positions`."""
     checked = checked_positions(body, positions)
     command = records.MoveJoints(body=body.name, joints=list(checked), positions=list(checked.values()))
     checked = coupled(body, checked)
@@ -41,10 +41,10 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
 
 
 def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return given positions (rad or m, by name) as floats.
+    """Return given positions (rad or m) by name as floats.
 
     Raises:
-        BadArgument: They aren't numbers by name.
+        BadArgument: The positions aren't numbers by joint name.
         UnknownName: The object has no such joint.
         JointLimitError: A position is outside the joint's limits.
     """
@@ -54,11 +54,11 @@ def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str,
 
 
 def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
-    """Return given positions (rad or m, by name) with the positions of all joints in their mimic groups.
+    """Return given positions (rad or m) by name, and positions of all joints that mimic the same joints.
 
     Raises:
-        BadArgument: Given positions of a group contradict each other, or a joint in it that can't be moved.
-        JointLimitError: The position of the joint that others mimic is outside its limits.
+        BadArgument: Given positions of a group contradict each other, or contradict a joint that can't be moved.
+        JointLimitError: The position of the leader, which other joints mimic, is outside its limits.
     """
     urdf = body.urdf
     if not (body.model.loading.mimic and urdf.mimics):
@@ -84,15 +84,15 @@ def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
 
 
 def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory with all joints in the mimic groups of its joints.
+    """Return a trajectory that also has all joints that mimic the same joints as its joints.
 
     Raises:
         UnknownName: The object has no such joint.
         BadArgument: A joint is named twice, or positions of a mimic group contradict each other.
-        JointLimitError: A position is outside of its joint's limits.
+        JointLimitError: A position is outside the joint's limits.
     """
     names = trajectory.joints
-    if not names:  # a trajectory of the base
+    if not names:  # the base moves
         return trajectory
     if len(set(names)) < len(names):
         raise BadArgument("joints", names, "each joint once")
@@ -112,7 +112,7 @@ def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
 
 
 def _speeds(urdf: Urdf, given: Mapping[str, float], moved: Iterable[str]) -> tuple[float, ...]:
-    """Return the speeds of joints (rad/s or m/s), as given or as they follow from the joints that they mimic."""
+    """Return the given speeds of joints (rad/s or m/s), or the speeds that follow from mimicked joints."""
     speeds = dict(given)
     for name, speed in given.items():
         mimic = urdf.mimics.get(name)

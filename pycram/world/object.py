@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion, Vector
     from recorder.urdf import Urdf
 
-#: None where a world, robot or description may be missing; type checkers accept any use, so plans need no assertions.
+#: None where a world, robot or description may be missing. Type checkers accept any use, so plans need no assertions.
 MaybeNone: TypeAlias = Any
 
 _SCALES = (1e-6, 1e6)  # m per unit of length
@@ -45,30 +45,30 @@ ROBOT = "robot"
 class Object(ReadOnlyAttributes):
     """An object in a world.
 
-    Positions are [x, y, z] in m, orientations quaternions [x, y, z, w], both of the base link in the world frame,
-    unless a link is named. Positions of joints are in rad or m. Setting poses and joints is exact and runs no physics.
-    Attributes are read-only; methods change them, each with a record.
+    Positions are [x, y, z] in m and orientations are quaternions [x, y, z, w]: of the base link in the world, unless a
+    link is named. Joint positions are in rad or m. Setting poses and joints is exact, without a simulation. Attributes
+    are read-only; methods change them, and record each change.
 
-    All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that the object lacks,
-    and WorldClosed when the object was removed or its world has ended. Methods that change the object raise
-    ChangeRefused while a reasoning query runs.
+    All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that doesn't exist, and
+    WorldClosed after the object was removed or its world has ended. Methods that change the object raise ChangeRefused
+    while a reasoning query runs.
 
     Args:
-        name: Unique in its world.
-        type: "environment" and "robot" have a fixed base; objects of any other type ("milk") are free.
-        path: .urdf, .stl, .obj or .dae file; a bare name also finds PyCRAM's own resources and ``pr2.urdf``.
+        name: A unique name in the world.
+        type: "environment" and "robot" have a fixed base; objects of any other type, such as "milk", are free.
+        path: A .urdf, .stl, .obj or .dae file, or the bare name of a bundled file such as ``pr2.urdf``.
         position: Position of the base link, m.
         orientation: Orientation of the base link, xyzw.
-        world: The current world by default.
-        color: RGBA 0..1 for a mesh; None keeps the mesh's own colours.
-        description: Description of a robot; by default found by the name in its URDF.
+        world: None for the current world.
+        color: RGBA 0..1 for a mesh; None for the mesh's own colours.
+        description: Description of a robot; None to find it by the name in the URDF.
         packages: Folders of ROS packages with the URDF's meshes (``package://``), or parents of such folders. Other
             packages are searched for as in :mod:`pycram.models.files`.
         scale: Metres per unit of length of the file: 0.001 for a file in millimetres. Masses of a URDF stay in kg.
-        model: A model that was loaded from a recording, not from the path.
+        model: A model that was loaded from a recording; it replaces the file.
 
     Raises:
-        NoWorld: No world is given and none is current.
+        NoWorld: No world is given, and no world is current.
         BadArgument: A value is impossible, or another object has the name.
         AssetError: The file is missing or broken.
     """
@@ -102,7 +102,7 @@ class Object(ReadOnlyAttributes):
         scale: float = 1.0,
         model: Model | None = None,
     ) -> None:
-        from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds hold objects
+        from pycram.world.world import BulletWorld  # noqa: PLC0415  that module imports this one
 
         around = world if world is not None else BulletWorld.current_bullet_world
         if around is None:
@@ -128,17 +128,17 @@ class Object(ReadOnlyAttributes):
                 self.description = description
             else:
                 self.description, misfits = find_description(self.urdf)
-            if misfits and model is None:  # a recorded robot had its warning when it was recorded
+            if misfits and model is None:  # the recording run gave this warning
                 _warn_of_misfits(self, misfits)
         self.original_pose: Pose = pose
         self.original_joints: Mapping[str, float] = MappingProxyType({})
         self._attachments: dict[Object, BodyAttachment] = {}
         self._handle: LoadedBody | None = None
-        #: Objects that this one overlapped when it was loaded; :class:`Overlapping` warned of them.
+        #: Objects that this object overlapped when it was loaded; a warning (:class:`Overlapping`) named them.
         self.overlaps: Sequence[records.Overlap] = ()
         self._seal(Object)
         self.world.add(self)
-        if model is not None:  # a recorded object had its warnings when it was recorded
+        if model is not None:  # the recording run gave these warnings
             return
         if self.overlaps:
             warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
@@ -151,7 +151,7 @@ class Object(ReadOnlyAttributes):
         return f"Object({self.name!r}, {self.type!r})"
 
     def _envelope(self) -> tuple[str, int]:
-        return self.world._envelope()  # noqa: SLF001  for the same records
+        return self.world._envelope()  # noqa: SLF001  the records have the world's envelope
 
     def __record__(self) -> object:
         """Return the object's reference in records."""
@@ -190,7 +190,7 @@ class Object(ReadOnlyAttributes):
     @property
     @refusing("object")
     def id(self) -> int:
-        """PyBullet's id; another body may get it after the object's removal."""
+        """PyBullet's id; after the object's removal, another body may get it."""
         return self.handle.id
 
     @property
@@ -213,7 +213,7 @@ class Object(ReadOnlyAttributes):
 
     @cached_property
     def load_record(self) -> records.LoadBody:
-        """The record from which the object can be loaded again, in its present colour."""
+        """The record that loads the object again, in its present colour."""
         model = self.model
         return records.LoadBody(
             body=self.name,
@@ -232,17 +232,17 @@ class Object(ReadOnlyAttributes):
         )
 
     def get_joint_id(self, name: str) -> int:
-        """Return PyBullet's index of a joint, movable or fixed."""
+        """Return PyBullet's index of a movable or fixed joint."""
         if checks.text("joint", name) not in self.urdf.joints:
             raise UnknownName("joint", name, self.name, self.urdf.joints)
-        return self.handle.links[self.urdf.joints[name].child]  # PyBullet's joints and their child links share numbers
+        return self.handle.links[self.urdf.joints[name].child]  # PyBullet gives a joint and its child link one index
 
     def get_link_id(self, name: str) -> int:
-        """Return PyBullet's index of a link, -1 for the base link."""
+        """Return PyBullet's index of a link; the base link has -1."""
         return self.handle.links[self.check_link(name)]
 
     def check_link(self, name: str | None) -> str:
-        """Return the name of an existing link, of the base link for None."""
+        """Return the name of an existing link; of the base link for None."""
         links = self.handle.links
         if name is None:
             return next(iter(links))
@@ -257,7 +257,7 @@ class Object(ReadOnlyAttributes):
         return name
 
     def joint_limits(self, name: str) -> tuple[float, float]:
-        """Return lower and upper limit in rad or m; infinite for continuous joints."""
+        """Return the lower and upper limit in rad or m; both are infinite for continuous joints."""
         joint = self.handle.joints[self.check_joint(name)]
         return joint.lower, joint.upper
 
@@ -278,7 +278,7 @@ class Object(ReadOnlyAttributes):
     @property
     @refusing("object")
     def tops(self) -> tuple[Surface, ...]:
-        """Surfaces on top of a free object as it lies now: of a plate, a box or a tray; a fixed object has none."""
+        """Surfaces on top of a free object in its present pose, such as a plate or a tray; a fixed object has none."""
         x, y, z, w = self.get_orientation()
         found = () if self.fixed else tops_of(self.model.path, (x, y, z, w))
         return tuple(replace(surface, name=f"{surface.name} of {self.name}") for surface in found)
@@ -296,7 +296,7 @@ class Object(ReadOnlyAttributes):
         return self.containers[name]
 
     def surface_pose(self, surface: Surface | str) -> Pose:
-        """Return the pose of a surface's centre in the world, at the present joint positions; z points up."""
+        """Return the pose of a surface's centre in the world at the present joint positions; its z axis points up."""
         of = surface if isinstance(surface, Surface) else self.surface(surface)
         return geometry.multiply(self.get_link_position_and_orientation(of.link), of.pose)
 
@@ -307,7 +307,7 @@ class Object(ReadOnlyAttributes):
         return self.get_position_and_orientation()[0]
 
     def get_pose(self) -> list[float]:
-        """Return the position [x, y, z] in m alone, as :meth:`get_position` does (thesis, table 4.2).
+        """Return the position [x, y, z] in m, without the orientation (thesis, table 4.2).
 
         :meth:`get_position_and_orientation` returns both.
         """
@@ -318,7 +318,7 @@ class Object(ReadOnlyAttributes):
         return self.get_position_and_orientation()[1]
 
     def get_position_and_orientation(self) -> tuple[list[float], list[float]]:
-        """Return position [x, y, z] in m and orientation [x, y, z, w] of the base link in the world."""
+        """Return the position [x, y, z] in m and the orientation [x, y, z, w] of the base link in the world."""
         with self.world.lock:
             position, orientation = self.world.engine.pose(self.handle)
         return list(position), list(orientation)
@@ -332,7 +332,7 @@ class Object(ReadOnlyAttributes):
         return self.get_link_position_and_orientation(name)[1]
 
     def get_link_position_and_orientation(self, name: str) -> tuple[list[float], list[float]]:
-        """Return position and orientation of a link's frame."""
+        """Return the position and orientation of a link's frame."""
         with self.world.lock:
             position, orientation = self.world.engine.link_pose(self.handle, self.check_link(name))
         return list(position), list(orientation)
@@ -348,9 +348,9 @@ class Object(ReadOnlyAttributes):
             return dict(zip(self.joints, self.world.engine.joints(self.handle)[0], strict=True))
 
     def get_AABB(self, name: str | None = None) -> tuple[list[float], list[float]]:  # noqa: N802  the original's name
-        """Return lowest and highest corner of the axis-aligned box around the object, or around one of its links.
+        """Return the lowest and highest corner of the axis-aligned box around the object, or around one link.
 
-        The engine pads shapes, so the box is up to 3 mm too large on each side.
+        The box is up to 3 mm too large on each side, because the engine pads shapes.
         """
         with self.world.lock:
             engine = self.world.engine
@@ -364,20 +364,20 @@ class Object(ReadOnlyAttributes):
     # --- changes -----------------------------------------------------------------------------------------------------
 
     def set_position_and_orientation(self, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Set the pose; attached objects move along, and a carried object gets a new pose relative to its carrier."""
+        """Set the pose. Attached objects move along; a carried object gets a new pose relative to its carrier."""
         self._move(checks.vector("position", position), checks.quaternion("orientation", orientation))
 
     def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
-        """Set the position; without an orientation, the present orientation stays."""
+        """Set the position, and the orientation if it is given."""
         turned = None if orientation is None else checks.quaternion("orientation", orientation)
         self._move(checks.vector("position", position), turned)
 
     def set_orientation(self, orientation: Sequence[float]) -> None:
-        """Set the orientation; the base link's origin stays."""
+        """Set the orientation; the origin of the base link doesn't move."""
         self._move(None, checks.quaternion("orientation", orientation))
 
     def _move(self, position: Vector | None, orientation: Quaternion | None) -> None:
-        """Set the pose; None keeps the value that the object has when the transaction begins."""
+        """Set the pose; None keeps the value at the start of the transaction."""
         with self.world.transactions.begin(records.Mutation(move_body=records.MoveBody(body=self.name))) as transaction:
             self.world.trajectories.refuse("set its pose", self)
             now = self.world.engine.pose(self.handle)
@@ -396,10 +396,7 @@ class Object(ReadOnlyAttributes):
         self.set_joint_positions({name: position})
 
     def set_joint_positions(self, positions: Mapping[str, float]) -> None:
-        """Set positions of joints; objects that are attached to their links or lie in a drawer move along.
-
-        Args:
-            positions: In rad or m by joint name.
+        """Set positions (rad or m) of joints by name; objects on a moving link, or in a drawer, move along.
 
         Raises:
             JointLimitError: A position is outside the joint's limits.
@@ -407,49 +404,50 @@ class Object(ReadOnlyAttributes):
         joints.set_positions(self, positions)
 
     def remove(self) -> None:
-        """Remove the object from its world; its attachments end."""
+        """Remove the object from its world, and end its attachments."""
         self.world.remove(self)
 
     # --- attachments -------------------------------------------------------------------------------------------------
 
     @property
     def attachments(self) -> Mapping[Object, BodyAttachment]:
-        """All attachments of the object, as carrier or carried, by the other object."""
+        """All attachments in which the object is the carrier or is carried; the key is the other object."""
         return MappingProxyType(self._attachments)
 
     @property
     def carried(self) -> list[BodyAttachment]:
-        """Attachments in which the object is the carrier."""
+        """The attachments in which the object is the carrier."""
         return [held for held in self._attachments.values() if held.carrier is self]
 
     @property
     def carrier(self) -> Object | None:
-        """The object that carries this one; None if there is none."""
+        """The object that carries this object; None without a carrier."""
         return next((held.carrier for held in self._attachments.values() if held.body is self), None)
 
     def attach(self, other: Object, link: str | None = None, other_link: str | None = None) -> None:
-        """Carry another object with a link, at its present relative pose (thesis 4.3.1); an existing attachment stays.
+        """Carry another object at its present relative pose (thesis 4.3.1); an existing attachment doesn't change.
 
-        If only the other object has a fixed base, as robots and furniture do, it carries this one instead.
+        If only the other object has a fixed base, as robots and furniture do, it becomes the carrier.
 
         Args:
-            other: The object to carry.
-            link: The link that carries; the base link by default.
-            other_link: The link of the other object that is held; its base link by default.
+            other: The other object.
+            link: The link of this object; None for its base link.
+            other_link: The link of the other object; None for its base link.
 
         Raises:
-            AttachmentError: Cycle, two fixed bases, another carrier, or another world.
+            AttachmentError: Both bases are fixed, another object carries the other object, there is a circle of
+                carriers, or the worlds differ.
         """
         attachment.attach(self, _object("other", other), link, other_link)
 
     def detach(self, other: Object) -> None:
-        """End an attachment, from either side (thesis 4.3.2); both objects stay where they are.
+        """End an attachment, from either side (thesis 4.3.2); neither object moves.
 
         Warns:
-            StillHeld: The closed fingers of a robot hold the object that it has carried.
+            StillHeld: Closed fingers of a robot still hold the object.
 
         Raises:
-            AttachmentError: The two aren't attached to each other.
+            AttachmentError: The objects aren't attached to each other.
         """
         released = _object("other", other)
         attachment.detach(self, released)
@@ -460,7 +458,7 @@ class Object(ReadOnlyAttributes):
                 warnings.warn_explicit(text, attachment.StillHeld, *call_site())
 
     def detach_all(self) -> None:
-        """End all attachments of the object, as carrier or carried."""
+        """End all attachments in which the object is the carrier or is carried."""
         while self._attachments:
             self.detach(next(iter(self._attachments)))
 
@@ -475,7 +473,7 @@ class Object(ReadOnlyAttributes):
 
 
 def _object(argument: str, value: object) -> Object:
-    """Return an object that is given directly or as a branch's future."""
+    """Return an object from an argument, which may also be a branch's future."""
     result = unwrap(value)
     if not isinstance(result, Object):
         raise BadArgument(argument, result, "an Object")
@@ -483,10 +481,10 @@ def _object(argument: str, value: object) -> Object:
 
 
 def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
-    """Warn that parts of the description of a robot's name don't fit the robot's URDF."""
-    remedy = "pycram describe writes one that fits, for Object(..., description=RobotDescription.load(FILE))"
+    """Warn that parts of a robot's description, which was found by its name, don't fit its URDF."""
+    remedy = "'pycram describe' writes a fitting description for Object(..., description=RobotDescription.load(FILE))"
     if robot.description is None:
-        what = f"no description: that of {robot.urdf.name} doesn't fit its URDF ({next(iter(misfits.values()))})"
+        what = f"no description: the one for {robot.urdf.name} doesn't fit its URDF ({next(iter(misfits.values()))})"
     else:
         out = "; ".join(f"{part} ({reason})" for part, reason in misfits.items())
         what = f"a description without these parts, which don't fit its URDF: {out}"

@@ -12,15 +12,15 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 DEEP: Final = 5e-3
-"""Depth in m above which an overlap isn't caused by the solver, which lets resting objects overlap a little."""
+"""Depth in m above which an overlap is an error; the solver lets resting objects overlap a little."""
 
 
 class Overlapping(UserWarning):
-    """An object was loaded inside of others; in simulation the engine throws them apart, or jams them."""
+    """An object was loaded inside of other objects; a simulation would throw them apart or jam them."""
 
 
 def overlaps(body: Object) -> list[records.Overlap]:
-    """Return the deepest overlap of an object with each other object; fixed objects may be built into each other."""
+    """Return the deepest overlap of an object with each other object, except between two fixed objects."""
     found = []
     for other in body.world.objects:
         if other is body or (body.fixed and other.fixed):
@@ -33,6 +33,6 @@ def overlaps(body: Object) -> list[records.Overlap]:
 
 
 def warning(body: str, found: Sequence[records.Overlap]) -> str:
-    """Return the message of the warning that an object was loaded inside of others."""
+    """Return the message of the warning that an object was loaded inside of other objects."""
     others = ", ".join(f"{overlap.depth * 1e3:.0f} mm inside of {overlap.body}" for overlap in found)
     return f"{body} is {others}; world.settle() lifts free objects apart before it simulates"

@@ -1,10 +1,8 @@
-"""Saved states of a world, and how they are restored.
+"""Saved states of a world.
 
-A state has pose and velocity of each object, positions, velocities and motor targets of its joints, the attachments,
-gravity, the robot, and the robots' beliefs. All values are restored bit for bit, except orientations, which the engine
-normalises again (error at most 2e-16). A state can't be saved while a body follows a trajectory, and restoring one ends
-all trajectories. The solver's cached contacts aren't part of a state, so a restored world may develop differently.
-Simulated time never goes back, and colours stay, as in a reset.
+A state has poses and velocities of objects; positions, velocities and motor targets of joints; attachments, gravity,
+the robot and the robots' beliefs. Values are restored exactly, but the engine normalises orientations (error up to
+2e-16). The solver's cached contacts aren't part of a state, so a restored world may continue differently.
 """
 
 from __future__ import annotations
@@ -38,7 +36,7 @@ class SavedState:
     world: BulletWorld
     objects: tuple[Object, ...]  # all objects of the world at that moment
     command: records.Restore  # the record that restores the state
-    #: Steps of the records by which the beliefs were learned, if this process made these records.
+    #: Steps of the records from which robots learned the beliefs, if this process wrote these records.
     steps: Mapping[Key, Steps] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -63,7 +61,7 @@ def save(world: BulletWorld) -> SavedState:
 
 
 def restore(world: BulletWorld, saved: SavedState) -> None:
-    """Restore a saved state of a world, as one transaction.
+    """Restore a saved state of a world in one transaction.
 
     Raises:
         BadArgument: The state is of another world.
@@ -83,8 +81,8 @@ def put_back(
     """Restore a recorded state of a world.
 
     Args:
-        objects: The objects of the state, by identity; None to match the world's objects by name.
-        steps: Steps of the records by which the beliefs were learned; None if the command has them.
+        objects: The objects of the state; None if names identify the objects.
+        steps: Steps of the records from which robots learned the beliefs; None if the command contains them.
     """
     with world.transactions.begin(records.Mutation(restore=command)) as transaction:
         expected = {*(world.objects if objects is None else objects)}
@@ -124,7 +122,7 @@ def put_back(
 
 
 def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
-    """Raise BadArgument if a recorded command doesn't fit these objects: it may hold any numbers."""
+    """Raise BadArgument if a recorded command, which may contain any numbers, doesn't fit these objects."""
     for state in command.bodies:
         joints = len(bodies[state.body].handle.joints)
         numbers = (state.joint_positions, state.joint_velocities, state.joint_targets)
@@ -161,7 +159,7 @@ def _state_of(body: Object) -> records.SavedBody:
 
 
 def _put(body: Object, state: records.SavedBody, transaction: Transaction) -> None:
-    """Restore an object's state; an object that has the state already keeps the contacts that the solver has cached."""
+    """Restore an object's state; if its state is the same already, the solver keeps its cached contacts."""
     if _state_of(body) == state:
         return
     engine, handle = body.world.engine, body.handle

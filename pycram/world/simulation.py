@@ -1,6 +1,6 @@
-"""Simulated time of a world: steps of 1/240 s, waiting, coming to rest, and real time.
+"""Simulated time of a world: steps of 1/240 s, waits, objects at rest, and real time.
 
-Every simulation is one transaction, with samples for the recording 30 times a simulated second.
+Every simulation is one transaction, with 30 samples a simulated second for the recording.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import math
 import threading
 import time
 from collections import deque
-from functools import partial
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -41,37 +40,37 @@ SLOW: Final = 2e-3
 SLOW_TURN: Final = 2e-2
 """Angular speed in rad/s below which an object may be at rest."""
 INTERVALS: Final = 4
-"""Number of consecutive intervals in which an object at rest is slow."""
-_GAIN: Final = 1.15  # gain of speed over the intervals: a 2 m high shelf that begins to tip gains more, creep less
-_STRAY: Final = 0.25  # s at slow speed: an object at rest may stray that far
+"""Number of consecutive intervals in which an object at rest must be slow."""
+_GAIN: Final = 1.15  # allowed gain of speed over the intervals; a 2 m high shelf that starts to tip gains more
+_STRAY: Final = 0.25  # s of slow motion; an object at rest may move that far
 _TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # steps after which an object that trembles in place is at rest
-_TO_AND_FRO: Final = 4.0  # least ratio of the way of a trembling object to its distance from where it began
-_NOISE: Final = 0.1  # share of the slow speed: the speeds of solver noise go up and down
+_TO_AND_FRO: Final = 4.0  # minimum ratio of the path length of a trembling object to its displacement
+_NOISE: Final = 0.1  # share of the slow speed below which changes of speed are noise of the solver
 
 _MAX_LISTED: Final = 5  # largest number of objects in a warning
 
 _SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
-_SAMPLE_TOLERANCE: Final = 1e-5  # m, rad: smaller movements between two samples aren't visible
-_MANIPULATION_TOLERANCE: Final = 1e-4  # rad or m by which a joint of the environment has to move to fire the event
-_MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # maximum number of steps in one record
+_SAMPLE_TOLERANCE: Final = 1e-5  # m or rad; samples omit smaller movements
+_MANIPULATION_TOLERANCE: Final = 1e-4  # rad or m; a smaller movement of a furniture joint fires no event
+_MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # maximum number of steps in one record of a wait
 
 _PERIOD: Final = 1 / 30  # s of real time in one record
-_MAX_LAG: Final = 0.1  # s, maximum lag that real time catches up; a slow machine could never catch up more
+_MAX_LAG: Final = 0.1  # s; real time drops a larger lag, because a slow machine could never catch up
 
 
 # --- steps -----------------------------------------------------------------------------------------------------------
 
 
 def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None = None) -> bool:
-    """Step a world's engine as part of a transaction.
+    """Simulate steps of 1/240 s as part of a transaction.
 
-    Ctrl-C or the world's exit end it early, between two samples; the record then has the steps that were done.
+    Ctrl-C, and the world's exit, end the simulation between two samples; the record has the simulated steps.
 
     Args:
-        until: Called after each 1/30 s of simulated time, and at the end; the simulation ends when it returns True.
+        until: Called after each 1/30 s of simulated time and at the end; True ends the simulation.
 
     Returns:
-        Whether all steps were done, or ``until`` ended the simulation.
+        Whether all steps were simulated, or ``until`` ended the simulation.
     """
     engine = world.engine
     joints = {body: engine.joints(body.handle)[0] for body in world.objects if body.is_environment}
@@ -93,7 +92,7 @@ def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Ca
 def _step(
     world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None
 ) -> tuple[int, bool]:
-    """Return the number of steps that were done, and whether ``until`` ended them."""
+    """Return the number of simulated steps, and whether ``until`` ended the simulation."""
     recording = journal.recording()
     last = {body.name: take_snapshot(body) for body in world.objects} if recording else {}
     observer = world.transactions.observer
@@ -106,14 +105,14 @@ def _step(
             world.engine.step(chunk)
         _record_drags(world, transaction)
         for body in world.objects:
-            if body.fixed:  # the solver lets chains of attached objects give way a little
+            if body.fixed:  # the solver moves chains of attached objects a little
                 attachment.move_attached(body, transaction)
         update(world, sim_step=world.sim_step + chunk)
         done += chunk
         if world.sim_step % _SAMPLE_STEPS == 0:
             world.waits.sample()
         ended = until is not None and until()
-        if ended or done == steps:  # the effect itself has the last state
+        if ended or done == steps:  # the effect of the transaction has the last state
             break
         if observer is not None:
             observer.time_passed()
@@ -125,7 +124,7 @@ def _step(
 
 
 def _record_drags(world: BulletWorld, transaction: Transaction) -> None:
-    """Record the objects that somebody drags in the window: no command moves them."""
+    """Record the objects that a user drags in the window, because no command moves them."""
     drags = transaction.command.drags
     bodies = {body.handle: body.name for body in world.objects}
     for handle, link in world.engine.dragged(bodies):
@@ -134,7 +133,7 @@ def _record_drags(world: BulletWorld, transaction: Transaction) -> None:
 
 
 def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:
-    """Record the objects that moved visibly since the last sample, and update their last snapshots."""
+    """Return a sample of the objects that moved visibly since the last sample, and update ``last``."""
     sample = records.Sample(sim_step=world.sim_step)
     for body in world.objects:
         now = take_snapshot(body)
@@ -154,25 +153,25 @@ class Wait:
     def __init__(self, predicate: Callable[[], bool]) -> None:
         self._predicate = predicate
         self._error: Exception | None = None
-        self.held = False  # whether the predicate was true in a sample, or raised an error
-        self.waiter: Waiter | None = None  # the branch that waits; None before it does
+        self.held = False  # whether the predicate was true in a sample or raised an error
+        self.waiter: Waiter | None = None  # the waiting branch; None before it waits
 
     def sample(self) -> bool:
         """Call the predicate, and return whether the wait is over."""
         try:
             self.held = self.held or self._predicate()
-        except Exception as error:  # noqa: BLE001  any error of a predicate is raised in its branch, not in the simulation
+        except Exception as error:  # noqa: BLE001  the error is raised in the waiting branch, not in the simulation
             self.held, self._error = True, error
         return self.held
 
     def raise_error(self) -> None:
-        """Raise the predicate's error, if there is one."""
+        """Raise the predicate's error if it raised one."""
         if self._error is not None:
             raise self._error
 
 
 class Waits:
-    """The waits in one world, of all threads, in order of arrival."""
+    """The waits of all threads in one world; the longest wait is first."""
 
     def __init__(self) -> None:
         self._waits: dict[Wait, None] = {}
@@ -186,42 +185,41 @@ class Waits:
         self._waits.pop(wait, None)
 
     def sample(self) -> None:
-        """Call all predicates once, and wake the branches whose waits are over; the world's lock is held."""
+        """Call all predicates once, and wake the branches whose waits are over; the caller holds the world's lock."""
         for wait in list(self._waits):
             if not wait.held and wait.sample() and wait.waiter is not None:
                 wait.waiter.wake()
 
     @property
     def held(self) -> bool:
-        """Whether one of the waits is over."""
+        """Whether a wait is over."""
         return any(wait.held for wait in list(self._waits))
 
     def wake(self) -> None:
-        """Wake all branches that wait: another thread or branch simulates from now on."""
+        """Wake all waiting branches, because another thread or branch simulates now."""
         for wait in list(self._waits):
             if wait.waiter is not None:
                 wait.waiter.wake()
 
     def forget(self) -> None:
-        """Remove all waits, in a forked child that continues without those branches."""
+        """Remove all waits in a forked child, which doesn't continue the waiting branches."""
         self._waits.clear()
 
 
 def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
-    """Wait until a predicate holds, while simulated time passes; a checkpoint, also in uninterruptible code.
+    """Wait until a predicate holds while simulated time passes. This is a checkpoint, also in uninterruptible code.
 
-    Time stands still as long as a branch of the thread is ready to run. When all branches wait, the first one that
-    waits for simulated time simulates in one transaction, until one of these happens at a sample: a wait for time is
-    over, a followed fluent changes, a time listener is registered, or another branch is ready. So branches of ``par``
-    move at the same time, in an order that the run's seed decides. In real time the world's clock simulates.
+    Time passes only if no branch of the thread is ready. Then the branch that has waited longest simulates in one
+    transaction, until another branch is ready, a wait is over, a followed fluent changes or a time listener is
+    registered. So branches of ``par`` move together. In real time, another thread simulates.
 
     Args:
-        predicate: Called once now, and then each 1/30 s of simulated time with the world's lock held. It reads the
-            world; it must neither change the world nor wait.
+        predicate: Called once before the wait, then each 1/30 s of simulated time under the world's lock. It must
+            neither change the world nor wait.
 
     Raises:
         Cancelled: The branch is cancelled, and the predicate doesn't hold.
-        WorldClosed: The world ends meanwhile.
+        WorldClosed: The world ends during the wait.
         LockHeld: The caller holds a lock.
     """
     waiting = Wait(predicate)
@@ -235,8 +233,8 @@ def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
 def _pass_time(world: BulletWorld, waiting: Wait) -> None:
     scope = current_scope()
     sources = () if scope is None else scope.sources
-    reason = partial(_awaited_time, world)
-    with Waiter(sources, patience=lambda: not world.realtime, reason=reason) as waiter:
+    awaited = f"simulated time of {world.name}", "", ()
+    with Waiter(sources, patience=lambda: not world.realtime, reason=lambda: awaited) as waiter:
         waiting.waiter = waiter
         world.waits.add(waiting)
         try:
@@ -250,27 +248,22 @@ def _pass_time(world: BulletWorld, waiting: Wait) -> None:
             world.waits.remove(waiting)
 
 
-def _awaited_time(world: BulletWorld) -> tuple[str, str, tuple[str, ...]]:
-    return f"simulated time of {world.name}", "", ()
-
-
 class WorldClock:
-    """The simulated time of a world, for waits that only passing time can end; a clock of the scheduler.
+    """The simulated time of a world as a clock of the scheduler, for waits that only passing time can end.
 
     Args:
-        world: The world.
-        last: Whether it stands still while a deadline in wall-clock time or a worker can end a wait of the thread, and
-            keeps pace with the wall clock while a thread or a signal handler of the plan may end one.
+        last: Whether the clock stands still while a deadline in wall-clock time, or a worker, can end a wait of the
+            thread. It keeps pace with the wall clock while a thread or signal handler of the plan can end a wait.
     """
 
     def __init__(self, world: BulletWorld, *, last: bool) -> None:
         self._world = world
         self._last = last
-        self._began: tuple[float, int] | None = None  # when it began to keep pace: wall-clock time in s, and step
-        self._end = math.inf  # step up to which it may pass now
+        self._began: tuple[float, int] | None = None  # wall-clock time in s, and the step, when it began to keep pace
+        self._end = math.inf  # the last step to which time may pass now
 
     def may_pass(self) -> bool:
-        """Return whether it may pass now; in real time, the world's clock simulates."""
+        """Return whether time may pass now; in real time, another thread simulates."""
         world, own = self._world, scheduler()
         if world.realtime or world.closed or (self._last and own.awaits_strike()):
             return False
@@ -282,12 +275,14 @@ class WorldClock:
         return world.sim_step + _SAMPLE_STEPS <= self._end
 
     def let_pass(self) -> None:
-        """Simulate until a branch or another thread has something to do."""
-        _simulate_until_needed(self._world, current_scope(), self._is_over)
+        """Simulate until a branch or another thread is ready."""
+        world = self._world
 
-    def _is_over(self) -> bool:
-        now = self._world.sim_step
-        return now >= self._end or any(due is None or due <= now for due in list(self._world.time_listeners.values()))
+        def is_over() -> bool:
+            now = world.sim_step
+            return now >= self._end or any(due is None or due <= now for due in list(world.time_listeners.values()))
+
+        _simulate_until_needed(world, current_scope(), is_over)
 
 
 @uninterruptible()
@@ -298,7 +293,7 @@ def _simulate_until_needed(world: BulletWorld, scope: CancelScope | None, is_ove
 
 
 def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
-    """Return whether a branch or another thread has something to do now."""
+    """Return whether a branch or another thread is ready."""
     observer = world.transactions.observer
     return (
         world.waits.held
@@ -313,12 +308,7 @@ def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
 
 
 class Restless(UserWarning):
-    """Objects weren't at rest when :meth:`.BulletWorld.settle` ended.
-
-    Args:
-        seconds: Duration of the simulation.
-        speeds: Speeds of these objects.
-    """
+    """Objects weren't at rest when :meth:`.BulletWorld.settle` ended; ``seconds`` is the duration of the simulation."""
 
     def __init__(self, seconds: float, speeds: Mapping[Object, Speed]) -> None:
         self.speeds = {body.name: speed for body, speed in sorted(speeds.items(), key=itemgetter(1), reverse=True)}
@@ -328,10 +318,10 @@ class Restless(UserWarning):
 
 
 def settle(world: BulletWorld, steps: int) -> tuple[dict[Object, Speed], bool]:
-    """Simulate until everything is at rest or all steps are done, as one transaction.
+    """Simulate in one transaction until everything is at rest, or all steps are done.
 
     Returns:
-        The objects that aren't at rest, and whether the simulation was completed: another thread may end the world.
+        The objects that aren't at rest, and whether the simulation was completed; another thread may end the world.
     """
     command = records.Simulate(steps=steps, settled=False)
     with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
@@ -342,14 +332,13 @@ def settle(world: BulletWorld, steps: int) -> tuple[dict[Object, Speed], bool]:
 
 
 def separate(world: BulletWorld) -> None:
-    """Lift the later loaded of two overlapping free objects out of the other: the engine would jam or throw them.
+    """Lift free objects out of other free objects that they overlap, because the engine would jam or throw them.
 
-    Pairs are tried in the order of loading. Only pairs whose boxes overlap are asked for, and after a lift only those
-    of the lifted object again.
+    The object that was loaded later is lifted. Only pairs with overlapping boxes are checked.
     """
     free = [body for body in world.objects if not body.fixed and not body.attachments]
     boxes = np.array([body.get_AABB() for body in free]).reshape(-1, 2, 3)
-    possible = np.triu(_overlap(boxes[:, None], boxes), 1)  # pairs that may overlap, earlier loaded first
+    possible = np.triu(_overlap(boxes[:, None], boxes), 1)  # pairs that may overlap; the first was loaded earlier
     lifts = 0
     while lifts < len(free) and possible.any():
         first, second = np.unravel_index(possible.argmax(), possible.shape)
@@ -367,23 +356,23 @@ def separate(world: BulletWorld) -> None:
 
 
 def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which boxes, (..., 2, 3), overlap."""
+    """Return whether boxes (..., 2, 3) overlap."""
     along = (a[..., 0, :] <= b[..., 1, :]) & (b[..., 0, :] <= a[..., 1, :])
     overlapping: NDArray[np.bool_] = np.logical_and.reduce(along, axis=-1)
     return overlapping
 
 
 def at_rest(speeds: Sequence[float]) -> bool:
-    """Return whether an object is at rest, by its speeds in consecutive intervals, as multiples of the slow speed."""
+    """Return whether an object is at rest, from speeds of consecutive intervals as multiples of the slow speed."""
     return speeds[-1] <= max(speeds[0] * _GAIN, _NOISE) and max(speeds) < 1.0
 
 
 class Speed(NamedTuple):
-    """The greatest speed of an object: of its base, of its turn, or of a joint."""
+    """The greatest speed of an object: of its base, of its rotation, or of a joint."""
 
     ratio: float  # multiple of the slow speed
     joint: str = ""  # "" for the base
-    unit: str = "m/s"  # or "rad/s"
+    unit: str = "m/s"  # m/s or rad/s
 
     def __str__(self) -> str:
         fast = f"{self.ratio * SLOW * 1e3:.2g} mm/s" if self.unit == "m/s" else f"{self.ratio * SLOW_TURN:.2g} rad/s"
@@ -391,14 +380,14 @@ class Speed(NamedTuple):
 
 
 class RestDetector:
-    """Detects when everything in a world has come to rest.
+    """Detects when all objects of a world are at rest.
 
-    An object comes to rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of
-    1/30 s, and didn't gain speed: a tall object that begins to tip is slow at first. It stays at rest while it is that
-    slow and within 0.5 mm and 5 mrad of where it came to rest: among many objects, solvers let one or another tremble
-    at any moment. So poses are compared, too, not velocities. An object that moves to and fro for 3 s, within 2 mm and
-    0.02 rad, is at rest as well: solvers let thin objects between others tremble forever. Robots, objects that they
-    hold, and objects that are attached to a fixed base are ignored; joints of furniture aren't.
+    An object is at rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of 1/30 s,
+    and didn't gain speed; a tall object that starts to tip is slow at first. It stays at rest while it is that slow and
+    within 0.5 mm and 5 mrad of where it came to rest, because solvers let some of many objects tremble at any moment.
+    An object that moves to and fro for 3 s, within 2 mm and 0.02 rad, is also at rest: solvers let thin objects between
+    other objects tremble forever. Robots, and objects attached to robots or to a fixed base, are ignored; joints of
+    furniture count.
     """
 
     def __init__(self, world: BulletWorld) -> None:
@@ -406,19 +395,19 @@ class RestDetector:
         self._last: tuple[int, Mapping[Object, Snapshot]] = self._snapshots()
         self._speeds: deque[Mapping[Object, Speed]] = deque(maxlen=INTERVALS)
         self._rested: dict[Object, Snapshot] = {}  # states in which objects came to rest
-        # for objects that aren't: a state, the step since when they have been near it, and their way since then in s at
-        # slow speed
+        # For objects that aren't at rest: a state, the step since which they have been near it, and the length of their
+        # path since then, in s of slow motion.
         self._near: dict[Object, tuple[Snapshot, int, float]] = {}
-        #: The objects that weren't at rest at the last sample.
+        #: The objects that weren't at rest in the last sample.
         self.restless: dict[Object, Speed] = dict.fromkeys(self._last[1], Speed(0.0))
 
     def sample(self) -> bool:
-        """Compare all poses after 1/30 s of simulation, and return whether everything is at rest."""
+        """Compare all poses after 1/30 s of simulation, and return whether all objects are at rest."""
         step, before = self._last
         self._last = now, after = self._snapshots()
         if now > step:
             seconds = (now - step) / records.STEPS_PER_SECOND
-            known = [body for body in after if body in before]  # other branches take and load objects meanwhile
+            known = [body for body in after if body in before]  # other branches attach and load objects
             self._speeds.append({body: _speed(body, before[body], after[body], seconds) for body in known})
         self._rested = {
             body: rested for body, state in after.items() if (rested := self._rest(body, state)) is not None
@@ -438,7 +427,7 @@ class RestDetector:
         return state if speeds and self._trembles(body, state, speeds[-1]) else None
 
     def _trembles(self, body: Object, state: Snapshot, speed: float) -> bool:
-        """Return whether an object has moved to and fro for long enough, at a multiple of the slow speed now."""
+        """Return whether an object has moved to and fro long enough; ``speed`` is a multiple of the slow speed."""
         now = self._world.sim_step
         start, since, way = self._near.get(body, (state, now, 0.0))
         way += speed * _SAMPLE_STEPS / records.STEPS_PER_SECOND
@@ -449,16 +438,17 @@ class RestDetector:
         return now - since >= _TREMBLES and way > _TO_AND_FRO * distance
 
     def _snapshots(self) -> tuple[int, Mapping[Object, Snapshot]]:
-        return self._world.sim_step, {body: take_snapshot(body) for body in self._world.objects if _must_rest(body)}
-
-
-def _must_rest(body: Object) -> bool:
-    root = attachment.root_of(body)
-    return not root.is_robot and (not root.fixed or (root is body and bool(body.joints)))
+        roots = [(body, attachment.root_of(body)) for body in self._world.objects]
+        moving = [
+            body
+            for body, root in roots
+            if not root.is_robot and (not root.fixed or (root is body and bool(body.joints)))
+        ]
+        return self._world.sim_step, {body: take_snapshot(body) for body in moving}
 
 
 def _speed(body: Object, before: Snapshot, after: Snapshot, seconds: float) -> Speed:
-    """Return the speed of an object, or of the fastest of its joints, between two states."""
+    """Return the greatest speed of an object or its joints between two states."""
     moved = Speed(math.dist(before.pose[0], after.pose[0]) / SLOW / seconds)
     turned = Speed(geometry.angle(before.pose[1], after.pose[1]) / SLOW_TURN / seconds, "", "rad/s")
     fastest = max(moved, turned)
@@ -472,7 +462,7 @@ def _speed(body: Object, before: Snapshot, after: Snapshot, seconds: float) -> S
 
 
 class RealtimeClock:
-    """A thread that simulates a world at the pace of the clock until it is stopped."""
+    """A thread that simulates a world at the pace of the wall clock."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
@@ -480,7 +470,7 @@ class RealtimeClock:
         self._error: BaseException | None = None
         self._over = False
         self._ended = Condition()
-        # The world's exit() ends it; it is a daemon for plans that don't call exit().
+        # The world's exit() stops the thread. It is a daemon because plans may omit exit().
         self._thread = threading.Thread(target=self._run, name=f"{world.name} realtime", daemon=True)
 
     def start(self) -> None:
@@ -488,37 +478,34 @@ class RealtimeClock:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop, and wait for the present simulation to end; never call it with the world's lock held.
+        """Stop the thread and wait for its present simulation; the caller must not hold the world's lock.
 
         Raises:
-            Exception: The first error that a handler of an event raised in the clock's thread.
+            Exception: The first error of an event handler in the thread.
         """
         self._stop.set()
         if self._thread is not threading.current_thread():
-            join(self._ended, lambda: self._over)  # a handler of its last stretch may wait for another branch
+            join(self._ended, lambda: self._over)  # a handler of the last simulation may wait for another branch
             self._thread.join()
         if self._error is not None:
             raise self._error
 
     def _run(self) -> None:
+        due = time.monotonic()
         try:
-            self._simulate()
+            while not self._stop.wait(max(0.0, due - time.monotonic())):
+                due = max(due + _PERIOD, time.monotonic() - _MAX_LAG)
+                try:
+                    self._world.simulate(_PERIOD)
+                except WorldClosed:
+                    return
+                except ChangeRefused:  # a query runs now
+                    continue
+                except Exception as error:  # noqa: BLE001  stop() raises a handler's error; the simulation continues
+                    if self._error is None:
+                        self._error = error
+                        arguments = (type(error), error, error.__traceback__, self._thread)
+                        threading.excepthook(threading.ExceptHookArgs(arguments))
         finally:
             self._over = True
             self._ended.notify_all()
-
-    def _simulate(self) -> None:
-        due = time.monotonic()
-        while not self._stop.wait(max(0.0, due - time.monotonic())):
-            due = max(due + _PERIOD, time.monotonic() - _MAX_LAG)
-            try:
-                self._world.simulate(_PERIOD)
-            except WorldClosed:
-                return
-            except ChangeRefused:  # a query runs at the moment
-                continue
-            except Exception as error:  # noqa: BLE001  any error of a handler is reported, and the simulation continues
-                if self._error is None:
-                    self._error = error
-                    arguments = (type(error), error, error.__traceback__, self._thread)
-                    threading.excepthook(threading.ExceptHookArgs(arguments))

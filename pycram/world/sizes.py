@@ -1,4 +1,4 @@
-"""Sizes of objects: an object that no hand can hold is probably in another unit than metres."""
+"""Sizes of objects: the file of an object that is too large for a hand is probably in another unit than metres."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ WIDEST: Final = 10.0
 
 
 class Oversized(UserWarning):
-    """The mesh of a free object is wider than 10 m; it is probably in another unit than metres."""
+    """The mesh of a free object is wider than 10 m, so its file is probably in another unit than metres."""
 
 
 def width(model: Path) -> float:
-    """Return the largest extent of a link of a canonical URDF, in m."""
+    """Return the largest extent of a link of a checked URDF, in m."""
     lows: dict[str, list[float]] = {}
     highs: dict[str, list[float]] = {}
     for link, (low, high) in piece_bounds(model):

@@ -1,7 +1,7 @@
 """Trajectories: target positions of a body's joints, or of its base, at each moment of a motion.
 
-Between its times a trajectory is a cubic Hermite spline, so positions and velocities are continuous. Plain floats are
-used, one operation at a time: a recorded trajectory gives the same targets, bit for bit, when it is followed again.
+A trajectory is a cubic Hermite spline, so positions and velocities are continuous. The code uses plain floats in a
+fixed order of operations, so that a recorded trajectory gives the same targets, bit for bit.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A timed motion of some joints of a body, or of its base.
+    """A timed motion of a body's joints, or of its base.
 
     Raises:
-        BadArgument: The numbers aren't finite, or the lengths of the rows differ.
+        BadArgument: A value isn't finite, or the lengths of the rows differ.
     """
 
     joints: tuple[str, ...]  # empty for the base, whose coordinates are x and y in m and yaw in rad, world frame
-    times: tuple[float, ...]  # n times in s, from 0, strictly increasing; n is at least 1
-    positions: tuple[tuple[float, ...], ...]  # n rows, a position in rad or m for each coordinate
-    velocities: tuple[tuple[float, ...], ...]  # n rows, a velocity in rad/s or m/s for each coordinate
+    times: tuple[float, ...]  # n times in s, from 0 on, strictly increasing; n is at least 1
+    positions: tuple[tuple[float, ...], ...]  # n rows with a position in rad or m for each coordinate
+    velocities: tuple[tuple[float, ...], ...]  # n rows with a velocity in rad/s or m/s for each coordinate
 
     def __post_init__(self) -> None:
         width = len(self.coordinates)
@@ -56,7 +56,7 @@ class Trajectory:
         return self.times[-1]
 
     def at(self, time: float) -> tuple[Sequence[float], Sequence[float]]:
-        """Return positions and velocities at a time in s; before the start and after the end nothing moves."""
+        """Return positions and velocities at a time in s; velocities before the start and after the end are 0."""
         if time <= 0 or time >= self.duration:
             return self.positions[0 if time <= 0 else -1], (0.0,) * len(self.coordinates)
         after = bisect_right(self.times, time)
@@ -76,7 +76,7 @@ class Trajectory:
         return positions, velocities
 
     def record(self) -> records.Trajectory:
-        """Return the trajectory's record."""
+        """Return the trajectory as a record."""
         return records.Trajectory(
             joints=self.joints,
             times=self.times,
@@ -98,10 +98,10 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True)
 class BaseFrame:
-    """The parts of a base's pose that a trajectory doesn't change."""
+    """The parts of a base's pose that are constant in a trajectory."""
 
     height: float  # m
-    lean: Quaternion  # the orientation, turned about the vertical to yaw 0
+    lean: Quaternion  # the orientation if yaw were 0
 
     @classmethod
     def of(cls, pose: Pose) -> BaseFrame:

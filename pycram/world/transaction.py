@@ -1,8 +1,7 @@
-"""World transactions: the only way in which a world changes.
+"""World transactions: every change of a world is a transaction, which is recorded.
 
-A transaction validates, acts in the engine, reads the state back, emits one record, notifies the observer and fires
-events. It holds the world's lock from validating to notifying, so the order of records is the order of changes. Event
-handlers are user code: they run when the lock is free again. One change, as in ``Object.set_position``::
+A transaction checks the change, makes it in the engine, reads the state back, emits one record and fires events. It
+holds the world's lock, so records have the order of changes. Event handlers run after the release of the lock::
 
     with world.transactions.begin(records.Mutation(move_body=command)) as transaction:
         world.engine.set_pose(body.handle, pose)
@@ -37,87 +36,83 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.tracing.journal import Journal
 
-#: A keyframe costs 0.3 ms and 3 kB; with this distance any step is folded from at most 100 records.
+#: A keyframe costs 0.3 ms and 3 kB. A reader needs at most this number of records after a keyframe to build a state.
 TRANSACTIONS_PER_KEYFRAME: Final = 100
 _AT_REST: Final = (0.0,) * 6
 
 
 @dataclass(slots=True)
 class Transaction:
-    """A change of a world that isn't recorded yet, and everything that it has changed so far."""
+    """A change of a world before it is recorded."""
 
-    command: records.Mutation  # the record, at first with its command only
-    interrupts: Uninterrupted  # holds Ctrl-C back until the transaction is recorded
-    modified: dict[str, Object] = field(default_factory=dict)  # objects whose state may have changed, by name
+    command: records.Mutation  # the record, at first only with its command
+    interrupts: Uninterrupted  # delays Ctrl-C until the transaction is recorded
+    modified: dict[str, Object] = field(default_factory=dict)  # objects whose states may have changed, by name
     removed: list[str] = field(default_factory=list)  # names of removed objects
-    #: Attachments that are new or have a new relative pose, by the names of carrier and body.
+    #: Attachments that are new or have a new relative pose; the keys are the names of the carrier and the body.
     attached: dict[tuple[str, str], BodyAttachment] = field(default_factory=dict)
     detached: list[BodyAttachment] = field(default_factory=list)  # attachments that ended
     samples: list[records.Sample] = field(default_factory=list)  # states within a simulation
-    number: Callable[[Journal], None] | None = None  # sets step numbers in the command, for each recording
-    #: Called with the lock held when the transaction is recorded; the returned calls are made after that.
+    number: Callable[[Journal], None] | None = None  # sets step numbers in the command for each recording
+    #: Functions that are called under the lock when the transaction is recorded; their results are called without it.
     callbacks: list[Callable[[], Callable[[], None]]] = field(default_factory=list)
 
     def mark_modified(self, *bodies: Object) -> None:
-        """Have the state of objects read back and compared with their last records."""
+        """Mark objects; the transaction reads their states back, and compares them with their last records."""
         for body in bodies:
             self.modified[body.name] = body
 
     def mark_attached(self, attachment: BodyAttachment) -> None:
-        """Record an attachment that is new or has a new relative pose."""
+        """Mark an attachment that is new or has a new relative pose."""
         self.attached[attachment.carrier.name, attachment.body.name] = attachment
 
     def fire(self, event: Event, *arguments: object) -> None:
-        """Fire an event when the transaction is recorded."""
+        """Fire an event after the transaction is recorded."""
         self.callbacks.append(partial(event.prepare, *arguments))
 
     def affected(self) -> set[str]:
-        """Return the names of all objects that may have changed."""
+        """Return the names of all objects that the transaction may have changed."""
         ends = (*self.attached.values(), *self.detached)
         return {*self.modified, *self.removed, *(body.name for end in ends for body in (end.carrier, end.body))}
 
 
 class Observer(Protocol):
-    """A follower of a world's transactions, called with its lock held, in their order.
-
-    It must not call user code, and must not wait for anything.
-    """
+    """An observer of a world's transactions, called in their order under the world's lock. It must not wait."""
 
     def time_passed(self) -> None:
-        """Notice that simulated time has passed, within a transaction."""
+        """Handle that simulated time has passed within a transaction."""
 
     def has_news(self) -> bool:
-        """Return whether simulated time has changed a value that somebody waits for."""
+        """Return whether simulated time has changed an awaited value."""
 
     def committed(self, transaction: Transaction) -> None:
-        """Notice that a transaction was made and is recorded."""
+        """Handle a recorded transaction."""
 
 
 class TransactionManager:
-    """The lock, the refusals and the records of one world."""
+    """The lock and the records of one world; it refuses changes during queries."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
-        self.lock = WorldLock()  # held from validating a change to emitting its record
-        self.query = ""  # the reasoning query that runs, during which changes are refused; "" for none
+        self.lock = WorldLock()
+        self.query = ""  # the reasoning query that runs now and forbids changes; "" without a query
         self.observer: Observer | None = None
         self._recorded: dict[str, Snapshot] = {}
         self._since_keyframe = 0
 
     @contextmanager
     def begin(self, command: records.Mutation) -> Iterator[Transaction]:
-        """Make one transaction: the block validates, acts in the engine, and marks the objects that it modified.
+        """Make one transaction; the ``with`` block checks, changes the engine, and marks the modified objects.
 
-        Args:
-            command: A record with its command only.
+        ``command`` is a record that has only its command.
 
         Raises:
             WorldClosed: The world has ended.
             ChangeRefused: A reasoning query runs in this world.
             RecordingError: The record can't be written.
-            Cancelled: The branch that makes the change is cancelled.
-            RunsEarly: Earlier actions of the plan have not run yet.
-            RecursionError: The stack has no room for making and recording the change.
+            Cancelled: The branch is cancelled.
+            RunsEarly: Earlier actions of the plan haven't run.
+            RecursionError: The stack has no room for the change and its record.
         """
         context.require_stack_room(context.FOR_TASK)
         change = str(command.WhichOneof("command")).replace("_", " ")
@@ -137,10 +132,9 @@ class TransactionManager:
             self.lock.defer(callback() for callback in transaction.callbacks)
 
     def check(self, action: str) -> None:
-        """Raise WorldClosed if the world has ended, or ChangeRefused while a reasoning query runs in it.
+        """Raise WorldClosed if the world has ended, or ChangeRefused during a reasoning query.
 
-        Args:
-            action: The action that is tried, for the message.
+        ``action`` is the name of the change, for the message.
         """
         if self._world.closed:
             raise WorldClosed(self._world.name, action)
@@ -174,7 +168,7 @@ class TransactionManager:
         journal.emit(frame, world=world.name, sim_step=world.sim_step, number=number)
 
     def keyframe(self) -> records.Keyframe:
-        """Return the world's whole state as a record; beliefs in it have no step numbers."""
+        """Return the world's whole state as a record, whose beliefs have no step numbers."""
         world = self._world
         frame = records.Keyframe(
             mode=world.mode,
@@ -199,14 +193,14 @@ class TransactionManager:
 
 
 def take_snapshot(body: Object) -> Snapshot:
-    """Return the state that an object has in the engine."""
+    """Return the state of an object in the engine."""
     return body.world.engine.snapshot(body.handle)
 
 
 def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
-    """Set the state of an object to a snapshot of it, or of the same model in another world; motors hold its joints.
+    """Set an object to a snapshot of itself, or of the same model in another world; motors hold its joints.
 
-    This is no transaction and leaves no record: it builds worlds from recordings.
+    This isn't a transaction: it is for worlds that are rebuilt from recordings.
 
     Raises:
         RuntimeError: A recording runs, which would miss the change.
@@ -222,12 +216,12 @@ def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
 
 
 def state_delta(body: Object, now: Snapshot, last: Snapshot | None, tolerance: float = 0.0) -> records.BodyState | None:
-    """Return the changes of an object's state since its last record; None if there are none.
+    """Return the changes of an object's state since its last record; None without changes.
 
     Args:
-        last: The state in its last record; None for a record of the whole state.
-        tolerance: Smaller differences of poses and joints (m, rad, quaternion components) are ignored. If it isn't 0,
-            a change of velocities alone is ignored, too.
+        last: The state in the last record; None for a record of the whole state.
+        tolerance: Smaller differences of poses and joints (m, rad, quaternion components) don't count. If it isn't 0,
+            a change of only velocities doesn't count.
     """
     state = records.BodyState(body=body.name)
     changed = False
@@ -264,10 +258,10 @@ def _changed_joints(now: Snapshot, last: Snapshot | None, tolerance: float) -> S
 
 
 class WorldLock(Lock):
-    """A world's lock: re-entrant, and never held while event handlers run or while another branch runs.
+    """A world's re-entrant lock, which isn't held while event handlers or other branches run.
 
-    Its holder may make any number of transactions. Calls of event handlers are deferred until the thread has released
-    the lock completely: a handler is user code, which may wait for another thread that needs this world.
+    Calls of event handlers are deferred until the thread has released the lock completely, because a handler may wait
+    for another thread that needs this world.
     """
 
     def __init__(self) -> None:
@@ -277,7 +271,7 @@ class WorldLock(Lock):
         self._deferred: list[Callable[[], None]] = []
 
     def defer(self, calls: Iterable[Callable[[], None]]) -> None:
-        """Make calls in order when the thread that holds the lock has released it."""
+        """Make calls, in order, after the thread that holds the lock has released it."""
         self._deferred.extend(calls)
 
     @property
@@ -301,8 +295,8 @@ class WorldLock(Lock):
         """Release the lock and make the deferred calls.
 
         Raises:
-            Exception: The first error of a call, after all calls. If an error ended the block, that error propagates
-                with the calls' errors in its context.
+            Exception: The first error of a call, raised after all calls. If the ``with`` block failed, its error
+                propagates, with the errors of calls as its context.
         """
         deferred: list[Callable[[], None]] = []
         self._depth -= 1
@@ -320,18 +314,18 @@ class WorldLock(Lock):
 
 
 class ReadOnlyAttributes:
-    """Base of classes whose public attributes only transactions change; setters still work.
+    """Base of classes whose public attributes only transactions change; property setters still work.
 
-    After :meth:`_seal`, assigning or deleting one raises ReadOnly, which names the method to use instead. Plans and
-    subclasses may add attributes of their own.
+    After :meth:`_seal`, assigning or deleting such an attribute raises ReadOnly, which names a method to use instead.
+    Plans and subclasses may add other attributes.
     """
 
     _SUBJECT: ClassVar[str]  # name of the object in records of refusals
-    _CHANGED_BY: ClassVar[Mapping[str, str]]  # what to do instead, by attribute; "" for all others
+    _CHANGED_BY: ClassVar[Mapping[str, str]]  # the method to use instead for each attribute; "" for other attributes
     _sealed: frozenset[str] = frozenset()
 
     def _seal(self, kind: type) -> None:
-        """Make the present attributes read-only, and the attributes that the class defines."""
+        """Make the present attributes, and the attributes of the class, read-only."""
         settable = {name for name, member in vars(kind).items() if isinstance(member, property) and member.fset}
         self._sealed = frozenset(name for name in (vars(self).keys() | vars(kind).keys()) - settable if name[0] != "_")
 
@@ -351,5 +345,5 @@ class ReadOnlyAttributes:
 
 
 def update(owner: ReadOnlyAttributes, **values: object) -> None:
-    """Set read-only attributes, inside a transaction that records the change."""
+    """Set read-only attributes in a transaction, which records the change."""
     vars(owner).update(values)

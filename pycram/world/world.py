@@ -1,8 +1,7 @@
-"""Worlds: a physics simulation, its objects and its events (thesis 4.2, table 4.1).
+"""Worlds: a physics simulation with objects and events (thesis 4.2, table 4.1).
 
-Any number of worlds may be open, each with a name of its own, as records refer to worlds by name. The world that was
-opened last is current; when it ends, the one before it is current again. Physics runs only in
-:meth:`BulletWorld.simulate`, in :meth:`BulletWorld.settle` and in real time, 240 steps a second.
+The world that was opened last is current; when it ends, the world before is current again. Simulated time passes only
+in :meth:`BulletWorld.simulate`, :meth:`BulletWorld.settle`, waits of plans and real time, at 240 steps a second.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BulletWorld", "Object"]
 
-_MAX_SECONDS: Final = 366 * 86400.0  # maximum s of one simulation; a longer simulation is a mistake
+_MAX_SECONDS: Final = 366 * 86400.0  # s; a longer simulation is probably a mistake
 
 _lock = threading.Lock()
 _numbers = itertools.count(1)
@@ -56,13 +55,13 @@ _names: set[str] = set()
 
 
 def number_anew() -> None:
-    """Name worlds from "world_1" on again, in a process that runs another program from its start."""
-    global _numbers  # noqa: PLW0603  the process's
+    """Name worlds from "world_1" on again, in a forked process that runs a program from its start."""
+    global _numbers  # noqa: PLW0603  it belongs to the process
     _numbers = itertools.count(1)
 
 
 def _reserve_name(name: str | None) -> str:
-    """Reserve the name of a world until the world has ended; None for "world_1", "world_2", ..."""
+    """Reserve a world's name until the world ends; None for the next free name of "world_1", "world_2", ..."""
     with _lock:
         if name is None:
             name = next(free for number in _numbers if (free := f"world_{number}") not in _names)
@@ -73,7 +72,7 @@ def _reserve_name(name: str | None) -> str:
 
 
 def make_current(world: BulletWorld) -> None:
-    """Make a world current; raises WorldClosed if the world has ended."""
+    """Make a world current; raise WorldClosed if it has ended."""
     with _lock:
         if world.closed:
             raise WorldClosed(world.name, "become current")
@@ -88,21 +87,21 @@ def _remove(world: BulletWorld) -> None:
 
 
 def open_worlds() -> tuple[BulletWorld, ...]:
-    """Return the open worlds, in the order in which they were last made current."""
+    """Return the open worlds in the order in which they were last made current."""
     return cast("tuple[BulletWorld, ...]", context.open_worlds())
 
 
 def current_world() -> BulletWorld | None:
-    """Return the current world of this branch or thread; None if there is none."""
+    """Return the current world of this branch or thread; None without a world."""
     return cast("BulletWorld | None", context.current_world())
 
 
 class CurrentWorld(type):
-    """Metaclass with the current world and its robot as attributes of the class, as in the listings of the thesis."""
+    """Metaclass that has the current world and its robot as attributes of the class, as in the thesis."""
 
     @property
     def current_bullet_world(cls) -> BulletWorld | MaybeNone:
-        """The current world, which is the default wherever a world is needed; None if no world is open."""
+        """The current world, which is the default for all functions that need a world; None if no world is open."""
         return current_world()
 
     @current_bullet_world.setter
@@ -131,14 +130,14 @@ class CurrentWorld(type):
 
 @refusing_methods("world")
 class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
-    """A world; as a context manager, it ends with the ``with`` block.
+    """A world. As a context manager, it ends with the ``with`` block.
 
-    All methods raise BadArgument for impossible values. Methods that change the world raise WorldClosed when it has
-    ended, and ChangeRefused while a reasoning query runs.
+    All methods raise BadArgument for impossible values. Methods that change the world raise WorldClosed after its end,
+    and ChangeRefused while a reasoning query runs.
 
     Args:
-        type: "DIRECT" (headless) or "GUI" (a window).
-        name: Name of the world in records; "world_1", "world_2", ... by default.
+        type: "DIRECT" (without a window) or "GUI" (with a window).
+        name: Name of the world in records, unique among open worlds; None for "world_1", "world_2", ...
 
     Raises:
         DisplayError: No window can open, or another window is open.
@@ -174,13 +173,13 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self.trajectories = Trajectories(self)
         self.beliefs = WorldBeliefs(self)
         self.waits = Waits()
-        self.robots: tuple[Object, ...] = ()  # all robots, in the order in which they were loaded
+        self.robots: tuple[Object, ...] = ()  # all robots; the first was loaded first
         self._objects: dict[str, Object] = {}
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
-        # Called in this order, without a lock, when simulated time has passed; the order of a set would be random.
-        #: Called after simulations, each with the step from which a wait that lets time pass calls it; None for always.
+        #: Functions that are called without a lock after simulated time has passed, in this order. The value is the
+        #: step at which a waiting plan stops simulating to call the function; None for each sample.
         self.time_listeners: dict[Callable[[], None], int | None] = {}
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
@@ -216,7 +215,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return html.page(title, html.table(columns, rows))
 
     def __record__(self) -> object:
-        """Return its reference in records."""
+        """Return the world's reference in records."""
         return {"world": self.name}
 
     def __enter__(self) -> Self:
@@ -234,7 +233,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     @property
     def lock(self) -> WorldLock:
-        """Held to read or change the world consistently; event handlers run when it is released."""
+        """Hold this lock to read or change the world consistently; event handlers run after its release."""
         return self.transactions.lock
 
     @property
@@ -244,7 +243,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     @staticmethod
     def current_robot() -> Object:
-        """Return the robot of the current world; raises NoWorld if there is none."""
+        """Return the robot of the current world; raise NoWorld without a robot."""
         world = BulletWorld.current_bullet_world
         if world is None:
             raise NoWorld
@@ -252,7 +251,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise NoWorld("robot")
         return world.robot
 
-    if TYPE_CHECKING:  # one declaration for the class and its worlds: a property would hide that of the metaclass
+    if TYPE_CHECKING:  # declared once for the class and its instances, because a property would hide the metaclass's
         robot: Object | MaybeNone
     else:
 
@@ -267,7 +266,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             self.set_robot(robot)
 
     def set_robot(self, robot: Object | None) -> None:
-        """Set the robot that plans control in this world; None for none."""
+        """Set the robot that plans control in this world; None for no robot."""
         if robot is not None and (not isinstance(robot, Object) or not robot.is_robot or robot.world is not self):
             raise BadArgument("robot", robot, f'an object of type "robot" in {self.name}')
         command = records.SetRobot(body=robot.name if robot else "")
@@ -275,7 +274,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             self._robot = robot
 
     def get_objects_by_name(self, name: str) -> list[Object]:
-        """Return the objects with a name: one or none."""
+        """Return the objects with a name: one object or none."""
         return [body for body in self.objects if body.name == name]
 
     def get_objects_by_type(self, type: str) -> list[Object]:  # noqa: A002  the original's name
@@ -283,20 +282,20 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return [body for body in self.objects if body.type == type]
 
     def get_object_by_id(self, id: int) -> Object:  # noqa: A002  the original's name
-        """Return the object with a PyBullet id; raises UnknownName if there is none."""
+        """Return the object with a PyBullet id; raise UnknownName if no object has it."""
         for body in self.objects:
             if body.id == id:
                 return body
         raise UnknownName("object with id", id, self.name, (f"{body.id} ({body.name})" for body in self.objects))
 
     def get_object(self, name: str) -> Object:
-        """Return the object with a name; raises UnknownName if there is none."""
+        """Return the object with a name; raise UnknownName if no object has it."""
         if checks.text("name", name) not in self._objects:
             raise UnknownName("object", name, self.name, self._objects)
         return self._objects[name]
 
     def add(self, body: Object) -> None:
-        """Load an object's model; called by the object's constructor."""
+        """Load an object's model; the object's constructor calls this."""
         command = records.Mutation(load_body=records.LoadBody(body=body.name))
         with self.transactions.begin(command) as transaction:
             if body.name in self._objects:
@@ -329,7 +328,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             transaction.mark_modified(body)
 
     def remove(self, body: Object) -> None:
-        """Remove an object; raises WorldClosed if it was removed before."""
+        """Remove an object; raise WorldClosed if it was removed before."""
         command = records.Mutation(remove_body=records.RemoveBody(body=body.name))
         with self.transactions.begin(command) as transaction:
             handle = body.handle
@@ -347,7 +346,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     # --- events ------------------------------------------------------------------------------------------------------
 
     def get_attachment_event(self) -> Event:
-        """Return the event that fires with (carrier, body) when an object is attached to another."""
+        """Return the event that fires with (carrier, body) when an object is attached to another object."""
         return self._attachment
 
     def get_detachment_event(self) -> Event:
@@ -355,14 +354,14 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return self._detachment
 
     def get_manipulation_event(self) -> Event:
-        """Return the event that fires with (object) when joints or pose of an object of the environment change."""
+        """Return the event that fires with (object) when an object of the environment or its joints move."""
         return self._manipulation
 
     # --- physics -----------------------------------------------------------------------------------------------------
 
     @property
     def realtime(self) -> bool:
-        """Whether the world is simulated at the pace of the clock."""
+        """Whether the world is simulated at the pace of the wall clock."""
         return self._clock is not None
 
     def set_gravity(self, gravity: Sequence[float]) -> None:
@@ -373,10 +372,10 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             update(self, gravity=vector)
 
     def set_realtime(self, real_time: bool) -> None:
-        """Start or stop simulating at the pace of the clock, in a thread of its own.
+        """Start or stop a thread that simulates the world at the pace of the wall clock.
 
         Raises:
-            Exception: When real time stops, the first error that an event handler raised in that thread.
+            Exception: When real time stops: the first error of an event handler in that thread.
         """
         enabled = checks.switch("real_time", real_time)
         stopped = None
@@ -386,16 +385,16 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 self._clock.start()
             elif not enabled:
                 stopped, self._clock = self._clock, None
-        self.waits.wake()  # another thread simulates from now on
+        self.waits.wake()  # another thread simulates now
         if stopped is not None:
-            stopped.stop()  # without the lock, which its last simulation may be waiting for
+            stopped.stop()  # without the lock, because the thread may be waiting for it
 
     def simulate(self, seconds: float) -> None:
-        """Simulate ``round(seconds * 240)`` steps, at most a year."""
+        """Simulate ``round(seconds * 240)`` steps; a year is the maximum."""
         self.simulate_steps(round(checks.in_range("seconds", seconds, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND))
 
     def simulate_steps(self, steps: int) -> None:
-        """Simulate steps of 1/240 s each; raises WorldClosed if another thread ends the world meanwhile."""
+        """Simulate steps of 1/240 s; raise WorldClosed if another thread ends the world during the simulation."""
         steps = checks.count("steps", steps)
         with self.transactions.begin(records.Mutation(simulate=records.Simulate(steps=steps))) as transaction:
             completed = simulation.simulate(self, steps, transaction)
@@ -403,16 +402,19 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise WorldClosed(self.name, "continue its simulation")
 
     def settle(self, timeout: float = 5.0) -> bool:
-        """Simulate until everything is at rest (:class:`~pycram.world.simulation.RestDetector`); return whether it is.
+        """Simulate until all objects are at rest (:class:`~pycram.world.simulation.RestDetector`).
 
-        If it isn't, a warning (:class:`~pycram.world.simulation.Restless`) names the moving objects and their speeds.
-        Free objects that are more than 5 mm inside of each other are lifted apart first.
+        Free objects that overlap by more than 5 mm are lifted apart first. If objects still move at the end, a warning
+        (:class:`~pycram.world.simulation.Restless`) has their names and speeds.
 
         Args:
             timeout: Limit in simulated seconds, at most a year.
 
+        Returns:
+            Whether all objects are at rest.
+
         Raises:
-            WorldClosed: Another thread ends the world meanwhile.
+            WorldClosed: Another thread ends the world during the simulation.
         """
         steps = round(checks.in_range("timeout", timeout, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND)
         with self.lock:
@@ -425,26 +427,26 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return not restless
 
     def begin_trajectory(self, body: Object, trajectory: Trajectory, search: records.PathSearch | None = None) -> int:
-        """Let a body follow a trajectory in every simulation from now on; return the trajectory's number.
+        """Make a body follow a trajectory in all simulations; return the trajectory's number.
 
-        :func:`pycram.world.driving.follow` does the same, and waits for its end.
+        :func:`pycram.world.driving.follow` also waits for the trajectory's end.
 
         Args:
-            body: An object of this world; a base moves only if it is a robot's or of the environment.
-            trajectory: Starts at the body's present position.
-            search: The search for its path, for the record.
+            body: An object of this world; a base moves only if the body is a robot or of the environment.
+            trajectory: A trajectory that starts at the body's present position.
+            search: The search for the trajectory's path, for the record.
 
         Raises:
             BadArgument: The body can't follow the trajectory, or isn't at its start.
-            FollowsTrajectory: One of its joints, or its base, follows another trajectory.
+            FollowsTrajectory: A joint of the trajectory, or the base, follows another trajectory.
         """
         return driving.begin(self, body, trajectory, search).number
 
     def stop_trajectory(self, number: int) -> None:
-        """Slow a trajectory down along its path; it ends within 0.15 s of simulated time.
+        """Slow a trajectory down along its path until it ends, within 0.15 s of simulated time.
 
         Raises:
-            UnknownName: No body follows a trajectory with that number.
+            UnknownName: No body follows a trajectory with this number.
         """
         driving.stop(self, checks.count("number", number))
 
@@ -459,9 +461,9 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return notify
 
     def reset(self) -> None:
-        """Set every object to the pose and joints that it was loaded with; attachments and trajectories end.
+        """Set all objects to their poses and joint positions at loading; attachments and trajectories end.
 
-        Simulated time and colours stay.
+        Simulated time and colours don't change.
         """
         with self.transactions.begin(records.Mutation(reset=records.Reset())) as transaction:
             self.trajectories.end_all()
@@ -476,11 +478,11 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                     transaction.fire(self._manipulation, body)
 
     def save(self) -> SavedState:
-        """Return the present state of all objects, for :meth:`restore` (:mod:`pycram.world.saved_state`)."""
+        """Return the present state of the world for :meth:`restore` (:mod:`pycram.world.saved_state`)."""
         return saved_state.save(self)
 
     def restore(self, saved: SavedState) -> None:
-        """Restore a saved state, as one change with one record. Simulated time and colours stay.
+        """Restore a saved state as one change; all trajectories end. Simulated time and colours don't change.
 
         Raises:
             ObjectsChanged: Objects were loaded or removed since the state was saved.
@@ -490,7 +492,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     # --- recording and end -------------------------------------------------------------------------------------------
 
     def record_keyframe(self, journal: Journal) -> None:
-        """Append a keyframe to a journal, for a recording that starts after the world was opened."""
+        """Append a keyframe to the journal of a recording that starts after the world was opened."""
         with self.lock:
             if self.closed:
                 return
@@ -504,23 +506,23 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             journal.append(frame)
 
     def at_exit(self, close: Callable[[], None]) -> None:
-        """Register a function that is called when the world ends, with its lock held."""
+        """Register a function that is called, under the world's lock, when the world ends."""
         if not callable(close):
             raise BadArgument("close", close, "a function")
         self._closers.append(close)
 
     @uninterruptible()
     def exit(self) -> None:
-        """End the world immediately, with its window and its threads; a second call does nothing.
+        """End the world with its window and its threads; a second call does nothing.
 
         Raises:
-            Exception: The first error of a function of :meth:`at_exit`, or of a handler in real time, after the end.
+            Exception: The first error of an :meth:`at_exit` function or of a handler in real time, after the end.
         """
-        update(self, exiting=True)  # a simulation in another thread ends early
+        update(self, exiting=True)  # a simulation of another thread then stops early
         with self.lock:
             if self.closed:
                 return
-            self.transactions.query = ""  # a query that failed must not prevent the end of its world
+            self.transactions.query = ""  # a query that failed must not prevent the end of the world
         with ExitStack() as ending:
             ending.callback(self._close)
             if self._clock is not None:
@@ -536,7 +538,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 self._end()
 
     def _end(self) -> None:
-        """End the world, without a record; a second call does nothing."""
+        """End the world without a record; a second call does nothing."""
         if self.closed:
             return
         update(self, closed=True)

@@ -126,7 +126,7 @@ def test_impossible_goals_are_refused_before_a_search(arm: Object, sink: MemoryS
         joint_motion(arm, {"elbow_joint": math.nan})
     with pytest.raises(UnknownName, match="elbow_joint"):
         joint_motion(arm, {"elbow": 1.0})
-    with pytest.raises(BadArgument, match="2 way points, as the other bodies have"):
+    with pytest.raises(BadArgument, match="2 way points for each body"):
         together([(arm, [RIGHT, LEFT]), (arm, [RIGHT])])
     with pytest.raises(BadArgument, match="all of the same joints"):
         through(arm, [RIGHT, {"elbow_joint": 1.0}])
