@@ -206,7 +206,7 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
     for body, way_points in paths:
         postures = [coupled(body, checked_positions(body, way_point)) for way_point in way_points]
         if not postures or not postures[0] or any(posture.keys() != postures[0].keys() for posture in postures):
-            raise BadArgument("way_points", way_points, f"way points of {body.name} that all have the same joints")
+            raise BadArgument("way_points", way_points, f"one or more way points of {body.name} with the same joints")
         if tables and len(postures) != len(tables[0]):
             raise BadArgument("way_points", way_points, f"{len(tables[0])} way points for each body")
         joints = tuple(postures[0])
