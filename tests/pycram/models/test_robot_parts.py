@@ -268,7 +268,7 @@ def test_parts_that_do_not_fit_are_left_out_and_named_when_the_robot_is_loaded(
     (tmp_path / "mine.urdf").write_text(re.sub(*edit, text))
     packages = [Path(str(original.locate())).resolve().parents[3]]
     with pytest.warns(
-        Misfitting, match=rf"mine has a description without .*: {part} \(.*{reason}.*\); pycram"
+        Misfitting, match=rf"mine has a description without .*: {part} \(.*{reason}.*\); 'pycram describe' writes"
     ) as warned:
         world.robot = made = Object("mine", "robot", tmp_path / "mine.urdf", packages=packages)
     assert warned[0].filename == __file__
