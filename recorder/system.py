@@ -13,30 +13,30 @@ except ImportError:  # Windows
 
 HAS_LOCKS: Final = fcntl is not None
 HAS_OWNERS: Final = hasattr(os, "getuid")
-#: Flags of opened files: they aren't inherited, and their bytes aren't converted. A flag that a system lacks is 0.
+#: Flags of opened files: children don't inherit the files, and Windows doesn't convert their bytes. Unsupported flags
+#: are 0.
 OPENED: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
-NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)  # links aren't followed
+NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)  # this flag doesn't follow links
 
 
 def lock(descriptor: int, *, shared: bool = False, wait: bool = False, by_process: bool = False) -> None:
-    """Lock a file; the system releases the lock when the file is closed or the process ends.
+    """Lock a file. The system releases the lock when the file is closed or the process ends.
 
     Args:
-        descriptor: the file's descriptor.
-        shared: whether other processes may hold shared locks at the same time.
-        wait: whether to wait for the other holders.
-        by_process: whether the lock belongs to the process instead of the open file, which forks share.
+        shared: Other processes may hold shared locks at the same time.
+        wait: Wait for the other holders of the lock.
+        by_process: The lock belongs to the process instead of the open file. Forks share open files.
 
     Raises:
-        BlockingIOError: another process holds the lock.
-        OSError: the system, or the file system, has no locks.
+        BlockingIOError: Another process holds the lock.
+        OSError: The operating system or the file system has no locks.
     """
     if fcntl is None:
         raise OSError(errno.ENOTSUP, os.strerror(errno.ENOTSUP))
     kind = (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | (0 if wait else fcntl.LOCK_NB)
     try:
         (fcntl.lockf if by_process else fcntl.flock)(descriptor, kind)
-    except PermissionError as error:  # some systems report a lock of another process so
+    except PermissionError as error:  # some systems raise this error for a lock of another process
         raise BlockingIOError(*error.args) from error
 
 
@@ -47,5 +47,5 @@ def unlock(descriptor: int) -> None:
 
 
 def user() -> int:
-    """Return the number of the user that owns this process; 0 on systems on which all files have owner 0."""
+    """Return the id of the user that owns this process; 0 on Windows, where all files have the owner 0."""
     return os.getuid() if HAS_OWNERS else 0

@@ -1,7 +1,4 @@
-"""Commands on a terminal: colours, a pager, help with examples, progress in lines, and completion in shells.
-
-In pipes and files nothing is coloured or paged, unless ``FORCE_COLOR`` is set.
-"""
+"""Commands on a terminal: colours, a pager, help with examples, progress in lines, and completion in shells."""
 
 from __future__ import annotations
 
@@ -29,19 +26,25 @@ _HELP: Final = re.compile(
 )
 _WRONG_CHOICE: Final = re.compile(r"invalid choice: '(?P<given>.*?)' \(choose from (?P<known>.*)\)")
 _PAGER: Final = "less -RFX"
-_COMPLETING: Final = "_ARGCOMPLETE"  # set by a shell that asks for completions
+_COMPLETING: Final = "_ARGCOMPLETE"  # a shell that asks for completions sets this variable
 PERIOD: Final = 10.0  # seconds between lines of progress
 
 
 def has_colours(stream: IO[str]) -> bool:
-    """Return whether a stream gets colours: terminals do without ``NO_COLOR``; all streams do with ``FORCE_COLOR``."""
+    """Return whether a stream gets colours.
+
+    Terminals get colours without ``NO_COLOR``, all streams with ``FORCE_COLOR``.
+    """
     if os.environ.get("NO_COLOR"):
         return False
     return bool(os.environ.get("FORCE_COLOR")) or (stream.isatty() and os.environ.get("TERM") != "dumb")
 
 
 def painted(text: str, pattern: re.Pattern[str], stream: IO[str]) -> str:
-    """Return a text with coloured matches if the stream gets colours; the names of the pattern's groups are colours."""
+    """Return a text with coloured matches if the stream gets colours.
+
+    Groups of the pattern are named by their colour.
+    """
     if not has_colours(stream):
         return text
     return pattern.sub(lambda match: coloured(match[0], match.lastgroup or "bold"), text)
@@ -56,15 +59,15 @@ def coloured(text: str, colour: str) -> str:
 
 
 class _Pager(io.TextIOBase):
-    """Output for a terminal. A pager shows output longer than the screen; shorter output is printed at the end."""
+    """A stream of output for a terminal. Output that is longer than the screen is shown in a pager."""
 
     def __init__(self, terminal: IO[str], command: str) -> None:
         self._target: IO[str] = terminal
         self._command = command
-        self._held: list[str] | None = []  # the held text; None after text is passed on to the pager or terminal
+        self._held: list[str] | None = []  # the held text; None after it was printed
         self._columns = self._lines = 0
         self._process: subprocess.Popen[str] | None = None
-        with contextlib.suppress(OSError):  # ask the terminal itself: COLUMNS and LINES may belong to another terminal
+        with contextlib.suppress(OSError):  # COLUMNS and LINES may belong to another terminal
             self._columns, self._lines = os.get_terminal_size(terminal.fileno())
         if not (self._columns and self._lines):
             self._columns, self._lines = shutil.get_terminal_size()
@@ -86,8 +89,8 @@ class _Pager(io.TextIOBase):
         import shlex  # noqa: PLC0415  only long output needs a pager
         import subprocess  # noqa: PLC0415  as above
 
-        with contextlib.suppress(OSError, ValueError):  # without the pager, the output is printed
-            self._process = subprocess.Popen(  # noqa: S603  the user's own command
+        with contextlib.suppress(OSError, ValueError):  # without a pager, the output is printed
+            self._process = subprocess.Popen(  # noqa: S603  the command is $PAGER
                 shlex.split(self._command),
                 stdin=subprocess.PIPE,
                 text=True,
@@ -120,13 +123,13 @@ class _Pager(io.TextIOBase):
 
 @contextlib.contextmanager
 def paged() -> Iterator[None]:
-    """In the block, show output that is longer than the screen in ``$PAGER``, by default less; only on a terminal."""
+    """Run a block whose output on a terminal is shown in ``$PAGER`` (less) if the screen is too small for it."""
     terminal, command = sys.stdout, os.environ.get("PAGER", _PAGER)
     if not (terminal.isatty() and sys.stdin.isatty() and command.strip()) or os.environ.get("TERM") == "dumb":
         yield
         return
     pager = _Pager(terminal, command)
-    sys.stdout = cast("TextIO", pager)  # printing only needs its method for writing text
+    sys.stdout = cast("TextIO", pager)  # printing only needs the method ``write``
     try:
         yield
     finally:
@@ -135,7 +138,7 @@ def paged() -> Iterator[None]:
 
 
 def messages() -> IO[str]:
-    """Return the stream for messages: stderr, or an open pager on the same terminal, which stderr would overwrite."""
+    """Return the stream for messages: stderr, or the open pager, because stderr would overwrite the pager's text."""
     return sys.stdout if isinstance(cast("object", sys.stdout), _Pager) and sys.stderr.isatty() else sys.stderr
 
 
@@ -143,7 +146,7 @@ def messages() -> IO[str]:
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose help has examples and colours, whose errors suggest similar names, and which shells complete."""
+    """A parser with coloured help and examples, similar names in errors, and completion in shells."""
 
     def __init__(
         self,
@@ -152,8 +155,8 @@ class Parser(argparse.ArgumentParser):
         completers: Mapping[str, Callable[..., list[str]]] | None = None,
         **options: Any,
     ) -> None:
-        self._examples = examples  # commands, each with its result
-        self._completers = completers or {}  # functions by the names or the placeholders of arguments
+        self._examples = examples  # commands and their results
+        self._completers = completers or {}  # completers by the name or placeholder of arguments
         super().__init__(*args, **options)
 
     def add_argument(self, *args: Any, **options: Any) -> argparse.Action:
@@ -161,16 +164,16 @@ class Parser(argparse.ArgumentParser):
         action = super().add_argument(*args, **options)
         for name in (action.dest, action.metavar):
             if isinstance(name, str) and name in self._completers:
-                vars(action)["completer"] = self._completers[name]  # where argcomplete looks for it
+                vars(action)["completer"] = self._completers[name]  # argcomplete reads this attribute
         return action
 
     def format_help(self) -> str:
-        """Return the help, with examples at its end."""
+        """Return the help and its examples."""
         shown = "\n".join(example_lines(list(self._examples())))
         return super().format_help() + (f"\nexamples:\n{shown}\n" if shown else "")
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help, on a terminal in colours."""
+        """Print the help, in colours on a terminal."""
         stream = sys.stdout if file is None else file
         stream.write(painted(self.format_help(), _HELP, stream))
 
@@ -190,13 +193,13 @@ def example_lines(examples: Sequence[tuple[str, str]]) -> Iterator[str]:
 
 
 class ProgressLines:
-    """Says when the next line of progress is due, every 10 s. It is for streams that can't show a progress bar."""
+    """A clock for lines of progress every 10 s, on streams that can't show a progress bar."""
 
     def __init__(self) -> None:
         self._next = time.monotonic() + PERIOD
 
     def due(self) -> bool:
-        """Return whether a line is due, and start the next period if so."""
+        """Return whether a line is due. If so, the next line is due 10 s later."""
         now = time.monotonic()
         if now < self._next:
             return False
@@ -205,7 +208,7 @@ class ProgressLines:
 
 
 def typed_words() -> list[str] | None:
-    """Return the complete words of the command line for which a shell wants completions; None if no shell asks."""
+    """Return the finished words of the command line that a shell wants to complete; None if no shell asks."""
     if _COMPLETING not in os.environ:
         return None
     line = os.environ.get("COMP_LINE", "")[: int(os.environ.get("COMP_POINT", "0"))]
@@ -216,17 +219,18 @@ def typed_words() -> list[str] | None:
 def complete(parser: argparse.ArgumentParser) -> None:
     """If a shell asks for completions, print them and exit."""
     if _COMPLETING in os.environ:
-        import argcomplete  # noqa: PLC0415  only shells that complete need it
+        import argcomplete  # noqa: PLC0415  only completion in shells needs it
 
         argcomplete.autocomplete(parser, always_complete_options=False)
 
 
 def files_ending(*suffixes: str) -> Callable[..., list[str]]:
-    """Return a completer of folders and of files with one of these suffixes."""
+    """Return a completer for folders and for files with the suffixes."""
 
     def complete_file(prefix: str, **_: object) -> list[str]:
         folder, slash, start = prefix.rpartition("/")
-        with contextlib.suppress(OSError), os.scandir(os.path.expanduser(folder + slash) or ".") as entries:  # noqa: PTH111  keeps ./
+        # os.path.expanduser keeps "./"
+        with contextlib.suppress(OSError), os.scandir(os.path.expanduser(folder + slash) or ".") as entries:  # noqa: PTH111
             return [
                 f"{folder}{slash}{entry.name}{'/' * entry.is_dir()}"
                 for entry in entries

@@ -1,12 +1,9 @@
 """A URDF: its tree of links, its joints with limits and kinematics, and the shapes of its links.
 
-Only arithmetic is used, no physics engine. Lengths are in m, angles in rad, velocities per second. Poses are
-``(position, quaternion xyzw)`` of the link's frame in the frame of the root link. A joint without a given value is at
-0, or follows the joint that it mimics. Only direct children of the root element are read, so elements of other
-namespaces and of Gazebo are not part of the robot.
-
-Shapes are read from canonical models (see ``docs/architecture.md``): every shape has its sizes, every mesh is STL or
-OBJ. A link has any number of "visual" and "collision" shapes. The meshes themselves aren't read.
+Lengths are in m, angles in rad, velocities per second. Poses are ``(position, quaternion xyzw)`` of a link's frame in
+the frame of the root link. The default value of a joint is 0, or the value that its leader implies. Only direct
+children of the root element are read, so Gazebo's elements are skipped. Shapes are read from canonical models
+(``docs/architecture.md``): every shape has a size, every mesh is STL or OBJ. Meshes themselves aren't read.
 """
 
 from __future__ import annotations
@@ -26,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
 
-#: Largest number of cached documents: each model is parsed when it is loaded, and again when it is recorded.
+#: Largest number of cached documents. Loading and recording a model both parse the document.
 _CACHED: Final = 32
 
 
@@ -36,7 +33,7 @@ class Urdf:
 
     name: str
     root: str
-    links: tuple[str, ...]  # names of the links: the root first, then depth-first in the document's order
+    links: tuple[str, ...]  # names of the links, depth-first from the root, in the document's order
     joints: Mapping[str, UrdfJoint] = field(repr=False)  # the joints by name, in the document's order
     movable: tuple[str, ...] = field(repr=False)  # names of the joints that aren't fixed, in the document's order
 
@@ -45,30 +42,30 @@ class Urdf:
         """Parse a URDF document.
 
         Args:
-            text: the document.
-            chains: accept planar and floating joints, which have no kinematics; loading replaces them by chains.
+            chains: Accept planar and floating joints, which have no kinematics. Loading replaces these joints by
+                chains.
 
         Raises:
-            UrdfError: the document isn't XML, or isn't a single tree of named links with joints of known types.
+            UrdfError: The document isn't XML, or isn't a single tree of named links with joints of known types.
         """
         return _parse(text, chains)
 
     def joint(self, name: str) -> UrdfJoint:
-        """Return a joint by its name; raise :class:`UrdfError` if there is no such joint."""
+        """Return the joint with a name; raise :class:`UrdfError` if there is no such joint."""
         try:
             return self.joints[name]
         except KeyError:
             raise UrdfError(self.name, f"it has no joint {name!r}; {suggestion(name, self.joints)}") from None
 
     def parent_joint(self, link: str) -> UrdfJoint | None:
-        """Return the joint whose child is the link, or None for the root; raise :class:`UrdfError` if it is unknown."""
+        """Return the joint above a link, or None for the root. An unknown link raises :class:`UrdfError`."""
         joint = self._parents.get(link)
         if joint is None and link != self.root:
             raise UrdfError(self.name, f"it has no link {link!r}; {suggestion(link, self.links)}")
         return joint
 
     def chain(self, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...]:
-        """Return all joints from a link to another link below it; raise :class:`UrdfError` if there is none."""
+        """Return all joints from a link to a link below it. Other links raise :class:`UrdfError`."""
         self.parent_joint(base_link)
         self.parent_joint(tip_link)
         above, below = self._above[base_link], self._above[tip_link]
@@ -77,7 +74,10 @@ class Urdf:
         return below[len(above) :]
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
-        """Return the pose of a link in the root link, from joint values in rad or m by name (default 0)."""
+        """Return the pose of a link in the root link.
+
+        ``positions`` are joint values in rad or m by name (default 0).
+        """
         pose = IDENTITY
         for joint in self.chain(self.root, link):
             fixed = joint.type == "fixed"  # most joints are fixed
@@ -86,7 +86,7 @@ class Urdf:
         return pose
 
     def link_poses(self, positions: Mapping[str, float]) -> dict[str, Pose]:
-        """Return the poses of all links in the root link, by link name; see :meth:`forward_kinematics`."""
+        """Return the poses of all links in the root link by link name, as :meth:`forward_kinematics` does."""
         poses = {self.root: IDENTITY}
         for link in self.links[1:]:  # parents come before their children
             joint = self._parents[link]
@@ -94,7 +94,7 @@ class Urdf:
         return poses
 
     def followers(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Return the positions (rad or m) by name, within limits, of the joints that mimic any of the given joints."""
+        """Return the positions (rad or m) of the joints that mimic the given joints, by name. Limits are kept."""
         return {
             name: self._following(name, mimic, positions[mimic.leader])
             for name, mimic in self.mimics.items()
@@ -102,12 +102,11 @@ class Urdf:
         }
 
     def _following(self, name: str, mimic: Mimic, leader: float) -> float:
-        """Return the position of a mimicking joint, limited to its range, given the position of its leader."""
         joint = self.joints[name]
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
     def value(self, joint: str, positions: Mapping[str, float]) -> float:
-        """Return a joint's position (rad or m): the given position, else the position from its leader, else 0."""
+        """Return the position of a joint (rad or m): the given position, or what its leader implies, or 0."""
         value = positions.get(joint)
         if value is not None:
             return value
@@ -118,12 +117,12 @@ class Urdf:
 
     @cached_property
     def mimics(self) -> Mapping[str, Mimic]:
-        """The leader of each mimicking joint, by the joint's name; leaders mimic no joint themselves.
+        """The rule of each mimicking joint by name, with a leader that mimics no other joint.
 
-        In some published models, a joint mimics a joint that doesn't exist; then it is independent.
+        In some published models, a joint mimics a missing joint. Such a joint is independent.
 
         Raises:
-            UrdfError: a joint mimics itself.
+            UrdfError: A joint mimics itself.
         """
         found = {}
         for joint in self.joints.values():
@@ -214,7 +213,7 @@ def _ends(robot: str, links: list[str], joints: list[UrdfJoint]) -> tuple[dict[s
 
 
 _KINDS: Final = ("fixed", "revolute", "continuous", "prismatic")
-_CHAINS: Final = ("planar", "floating")  # types of joints that loading replaces by chains of other joints
+_CHAINS: Final = ("planar", "floating")  # loading replaces these types of joints by chains of other joints
 
 
 class UrdfError(ValueError):
@@ -229,7 +228,7 @@ class UrdfError(ValueError):
 class Mimic(NamedTuple):
     """The rule of a mimicking joint: its value is ``multiplier * value of the leader + offset``."""
 
-    leader: str  # name of the joint that is mimicked
+    leader: str  # name of the mimicked joint
     multiplier: float = 1.0  # unitless, or in m/rad or rad/m
     offset: float = 0.0  # in rad or m
 
@@ -242,7 +241,7 @@ class UrdfJoint:
     type: str  # "fixed", "revolute", "continuous" or "prismatic"
     parent: str  # name of the parent link
     child: str  # name of the child link
-    origin: Pose = IDENTITY  # pose of the joint (and of the child at value 0) in the parent link
+    origin: Pose = IDENTITY  # pose of the joint in the parent link; the child has this pose at value 0
     axis: Vector = (1.0, 0.0, 0.0)  # unit vector in the joint's frame
     lower: float = 0.0  # lower limit in rad or m; -inf if continuous, 0 if fixed
     upper: float = 0.0  # upper limit in rad or m; inf if continuous, 0 if fixed
@@ -269,10 +268,10 @@ class UrdfJoint:
 
 
 def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> UrdfJoint:
-    """Parse the element of a joint; with ``chains`` it may be planar or floating.
+    """Parse the element of a joint. With ``chains``, planar and floating joints are accepted.
 
     Raises:
-        UrdfError: an element or attribute is missing, or isn't a number.
+        UrdfError: An element or attribute is missing, or isn't a number.
     """
     name = element.get("name", "")
     kind = element.get("type", "")
@@ -347,10 +346,10 @@ def _number(robot: str, joint: str, what: str, text: str) -> float:
 
 
 def finite(text: str) -> float:
-    """Return a text as a number; reject 1_0 and digits of other scripts, which Python accepts but URDF doesn't.
+    """Return a text as a number. Reject 1_0 and digits of other scripts, which Python accepts.
 
     Raises:
-        ValueError: the text isn't a number, or the number isn't finite.
+        ValueError: The text isn't a finite number.
     """
     value = float(text)
     if not math.isfinite(value) or "_" in text or not text.isascii():
@@ -370,28 +369,28 @@ Color: TypeAlias = "tuple[float, float, float, float]"
 """RGBA 0..1."""
 
 GREY: Final[Color] = (0.8, 0.8, 0.8, 1.0)
-#: Attributes by kind; other kinds have radius and length.
+#: Names of sizes by kind; other kinds have radius and length.
 _SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}
 
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One shape of a link."""
+    """A shape of a link."""
 
     kind: str  # "box", "cylinder", "sphere", "capsule" or "mesh"
-    size: tuple[float, ...]  # size in m: edges of a box, or radius and length; for a mesh its scale
+    size: tuple[float, ...]  # edges of a box in m, radius and length in m, or the scale of a mesh
     mesh: str  # path of the mesh, as in the model; "" for other shapes
     pose: Pose  # pose in the link's frame
     color: Color  # the model's colour, or grey
 
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
-    """Return the "visual" or "collision" shapes of a URDF by link name; links without shapes are left out."""
-    return shapes_in(ET.fromstring(model), role)  # noqa: S314  canonical: written by PyCRAM
+    """Return the "visual" or "collision" shapes of a URDF by link name. Links without shapes are left out."""
+    return shapes_in(ET.fromstring(model), role)  # noqa: S314  PyCRAM wrote the model
 
 
 def shapes_in(root: ET.Element, role: str) -> dict[str, list[Shape]]:
-    """Return the shapes of a parsed URDF; see :func:`read_shapes`."""
+    """Return the "visual" or "collision" shapes of a parsed URDF by link name."""
     palette = {str(element.get("name")): color for element in root.findall("material") if (color := _rgba(element))}
     by_link = {}
     for link in root.findall("link"):

@@ -1,4 +1,4 @@
-"""The user's folder for caches. Files in it are trusted, so nobody else may be able to write there."""
+"""The user's folder for caches. Its files are trusted, so only the user may write into the folder."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _ROOT: Final = 0  # the superuser can write anywhere
 
 
 def cache_folder() -> Path | None:
-    """Return the user's folder for caches, which may be missing: ``PYCRAM_CACHE`` or ``~/.cache/pycram``.
+    """Return the user's folder for caches, ``PYCRAM_CACHE`` or ``~/.cache/pycram``. The folder may not exist.
 
-    Return None if the variable is empty, or if the folder isn't the user's own.
+    Return None if the variable is empty, or if other users can write into the folder.
     """
     named = os.environ.get("PYCRAM_CACHE")
     folder: Path | None = None

@@ -1,7 +1,6 @@
-"""Tracebacks as text, exactly as Python prints them; the middle of a long traceback is replaced by a count.
+"""Tracebacks as text, as Python prints them; a number replaces the middle of a long traceback.
 
-Each task that an error ends records the error with its causes. So each line of code is formatted only once, and the
-texts of all errors and records are composed of these cached parts.
+Each task that an error ends records the error with its causes. So the text of each line of code is cached.
 """
 
 from __future__ import annotations
@@ -25,31 +24,30 @@ if TYPE_CHECKING:
 Other = TypeVar("Other")
 
 MAX_FRAMES: Final = 32
-"""Largest number of frames of an error in a text; only the innermost frames are kept. Many nested blocks exceed it."""
+"""The text of an error has at most this many frames, the innermost frames."""
 MAX_ERRORS: Final = 16
-"""Largest number of errors in a text. They are from both ends of the chain of causes; nested tasks record the rest."""
+"""A text has at most this many errors, from both ends of the chain of causes. Nested tasks record the other errors."""
 
-_FIRST: Final = 4  # number of errors from the beginning of a long chain, which has the root causes
-_MAX_EXPLORED: Final = 64  # largest number of related errors that Python may visit to print an error
-_REPEATED: Final = 3  # number of times that Python prints a repeated line, before it only counts repetitions
-_MAX_CACHED: Final = 4096  # number of cached texts of frames
+_FIRST: Final = 4  # a text has this many errors from the beginning of the chain, which has the root causes
+_MAX_EXPLORED: Final = 64  # an error with more related errors is printed without these
+_REPEATED: Final = 3  # Python prints a repeated line this many times, and then the number of repetitions
+_MAX_CACHED: Final = 4096
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
 TITLE: Final = "Traceback (most recent call last):\n"
 CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
 _PLACE: Final = attrgetter("co_filename", "co_name")
-#: Python adds details to the messages of these errors
+#: Python adds details to the messages of these errors.
 _SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)
 
 #: Formats tracebacks, also within messages, in the place of :func:`format_traceback`; None to print all frames.
 formatter: Final[ContextVar[Formatter | None]] = ContextVar("recorder_tracebacks", default=None)
 
-_texts: Final[
-    dict[tuple[int, int, int], tuple[CodeType, str]]
-] = {}  # cached values keep the code alive: the key contains the address of the code
+# cached texts of frames by the address of the code; the values keep the code alive
+_texts: Final[dict[tuple[int, int, int], tuple[CodeType, str]]] = {}
 
 
 def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
-    """Return an error and its causes as text: the innermost frames of each error, and both ends of the chain."""
+    """Return the text of an error and its causes: ``frames`` innermost frames of each error, and ``errors`` errors."""
     if (own := formatter.get()) is not None:
         return own(error)
     links = chain(error)
@@ -65,7 +63,10 @@ def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: 
 
 
 def chain(error: BaseException) -> list[tuple[str, BaseException]]:
-    """Return the causes and the error, each with the text that links it to the next; a group prints its own causes."""
+    """Return the causes and the error, each after the text that links it to its cause.
+
+    A group prints its own causes.
+    """
     links: list[tuple[str, BaseException]] = []
     seen = {id(error)}
     while not _is_small_group(error):
@@ -93,12 +94,11 @@ def part(error: BaseException, frames: int = MAX_FRAMES) -> str:
 
 
 def _is_small_group(error: BaseException) -> bool:
-    """Return whether Python prints the error with its members; a larger group is printed without its members."""
     return isinstance(error, BaseExceptionGroup) and _is_quickly_printed(error)
 
 
 def _is_quickly_printed(error: BaseException) -> bool:
-    """Return whether Python visits only few errors to print an error; for nested groups, visits grow quadratically."""
+    """Return whether an error has few related errors. For nested groups, Python's visits grow quadratically."""
     errors = [error]
     for each in errors:
         members = each.exceptions if isinstance(each, BaseExceptionGroup) else ()
@@ -136,7 +136,7 @@ def stack(shown: Iterable[TracebackType]) -> Iterator[str]:
 
 
 def _frame(entry: TracebackType) -> str:
-    """Return a frame of a traceback as text, cached: looking up and parsing its line takes 100 times as long."""
+    """Return the text of a traceback's frame. Without a cache, Python would look up and parse the line each time."""
     code = entry.tb_frame.f_code
     key = id(code), entry.tb_lasti, entry.tb_lineno
     known = _texts.get(key)
@@ -161,7 +161,7 @@ def message(error: BaseException) -> Iterator[str]:
 
 
 def text_or(text: Callable[[], str], otherwise: Callable[[Exception], Other]) -> str | Other:
-    """Return the text from a user's own method; if the method raises an error, return the given other text."""
+    """Return the text from a user's method. If the method raises an error, return ``otherwise(error)``."""
     try:
         return text()
     except Exception as error:  # noqa: BLE001  a user's method may raise anything

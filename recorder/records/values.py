@@ -1,9 +1,7 @@
-"""Values of users (slots, answers, results) as one line of JSON, and errors as ``Failure``, for records.
+"""Values of users (slots, answers, results) as a line of JSON, and errors as ``Failure``, for records.
 
-A method ``__record__`` of an object decides how the object is recorded. The method returns None, a bool, number,
-string, list or dict. Values with secret names, such as ``password``, are left out of recordings.
-
-:class:`AssetFile` is a file that makes a recording self-contained: a model, a mesh, the plan's source.
+An object with a method ``__record__`` is recorded as the method's result: None, a bool, number, string, list or dict.
+Values with secret names, such as ``password``, are left out.
 """
 
 from __future__ import annotations
@@ -26,12 +24,12 @@ if TYPE_CHECKING:
 
 
 MAX_NESTING: Final = 100
-"""Largest depth of nested lists and dictionaries; readers return a deeper value as text."""
+"""Readers return a value with more nested lists and dictionaries as text."""
 MAX_CHARACTERS: Final = 8 << 20
-"""Largest length of a value as JSON. A longer value isn't recorded: readers reject a record of many MiB as damaged."""
+"""A value with more characters of JSON isn't recorded, because readers reject a record of many MiB as damaged."""
 MAX_DIGITS: Final = 300
-"""Largest number of digits of an integer that still fits a float; readers return values with longer ones as text."""
-#: Matches strings and brackets; a string without an end extends to the end of the text.
+"""Integers with more digits don't fit a float. Readers return a value with such an integer as text."""
+#: Matches strings and brackets. A string without an end extends to the end of the text.
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
@@ -43,14 +41,14 @@ def _plain(value: object) -> object:
     exact = _EXACT.get(type(value))
     if exact is not None:
         return exact(value)
-    # ``type()`` returns the real type, although a lazy result imitates the type of its value
+    # ``type()`` returns the real type; a lazy result has the ``__class__`` of its value
     record = getattr(type(value), "__record__", None)
     if record is not None:
         return _plain(record(value))
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
-    to_list = getattr(type(value), "tolist", None)  # a NumPy array; NumPy isn't imported here
+    to_list = getattr(type(value), "tolist", None)  # of a NumPy array, without an import of NumPy
     if to_list is not None:
         return _plain(to_list(value))
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
@@ -92,33 +90,32 @@ _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
 
 
 def to_json(value: object) -> str:
-    """Return any value as one line of JSON; floats keep all their bits.
+    """Return any value as a line of JSON. Floats keep all bits, and arrays become lists.
 
-    Arrays become lists. An object with ``__record__`` becomes the result of this method, any other object ``{"repr":
-    ...}``. A value that raises errors or is too long becomes ``{"untold": type, "because": ...}``: recording never
-    breaks a plan.
+    An object without ``__record__`` becomes ``{"repr": ...}``. A value that raises errors or is too long becomes
+    ``{"untold": type, "because": ...}``, so that recording never breaks a plan.
     """
     try:
         text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
         if len(text) > MAX_CHARACTERS:
-            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  handled below, as all errors
-        text.encode()  # raises for a lone surrogate
+            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  the handler below handles all errors
+        text.encode()  # a lone surrogate raises an error
     except UnicodeEncodeError:
         return json.dumps(_plain(value), separators=(",", ":"))
-    except Exception as error:  # noqa: BLE001  users' __repr__ and __record__ may raise anything, and lists may contain themselves
+    except Exception as error:  # noqa: BLE001  users' methods may raise anything
         return json.dumps({"untold": type(value).__qualname__, "because": format_error(error)})
     return text
 
 
 def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> list[Argument]:
-    """Return named values for a record, in the given order; the values of secret names are left out."""
+    """Return named values for a record in the given order, without the values of secret names."""
     pairs = values.items() if isinstance(values, Mapping) else values
     named = [(str(name), value) for name, value in pairs]
     return [Argument(name=name, json=to_json(LEFT_OUT if is_secret(name) else value)) for name, value in named]
 
 
 def from_json(text: str) -> Plain:
-    """Return the value of recorded JSON; return text that isn't valid JSON unchanged."""
+    """Return the value of recorded JSON. Text that isn't valid JSON is returned unchanged."""
     try:
         return _loaded(text)
     except ValueError:
@@ -126,7 +123,7 @@ def from_json(text: str) -> Plain:
 
 
 def _loaded(text: str) -> Plain:
-    """Return the value of a line of JSON; raise ValueError if it isn't JSON or exceeds our limits."""
+    """Return the value of a line of JSON. Other texts and values beyond our limits raise ValueError."""
     if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING:
         depth = 0
         for bracket in _BRACKET.findall(text):
@@ -148,13 +145,13 @@ def _refuse(text: str) -> float:
 
 
 _DECODER: Final = json.JSONDecoder(parse_constant=_refuse)
-#: A decoder that checks numbers; it is slow, because it calls Python code for each number.
+#: A slow decoder that calls ``_integer`` for each integer.
 _WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)
 _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 
 def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:
-    """Return the named values of a record; if strict, raise ValueError for a value that isn't JSON."""
+    """Return the named values of a record. If ``strict`` is set, text that isn't JSON raises ValueError."""
     return {argument.name: _loaded(argument.json) if strict else from_json(argument.json) for argument in arguments}
 
 
@@ -163,17 +160,17 @@ def _message(error: BaseException) -> str:
 
 
 def format_error(error: BaseException) -> str:
-    """Return an exception's type, and its message if it has one."""
+    """Return the type of an exception, with the message if there is a message."""
     text = _message(error)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERRORS) -> Failure:
-    """Return an exception for a record: type, message, ``data`` if any, and a traceback of ``errors`` errors."""
+    """Return an exception for a record: type, message, ``data`` and a traceback of ``errors`` errors."""
     data = getattr(error, "data", None)
     text = ""
     if trace:
-        with suppress(Exception):  # the error's own methods may raise anything
+        with suppress(Exception):  # methods of the error may raise anything
             text = format_traceback(error, errors=errors)
     return Failure(
         type=escaped(type(error).__qualname__),
@@ -184,19 +181,19 @@ def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERROR
 
 
 def format_failure(failure: Failure) -> str:
-    """Return a recorded failure's type, and its message if it has one."""
+    """Return the type of a recorded failure, with the message if there is a message."""
     return f"{failure.type}: {failure.message}" if failure.message else failure.type
 
 
 def without_addresses(text: str) -> str:
-    """Return a text without the addresses in Python's default texts of objects, which differ in each process."""
+    """Return a text without addresses of objects, which differ in each process."""
     return _ADDRESS.sub("", text)
 
 
 def escaped(text: str) -> str:
-    """Return a text with lone surrogates replaced by escapes, so that it can be written.
+    """Return a text with escapes in place of lone surrogates, which can't be written.
 
-    Python uses lone surrogates for bytes that aren't UTF-8, for example in names of files and threads.
+    Python uses lone surrogates for bytes that aren't UTF-8, for example in names of files.
     """
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
 
@@ -213,7 +210,7 @@ _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 
 @lru_cache(maxsize=4096)
 def is_secret(name: str) -> bool:
-    """Return whether a word of a name (``api_key``, ``apiKey``, ``API-KEY``) means that its value is secret."""
+    """Return whether the value of a name such as ``api_key``, ``apiKey`` or ``API-KEY`` is secret."""
     return any(word.lower() in _SECRET for word in _WORDS.findall(name))
 
 
@@ -235,7 +232,7 @@ def without_secrets(arguments: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class AssetFile:
-    """A file, identified by its content; the name doesn't contain folders."""
+    """A file that makes recordings self-contained: a model, a mesh or a plan's source. The name has no folders."""
 
     name: str
     content: bytes
@@ -251,5 +248,5 @@ class AssetFile:
 
     @property
     def key(self) -> str:
-        """The attachment's name in the recording: ``<sha256>/<name>``."""
+        """The name of the attachment in a recording: ``<sha256>/<name>``."""
         return f"{self.sha256}/{self.name}"

@@ -1,8 +1,7 @@
-"""The task tree as lines of text, as data for JSON, as a graph for Graphviz, and as an SVG with its times.
+"""The task tree as lines of text, as data for JSON, as a graph for Graphviz, and as an SVG.
 
-In the text, the marks mean: ``+`` succeeded, ``X`` failed, ``-`` cancelled, ``?`` not ended, ``.`` not begun; ``>``
-marks the path to the failure. The SVG has the same lines without the plan's output, and bars of wall time on the right.
-Hovering over a task shows its details.
+Marks in the text: ``+`` succeeded, ``X`` failed, ``-`` cancelled, ``?`` not ended, ``.`` not begun. The mark ``>``
+shows the path to the failure. The SVG has the same lines without the plan's output, and bars of wall time.
 """
 
 from __future__ import annotations
@@ -33,11 +32,11 @@ _MARKS: Final[Mapping[int, str]] = {
     Task.RUNNING: "?",
     Task.CREATED: ".",
 }
-_MAX_ALIKE: Final = 6  # largest number of similar siblings that aren't folded
-_MAX_WIDTH: Final = 100  # largest number of characters of parameters in a line
-#: Kinds of tasks that are shown with their parameters.
+_MAX_ALIKE: Final = 6  # more similar siblings are folded
+_MAX_WIDTH: Final = 100  # a line shows at most this many characters of parameters
+#: Lines of these kinds of tasks show the parameters.
 _WITH_PARAMETERS: Final = frozenset({"action", "projection", "motion", "attempt", "failure-handling", "handler"})
-#: Kinds that aren't shown, because the names of the tasks imply them.
+#: Lines of these kinds of tasks don't show the kind, because the names imply it.
 _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")
 
 
@@ -45,16 +44,17 @@ _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling
 class TreeRow:
     """A line of a tree."""
 
-    depth: int  # level of the task, from 0
+    depth: int  # depth of the task, from 0
     node: Node | None  # the task; None for a line of details or output
-    text: str  # text of the line, without indentation and marks
-    failing: bool = False  # whether the task is on the path down to the failure
+    text: str  # without indentation and marks
+    failing: bool = False  # whether the task is on the path to the failure
 
 
 def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: bool = True) -> Iterator[TreeRow]:
-    """Yield all tasks down to a depth, each before its children; similar siblings are folded, unless ``whole`` is set.
+    """Yield all tasks down to a depth, each task before its children.
 
-    With ``output``, lines that the plan printed or logged appear among the children.
+    Similar siblings are folded, unless ``whole`` is set. If ``output`` is set, printed and logged lines appear among
+    the children.
     """
     failing = {node.id for node in tree.failure_path()}
     said = tree.output if output else {}
@@ -79,7 +79,7 @@ def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: b
 
 
 def depth_of(tree: Tree, limit: int) -> int | None:
-    """Return the largest depth at which the tree has at most ``limit`` rows, but at least 1; None if all depths fit."""
+    """Return the largest depth, at least 1, with at most ``limit`` rows. Return None if the whole tree fits."""
     deepest = max((depth for depth, _ in tree.walk()), default=0) + 1
     for depth in range(1, deepest + 1):
         if len(list(islice(rows(tree, depth, output=False), limit + 1))) > limit:
@@ -88,7 +88,7 @@ def depth_of(tree: Tree, limit: int) -> int | None:
 
 
 def lines(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
-    """Yield the tree as lines of text; see :func:`rows`."""
+    """Yield the tree as lines of text, with the rows of :func:`rows`."""
     for row in rows(tree, depth, whole=whole):
         mark = f"{_MARKS.get(row.node.status, '?')} " if row.node is not None else ""
         extent = f"  [{_extent(row.node)}]" if row.node is not None else ""
@@ -96,7 +96,7 @@ def lines(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Itera
 
 
 def label(node: Node) -> str:
-    """Return the name, parameters and kind of a task in a line."""
+    """Return a line of a task's name, parameters and kind."""
     if node.kind == "timeout":
         return timeout_text(node.name, node.parameters.get("clock"))
     parameters = values(node.started.parameters)
@@ -110,7 +110,7 @@ def label(node: Node) -> str:
 
 
 def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object]]:
-    """Yield each task as data for JSON, before its children; see :func:`rows`."""
+    """Yield each task as data for JSON, before its children."""
     failing = {node.id for node in tree.failure_path()}
     return (
         {
@@ -142,7 +142,7 @@ def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object
 
 
 def _choice_lines(query: Query) -> Iterator[str]:
-    """Yield lines of a choice: the query and the chosen candidate, then, indented, rejected candidates with reasons."""
+    """Yield lines of a choice: the query and the chosen candidate, then indented lines of the rejected candidates."""
     yield f"{query.name}({values(query.arguments)}): {chosen_name(query) or 'none'}"
     yield from (f"    {line}" for line in rejection_lines(query))
 
@@ -154,15 +154,15 @@ def _extent(node: Node) -> str:
         took = f"{(node.seconds or 0.0) * 1e3:.1f} ms" if node.start is not None else "never begun"
     if node.started.began_ns:
         took += ", began before the recording"
-    if not node.started.seq:  # tasks without a recording have no step numbers
+    if not node.started.seq:
         return took
     return f"{node.started.seq}-{node.finished.seq if node.finished is not None else ''}, {took}"
 
 
 def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> list[Node | str]:
-    """Return siblings and, between them, the output lines of their parent; both are folded."""
+    """Return siblings, with the output lines of their parent between them. Siblings and output are folded."""
     shown: list[Node | str] = []
-    printed = 0  # number of output lines so far
+    printed = 0
     for item in _folded(nodes if whole else _lifted(nodes), whole=whole):
         if not isinstance(item, str) and printed < len(output):
             before = bisect_left(output, (item.asked or item.started).seq, printed, key=attrgetter("seq"))
@@ -173,7 +173,10 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
 
 
 def _lifted(nodes: Sequence[Node]) -> list[Node]:
-    """Return siblings; attempts replace an action's successful failure handling, and parts replace a single attempt."""
+    """Return siblings, but the attempts of an action instead of its successful failure handling.
+
+    The parts of a single successful attempt replace the attempt.
+    """
     shown: list[Node] = []
     for node in nodes:
         tries = node.children if node.kind == "failure-handling" and "action" in node.parameters else []
@@ -194,7 +197,7 @@ def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:
 
 
 def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
-    """Return siblings; in a long row of succeeded tasks with the same name, a line replaces the middle."""
+    """Return siblings, with a line instead of the middle of many succeeded tasks of the same name."""
     shown: list[Node | str] = []
     for (_, name, status), run in groupby(nodes, lambda node: (node.kind, node.name, node.status)):
         alike = list(run)
@@ -207,7 +210,7 @@ def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
 
 
 COLORS: Final[Mapping[int, str]] = defaultdict(
-    lambda: "#707070",  # colour of a status that only a newer release knows
+    lambda: "#707070",  # colour of a newer release's status
     {
         Task.SUCCEEDED: "#2e9e5b",
         Task.FAILED: "#d0342c",
@@ -221,7 +224,7 @@ _INDENT: Final = 16
 _NAMES: Final = 520  # width of the column of names in pixels
 _BARS: Final = 560  # width of the column of times in pixels
 _TOP: Final = 44
-_LETTER: Final = 6.6  # width of a letter in pixels, at the size of the names
+_LETTER: Final = 6.6  # width of a letter in pixels
 _Clock: TypeAlias = "Callable[[Moment], int]"
 _escape = partial(escape_quotes, quote=False)
 
@@ -243,17 +246,17 @@ def dot(tree: Tree) -> str:
 
 
 def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
-    """Return the tree and its times as an SVG document; see :func:`rows`."""
+    """Return the tree and its times as an SVG document, with the rows of :func:`rows`."""
     shown = list(rows(tree, depth, whole=whole, output=False))
     moments = [node.created for _, node in tree.walk()]
     moments += [node.end for _, node in tree.walk() if node.end is not None]
-    steady = all(moment.monotonic_ns for moment in moments)  # the wall clock may be adjusted while a plan runs
+    steady = all(moment.monotonic_ns for moment in moments)  # the wall clock may jump while a plan runs
     clock: _Clock = attrgetter("monotonic_ns" if steady else "wall_ns")
     times = [clock(moment) for moment in moments]
     begin, end = (min(times), max(times)) if times else (0, 1)
     height = _TOP + _ROW * len(shown) + 12
     width = _NAMES + _BARS + 30
-    size = f'width="{width}" height="{height}" viewBox="0 0 {width} {height}"'  # so JupyterLab scales it
+    size = f'width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="DejaVu Sans, sans-serif" font-size="11">',
         '<rect width="100%" height="100%" fill="white"/>',
@@ -265,7 +268,7 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
 
 
 def _axis(seconds: float, height: int) -> Iterator[str]:
-    # candidates for the unit of the scale in s; times are at most 9e9 s (nanoseconds in 64 bits)
+    # possible units of the scale in s; 64 bits of nanoseconds are at most 9e9 s
     units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
     steps = (size * unit for unit in units for size in (1, 2, 5, 10, 20, 50, 100, 200, 500))
     step = next(length for length in steps if seconds / length <= 6)

@@ -1,8 +1,6 @@
-"""The tree of tasks: the parts and the outcome of each task, and the path down to the task that failed.
+"""The tree of tasks: the parts and the outcome of each task, and the path to the task that failed.
 
-A tree is the fold of task records, and nothing else. A running plan and a reader of its recording fold the records with
-the same class, so their trees are equal. The children of a task are in the order of their requests, which is also the
-order of their ids.
+A tree is a fold of task records. Plans and readers fold with the same class, so their trees are equal.
 """
 
 from __future__ import annotations
@@ -27,12 +25,12 @@ if TYPE_CHECKING:
     from recorder.records import Decision, Failure, Output, Plain, Query
 
 
-# module variables, because looking them up in the class is slow
+# module variables, because attributes of protobuf's classes are slow
 _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
 
 
 class State(IntEnum):
-    """Status of a task, with the same numbers as in records."""
+    """The status of a task, with the number that records have."""
 
     CREATED = Task.CREATED
     RUNNING = Task.RUNNING
@@ -42,7 +40,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Return a status that only a newer release knows; its name is its number."""
+        """Return a status of a newer release, whose name is its number."""
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)
@@ -51,23 +49,23 @@ class State(IntEnum):
 
     @property
     def word(self) -> str:
-        """The status as a word: "created", "running", "succeeded", "failed" or "cancelled"; a number if unknown."""
+        """The status as a word, such as "running" or "succeeded"; a number for a status of a newer release."""
         return self.name.lower()
 
     def __str__(self) -> str:
         return f"State.{self.name}"
 
-    __format__ = Enum.__format__  # IntEnum would format the status as a number
+    __format__ = Enum.__format__  # otherwise a status is formatted as a number
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
     """A moment in wall time and simulated time."""
 
-    wall_ns: int  # nanoseconds since the Unix epoch
-    sim_step: int = 0  # steps of 1/240 s that the world had simulated
-    world: str = ""  # the current world; "" if no world is open
-    #: Nanoseconds since the recording began, by a steady clock; 0 if this time isn't recorded.
+    wall_ns: int  # ns since the Unix epoch
+    sim_step: int = 0  # number of simulated steps of 1/240 s
+    world: str = ""  # the current world; "" without an open world
+    #: Time since the beginning of the recording in ns, by a steady clock; 0 if the time isn't recorded.
     monotonic_ns: int = 0
 
     @property
@@ -77,7 +75,7 @@ class Moment:
 
 
 def _moment(record: Task) -> Moment:
-    if record.began_ns:  # the task began before the recording and its clock
+    if record.began_ns:  # the task began before the recording
         return Moment(record.began_ns, record.sim_step, record.world)
     return Moment(record.wall_time_ns, record.sim_step, record.world, record.monotonic_ns)
 
@@ -86,45 +84,45 @@ def _moment(record: Task) -> Moment:
 class Node:
     """A task."""
 
-    #: The record of its start. If that is missing, the record of its request; if both are lost, the record of its end.
+    #: The record of the start. Without this record, it is the record of the request, or else the record of the end.
     started: Task
-    parent: Node | None = None  # the task around it; None for an outermost task
-    asked: Task | None = None  # the record of its request; None if it started immediately
-    finished: Task | None = None  # the record of its end; None if it has not ended
-    forgotten: int = 0  # number of children that the tree of a long-running plan has dropped
-    #: Queries with which the task chose its actions; filled only for recorded tasks on the path to the failure.
+    parent: Node | None = None  # the task around this task; None for an outermost task
+    asked: Task | None = None  # the record of the request; None if the task started immediately
+    finished: Task | None = None  # the record of the end; None before the end
+    forgotten: int = 0  # number of dropped children
+    #: Queries that chose the task's actions. Only recorded tasks on the path to the failure have them.
     choices: list[Query] = field(default_factory=list)
-    size: int = 0  # number of bytes of its own records, if the tree limits the bytes
-    parts: dict[int, Node] = field(default_factory=dict)  # its children, by their ids
+    size: int = 0  # bytes of the task's own records, if the tree limits bytes
+    parts: dict[int, Node] = field(default_factory=dict)  # children by id
 
     @property
     def id(self) -> int:
-        """The task's number: unique in its process, from 1."""
+        """The number of the task, from 1. Each task of a process has another number."""
         return self.started.task
 
     @property
     def kind(self) -> str:
-        """For example motion, process-module, block, branch, failure-handling, attempt, timeout or cleanup."""
+        """The kind of the task, such as motion, process-module, block, branch, attempt, timeout or cleanup."""
         return self.started.kind
 
     @property
     def name(self) -> str:
-        """The task's name, for people."""
+        """The name of the task."""
         return self.started.name
 
     @property
     def attempt(self) -> int:
-        """Number of the attempt, from 1; 0 if the task isn't an attempt."""
+        """The number of the attempt, from 1; 0 for other kinds of tasks."""
         return self.started.attempt
 
     @property
     def parameters(self) -> dict[str, Plain]:
-        """The task's recorded parameters, by name."""
+        """The task's recorded parameters by name."""
         return argument_values(self.started.parameters)
 
     @property
     def solution(self) -> dict[str, Plain]:
-        """The recorded solution of its designator, by name; empty if it has no solution."""
+        """The recorded solution of the task's designator by name; empty without a solution."""
         return argument_values(self.finished.solution if self.finished is not None else ())
 
     @property
@@ -135,7 +133,7 @@ class Node:
 
     @property
     def status(self) -> State:
-        """The task's status; RUNNING if the recording ends before the task."""
+        """The status of the task; RUNNING if the recording ends before the task."""
         if self.finished is not None:
             return State(self.finished.status)
         return State.CREATED if self.started.phase == Task.ASKED else State.RUNNING
@@ -147,22 +145,22 @@ class Node:
 
     @property
     def is_origin(self) -> bool:
-        """Whether a failure began in this task: it failed, and none of its children did."""
+        """Whether a failure began in this task: the task failed, and no child of the task failed."""
         return self.failed and not any(child.failed for child in self.children)
 
     @property
     def failure(self) -> Failure | None:
-        """The task's failure: type, message, data and, if recorded, the traceback."""
+        """The failure of the task: type, message, data and traceback."""
         return self.finished.failure if self.finished is not None and self.finished.HasField("failure") else None
 
     @property
     def error(self) -> tuple[str, str] | None:
-        """Type and message of its failure; None if it didn't fail."""
+        """Type and message of the task's failure; None without a failure."""
         return (self.finished.failure.type, self.finished.failure.message) if self.finished and self.failed else None
 
     @property
     def origin(self) -> Node:
-        """The task in which the failure began. It is the last failed descendant, preferably with the same error."""
+        """The task in which the failure began: the last failed descendant, preferably with the same error."""
         node = self
         while failed := [child for child in node.children if child.failed]:
             node = next((child for child in reversed(failed) if child.error == node.error), failed[-1])
@@ -170,7 +168,7 @@ class Node:
 
     @property
     def outermost_failed(self) -> Node:
-        """The outermost task of the unbroken series of failed tasks around it."""
+        """The outermost of the failed tasks around this task, up to a task that didn't fail."""
         node = self
         while node.parent is not None and node.parent.failed:
             node = node.parent
@@ -178,69 +176,72 @@ class Node:
 
     @property
     def motion(self) -> Node:
-        """The task itself if it is a motion, else the innermost motion around it; without a motion, the task."""
+        """The innermost motion among this task and the tasks around it; this task if there is no motion."""
         return next((node for node in self.around() if node.kind == "motion"), self)
 
     @property
     def last_step(self) -> int:
-        """The step of its end, or of its start if it has not ended."""
+        """The step of the task's end, or of its start before the end."""
         return (self.finished or self.started).seq
 
     @property
     def created(self) -> Moment:
-        """The moment of its request."""
+        """The moment of the task's request."""
         return _moment(self.asked or self.started)
 
     @property
     def start(self) -> Moment | None:
-        """The moment of its start; None if it has not started."""
+        """The moment of the task's start; None before the start."""
         return None if self.started.phase == Task.ASKED else _moment(self.started)
 
     @property
     def end(self) -> Moment | None:
-        """The moment of its end; None if it has not ended."""
+        """The moment of the task's end; None before the end."""
         return _moment(self.finished) if self.finished is not None else None
 
     @property
     def seconds(self) -> float | None:
-        """The task's duration by the clock, in s; None if it has not ended."""
+        """The task's duration by the clock in s; None before the end."""
         return self.finished.duration_ns / 1e9 if self.finished is not None else None
 
     @property
     def source(self) -> str:
-        """The plan's line that requested it, "file:line" or "In [3], line 1"; "" if unknown."""
+        """The line of the plan that requested the task, "file:line" or "In [3], line 1"; "" for an unknown line."""
         record = self.asked or self.started
         return notebook.place(record.source_file, record.source_line) if record.source_file else ""
 
     @property
     def children(self) -> list[Node]:
-        """The task's direct children, in the order of their requests."""
+        """The direct children of the task in the order of their requests."""
         return [child for _, child in sorted(self.parts.items())]
 
     @property
     def attempts(self) -> list[Node]:
-        """The attempts among its children."""
+        """The attempts among the task's children."""
         return [child for child in self.children if child.attempt]
 
     @property
     def dealt_with(self) -> bool:
-        """Whether a task around it ended without a failure, so that its own failure didn't decide the plan."""
+        """Whether this task or a task around it ended without a failure.
+
+        Then a failure of this task didn't end the plan.
+        """
         return any(node.finished is not None and not node.failed for node in self.around())
 
     @property
     def path(self) -> str:
-        """Names of the tasks from the outermost task down to this task."""
+        """The names of the tasks from the outermost task to this task, with "/" between the names."""
         return "/".join(reversed([node.name for node in self.around()]))
 
     def around(self) -> Iterator[Node]:
-        """Yield the task and the tasks around it, from the innermost to the outermost."""
+        """Yield the task and the tasks around it, innermost first."""
         node: Node | None = self
         while node is not None:
             yield node
             node = node.parent
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """Yield the task and all tasks below it, each before its children, with their depths from 0."""
+        """Yield the task and all tasks below it with their depths from 0, each task before its children."""
         stack = [(0, self)]
         while stack:
             depth, node = stack.pop()
@@ -252,30 +253,30 @@ class Node:
 
 
 def decisive(origins: Sequence[Node]) -> Node | None:
-    """Return the task whose failure decides a plan; ``origins`` are tasks in which failures began, in order of ends.
+    """Return the last task whose failure no task around it recovered from; without such a task, return the last task.
 
-    This is the last origin from whose failure no task around it recovered. If there is none, it is the last origin.
+    ``origins`` are the tasks in which failures began, in the order of their ends.
     """
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 
 
 def walk(roots: Iterable[Node]) -> Iterator[tuple[int, Node]]:
-    """Yield all tasks of trees, each before its children, with their depths from 0."""
+    """Yield all tasks of trees with their depths from 0, each task before its children."""
     for root in roots:
         yield from root.walk()
 
 
-_parsed = lru_cache(64)(Task.FromString)  # callers read several fields of a task
+_parsed = lru_cache(64)(Task.FromString)  # callers read several fields of a record
 
 
 class PackedTask:
-    """A serialized task record, with the attributes of :class:`Task`; it takes a fifth of the memory.
+    """A serialized copy of a task record, with the attributes of :class:`Task`.
 
-    Each access parses it. It contains a copy, so later changes of the record have no effect.
+    The copy takes a fifth of the record's memory, but each access parses the copy.
     """
 
     __slots__ = ("_payload",)
-    __hash__ = None  # type: ignore[assignment]  # like a record
+    __hash__ = None  # type: ignore[assignment]  # records have no hash
 
     def __init__(self, record: Task) -> None:
         self._payload = record.SerializeToString()
@@ -288,22 +289,20 @@ class PackedTask:
 
 
 class Tree:
-    """All tasks of a plan or recording; two trees of the same records are equal. All methods are thread-safe.
+    """All tasks of a plan or recording. Trees of the same records are equal. All methods are thread-safe.
 
     Args:
-        limit: largest number of tasks; tasks that ended first are dropped, children before parents. If None, all are
-        kept.
-        size: largest number of bytes of records; above it, tasks are dropped in the same way.
-        unpacked: number of tasks whose records stay parsed; further records are packed (:class:`PackedTask`).
+        limit: Largest number of tasks. The tasks that ended first are dropped.
+        size: Largest number of bytes of records. The tasks that ended first are dropped.
+        unpacked: The records of this many tasks stay parsed. Further records are packed (:class:`PackedTask`).
     """
 
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     def __init__(self, limit: int | None = None, size: int | None = None, unpacked: float = math.inf) -> None:
-        #: Id of the task in which the plan's failure began, if the caller knows it. 0: it began outside of tasks; None:
-        #: find it from the tasks.
+        #: Id of the task in which the plan's failure began; 0 outside of tasks; None if the tree has to find the task.
         self.began: int | None = None
-        #: Lines that the plan printed or logged, by the id of the task; empty for a running plan.
+        #: Printed and logged lines by the id of the task; empty for a running plan.
         self.output: dict[int, list[Output]] = {}
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
@@ -321,7 +320,7 @@ class Tree:
         return tuple(sorted(self._roots.values(), key=attrgetter("id")))
 
     def apply(self, record: Task, size: int = 0) -> Node:
-        """Keep the next record, and return its task; ``size`` is the number of the record's bytes, if known."""
+        """Add the next record, and return its task. ``size`` is the size of the record in bytes, if known."""
         number, phase, above = record.task, record.phase, record.parent
         if self._weighs and not size:
             size = record.ByteSize()
@@ -345,7 +344,7 @@ class Tree:
             return node
 
     def forget(self) -> None:
-        """Drop all trees whose outermost task has ended."""
+        """Drop the outermost tasks that have ended, and all tasks below them."""
         with self._lock:
             self._roots = {number: node for number, node in self._roots.items() if node.finished is None}
             self.nodes = {node.id: node for root in self._roots.values() for _, node in root.walk()}
@@ -364,11 +363,11 @@ class Tree:
             node.parent.forgotten += 1
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """Yield all tasks, each before its children, with their depths from 0."""
+        """Yield all tasks with their depths from 0, each task before its children."""
         return walk(self.roots)
 
     def find(self, *, kind: str | None = None, name: str | None = None, status: State | None = None) -> list[Node]:
-        """Return the tasks with a kind, name and status, each before its children; None matches everything."""
+        """Return the tasks with a kind, name and status, each task before its children. None matches everything."""
         return [
             node
             for _, node in self.walk()
@@ -376,7 +375,7 @@ class Tree:
         ]
 
     def failure_path(self) -> list[Node]:
-        """Return the tasks from the outermost one to the origin of the decisive failure; empty without a failure."""
+        """Return the path to the failure that ended the plan, outermost task first; empty without a failure."""
         if self.began is not None:
             began = self.nodes.get(self.began)
         else:
@@ -386,7 +385,7 @@ class Tree:
         return list(began.around())[::-1] if began is not None else []
 
     def lines(self, depth: int | None = None, *, whole: bool = False) -> Iterator[str]:
-        """Yield lines of text; see :func:`recorder.tasks.rendering.rows`."""
+        """Yield the lines of :func:`recorder.tasks.rendering.lines`."""
         return rendering.lines(self, depth, whole=whole)
 
     def text(self, depth: int | None = None, *, whole: bool = False) -> str:
@@ -394,11 +393,11 @@ class Tree:
         return "\n".join(self.lines(depth, whole=whole))
 
     def facts(self, depth: int | None = None) -> Iterator[dict[str, object]]:
-        """Yield all tasks down to a depth as data for JSON, each before its children."""
+        """Yield all tasks down to a depth as data for JSON, each task before its children."""
         return rendering.facts(self, depth)
 
     def to_json(self) -> str:
-        """Return the facts as JSON."""
+        """Return all tasks as JSON."""
         return json.dumps(list(self.facts()), ensure_ascii=False)
 
     def to_dot(self) -> str:
@@ -406,7 +405,7 @@ class Tree:
         return rendering.dot(self)
 
     def to_svg(self, depth: int | None = None, *, whole: bool = False) -> str:
-        """Return a picture of the tree with its times, as SVG; see :func:`recorder.tasks.rendering.rows`."""
+        """Return a picture of the tree with its times as SVG."""
         return rendering.svg(self, depth, whole=whole)
 
     def __str__(self) -> str:

@@ -1,11 +1,9 @@
 """The plan's frames: call stacks of tasks, and the local variables of raised errors.
 
 A call stack contains the plan's lines that called one another, outermost first. In a thread that runs part of a task,
-the call stack continues the call stack of the code that requested the task. So every call stack begins where the plan
-begins.
-
-Local variables are described without calling users' code. Values of Python's own types are written out, objects of a
-world are named, and other values are described by their type.
+it continues the call stack of the request. So every call stack begins where the plan begins. Local variables are
+described without calls of users' code: values of Python's types are written out, objects of a world are named, and
+other values are described by their type.
 """
 
 from __future__ import annotations
@@ -35,33 +33,32 @@ if TYPE_CHECKING:
     from recorder.records import Failure
 
 
-CallSite: TypeAlias = "tuple[str, int]"  # a file and the number of a line, from 1
+CallSite: TypeAlias = "tuple[str, int]"  # a file and a line number, from 1
 
-#: Largest number of lines in a call stack; the middle of a longer call stack is left out.
+#: A call stack has at most this many lines; the middle of a longer call stack is left out.
 MAX_LINES: Final = 32
-#: Packages whose frames are left out of call stacks: the plan's lines are outside of these packages.
+#: Call stacks leave out frames of these packages, because they aren't the plan's code.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
-#: Modules that run a plan as a program; the frames that call these modules are left out, too.
+#: These modules run a plan as a program. Call stacks leave out the frames that call these modules.
 _RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.cli.restore", "replay.retrace.guided_run"})
-#: Folders of Python's own files, installed packages and commands; files in these folders aren't part of a plan.
+#: Matches files of Python, installed packages and commands, which aren't part of a plan.
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"
 )
-_MAX_CACHED: Final = 4096  # largest number of cached call stacks, and of cached lines
+_MAX_CACHED: Final = 4096  # largest number of cached call stacks, and also of cached lines
 _RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
 class CallStack(NamedTuple):
-    """The plan's lines that led to a task. Every task has one, so it is a named tuple, which is cheap."""
+    """The plan's lines that led to a task. A named tuple is cheap to create for every task."""
 
-    #: Lines, outermost first; a recursive line is listed once. Without a recording, the stack has only the innermost
-    #: line.
+    #: Lines, outermost first. A recursive line is listed once. Without a recording, there is only the innermost line.
     lines: tuple[CallSite, ...]
-    #: The lines of another thread's call stack, which this call stack continues.
+    #: The first lines, which are the call stack of another thread.
     inherited: tuple[CallSite, ...]
-    thread: int  # ident of the thread or branch in which the call stack ends
-    callers: tuple[SourceLine, ...] = ()  # all lines except the innermost line, as records contain them
-    recording: int = 0  # number of the recording for which the call stack was made; 0 for none
+    thread: int  # ident of the thread or branch of the innermost line
+    callers: tuple[SourceLine, ...] = ()  # all lines except the innermost line, for records
+    recording: int = 0  # number of the recording; 0 without a recording
 
     @property
     def line(self) -> CallSite:
@@ -72,9 +69,8 @@ class CallStack(NamedTuple):
         """Return the call stack for another line of the innermost function; None if only :func:`walk` can find it."""
         lines, inherited, thread, callers, recording = self
         file, latest = lines[-1]
-        if recording != journal.recording_number() or lines[-2:-1] == (
-            (file, number),
-        ):  # a recursive line is listed once
+        # a recursive line is listed once
+        if recording != journal.recording_number() or lines[-2:-1] == ((file, number),):
             return None
         if number == latest:
             return self
@@ -82,13 +78,13 @@ class CallStack(NamedTuple):
 
 
 def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallStack, FrameType | None]:
-    """Return the call stack of running code, and the plan's innermost frame or None.
+    """Return the call stack of running code, and the plan's innermost frame.
 
-    The frame is returned if :meth:`CallStack.at_line` can derive the call stacks of its other lines while it runs.
+    The frame is None if :meth:`CallStack.at_line` can't derive call stacks of its other lines.
 
     Args:
-        frame: frame of the code, or of a function that the code has called.
-        outer: call stack of the current task.
+        frame: The frame of the code, or of a function that the code has called.
+        outer: The call stack of the current task.
     """
     frame, line = _innermost(frame)
     recording = journal.recording_number() if journal.recording() else 0
@@ -101,7 +97,7 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
         return CallStack(innermost or inherited[-1:], inherited[-1:], thread), None
     own = _lines_from(frame.f_back) if frame is not None else ()
     around = (*inherited, *(own[1:] if own[:1] == inherited[-1:] else own))
-    repeated = around[-1:] == innermost  # a lambda is defined in the line that requests it
+    repeated = around[-1:] == innermost  # a lambda is in the line that requests it
     lines = around if repeated else (*around, *innermost)
     if len(lines) > MAX_LINES:
         lines = (*lines[: MAX_LINES // 2], *lines[-MAX_LINES // 2 :])
@@ -110,17 +106,20 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallS
 
 
 def is_resumable(frame: FrameType) -> bool:
-    """Return whether a frame belongs to a generator or coroutine, which another function can resume."""
+    """Return whether a frame belongs to a generator or coroutine, which other functions can resume."""
     return bool(frame.f_code.co_flags & _RESUMABLE)
 
 
 def call_site() -> CallSite:
-    """Return the innermost line of the plan that led to the present call; ("", 0) if no such line exists."""
+    """Return the innermost line of the plan that led to the present call; ("", 0) without such a line."""
     return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  like inspect.currentframe()
 
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
-    """Return the plan's innermost frame and its line; without a plan, None and the innermost line of other code."""
+    """Return the plan's innermost frame and its line.
+
+    Without a plan, return None and the innermost line of other code.
+    """
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
     return frame, _site(innermost)[1] if innermost is not None else None
@@ -144,12 +143,10 @@ def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
 
 
 def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
-    """Return the origin of a frame's code and its line; cached, because decoding the line is slow."""
+    """Return the origin of a frame's code, and its line. Python decodes lines slowly, so they are cached."""
     code = frame.f_code
-    key = (
-        id(code),
-        frame.f_lasti,
-    )  # hashing the code itself is slow; the value keeps the code alive, so that its id stays unique
+    # hashing code is slow, so the key is its id; the value keeps the code alive, so that the id stays unique
+    key = id(code), frame.f_lasti
     site = _sites.get(key)
     if site is None:
         file = code.co_filename
@@ -161,7 +158,7 @@ def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
 
 
 def recorded_file(file: str) -> str:
-    """Return the name that records use for the file of compiled code; a notebook's cell has a name of its own."""
+    """Return the name of a code's file in records. The name of a notebook's cell is "In [3]"."""
     named = notebook.cell_of(file) or escaped(file)
     if named != file:
         _unescaped[named] = file
@@ -169,7 +166,7 @@ def recorded_file(file: str) -> str:
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """Search a frame and its callers: return the plan's innermost frame, and the innermost foreign frame below it."""
+    """Return the plan's innermost frame among a frame and its callers, and the innermost foreign frame below it."""
     foreign = None
     # local variables are faster
     known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER
@@ -187,7 +184,7 @@ def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | N
 
 
 def plan_frames(frame: FrameType | None) -> Iterator[FrameType]:
-    """Yield the plan's frames among a frame and its callers, from the innermost to the outermost."""
+    """Yield the plan's frames among a frame and its callers, innermost first."""
     while (frame := plan_frame(frame)[0]) is not None:
         yield frame
         frame = frame.f_back
@@ -215,29 +212,29 @@ class _Origin(Enum):
     RUNNER = auto()
 
 
-_origins: Final[dict[str, _Origin]] = {}  # origins of code, by file
-#: Real file names by recorded names, for names that aren't UTF-8 and for cells of notebooks.
+_origins: Final[dict[str, _Origin]] = {}  # origins of code by file
+#: Real file names by recorded names, if these differ: for cells of notebooks and names that aren't UTF-8.
 _unescaped: Final[dict[str, str]] = {}
-#: Origins and lines, by a code's id and its instruction.
+#: Origins and lines by the id of the code and the index of the instruction.
 _sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}
 
 
 def _origin(file: str, module: str) -> _Origin:
     if module in _RUNNERS:
         origin = _Origin.RUNNER
-    elif module.startswith("namedtuple_"):  # generated by collections for a named tuple
+    elif module.startswith("namedtuple_"):  # the module of a named tuple
         origin = _Origin.FOREIGN
     elif module.partition(".")[0] in _MACHINERY and Path(file).parent.name != "demos":
         origin = _Origin.MACHINERY
     else:
         origin = _Origin.FOREIGN if _FOREIGN.search(file) else _Origin.PLAN
-    if file.startswith("<frozen") or not file.startswith("<"):  # many modules share names such as "<string>"
+    if file.startswith("<frozen") or not file.startswith("<"):  # many modules have the file "<string>"
         _origins[file] = origin
     return origin
 
 
 class _Callers:
-    """A cache of callers as record fields. It also attaches each file of a plan once to a recording."""
+    """A cache of callers for records, which also attaches each file of a plan to the recording."""
 
     def __init__(self) -> None:
         self._cache: dict[tuple[CallSite, ...], tuple[SourceLine, ...]] = {}
@@ -255,7 +252,7 @@ class _Callers:
                 self._attached.add(file)
                 source = Path(_unescaped.get(file, file))
                 is_cell = notebook.is_cell(file)
-                with suppress(OSError):  # the code was typed at a prompt, or its file was deleted
+                with suppress(OSError):  # the code has no file, or the file was deleted
                     text = notebook.source_of(str(source)) if is_cell else source.read_bytes()
                     journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
             innermost = lines[-1][0] if lines else ""
@@ -269,16 +266,16 @@ class _Callers:
 _callers: Final = _Callers()
 
 
-MAX_FRAMES: Final = 16  # largest number of frames of an error; only the innermost are recorded
-MAX_VARIABLES: Final = 20  # largest number of variables of a frame
-MAX_CHARACTERS: Final = 80  # largest number of characters of a value
+MAX_FRAMES: Final = 16  # an error has at most this many frames, the innermost frames
+MAX_VARIABLES: Final = 20  # a frame has at most this many variables
+MAX_CHARACTERS: Final = 80  # a value has at most this many characters
 
-_MAX_ITEMS: Final = 6  # largest number of shown items of a list
-_MAX_DEPTH: Final = 3  # largest depth of lists within lists
-_MAX_BITS: Final = 256  # largest number of bits of an integer
+_MAX_ITEMS: Final = 6  # a list shows at most this many items
+_MAX_DEPTH: Final = 3  # deeper nested lists aren't shown
+_MAX_BITS: Final = 256  # integers with more bits aren't shown
 _ELLIPSIS: Final = "..."
-_MARK: Final = "_pycram_frames"  # attribute of an error with the recording and the frames that are already recorded
-#: Types of a module's imports and definitions, which aren't recorded.
+_MARK: Final = "_pycram_frames"  # attribute of an error: the recording, and the frames that it already has
+#: Variables of these types are imports and definitions, which aren't recorded.
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)
 _TYPE_ALONE: Final = re.compile(r"<[\w.]+>")
 _EXACT: Final = frozenset({type(None), bool, int, float, complex, range, type(Path()), PurePosixPath})
@@ -292,16 +289,16 @@ _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
 
 
 def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Failure:
-    """Return an error as :func:`failure` does, and add the plan's frames if this recording has frames."""
+    """Return the failure of an error, with the plan's frames if this recording has frames."""
     record = failure(error, errors=errors)
     if journal.keeps_local_variables():
-        with suppress(Exception):  # an error's own methods may raise any exception
+        with suppress(Exception):  # methods of the error may raise anything
             record.frames.extend(_new_frames(error))
     return record
 
 
 def _new_frames(error: BaseException) -> list[StackFrame]:
-    """Return the plan's frames that led to an error, outermost first; frames that are already recorded are left out."""
+    """Return the plan's frames that led to an error, outermost first, without frames that are already recorded."""
     recording, known = vars(error).get(_MARK, (0, frozenset()))
     if recording != journal.recording_number():
         known = frozenset()
@@ -319,7 +316,7 @@ def _new_frames(error: BaseException) -> list[StackFrame]:
 
 
 def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
-    """Return the plan's frames of the traceback and the frames that called them, with their lines."""
+    """Return the plan's frames of the traceback and of its callers, with their lines."""
     trace = error.__traceback__
     outer: list[tuple[FrameType, int]] = []
     around = trace.tb_frame.f_back if trace is not None else None
@@ -335,10 +332,10 @@ def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
 
 
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
-    """Yield names and values, in the order of their first assignment.
+    """Yield names and values in the order of their first assignment.
 
-    A module has many variables, also imported ones. Only its last variables whose values can be shown are kept.
-    IPython's own variables are left out.
+    Modules have many variables, also imports, so only their last variables with a visible value are kept. IPython's own
+    variables are left out.
     """
     hidden = notebook.own_variables() if frame.f_locals is frame.f_globals else {}
     try:
@@ -358,7 +355,7 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
 
 
 def described(value: Any, depth: int = 0) -> str:
-    """Return a short text of a value, without calling users' code."""
+    """Return a short text of a value without calls of users' code."""
     kind = type(value)
     if kind is str or kind is bytes:
         return repr(value[: MAX_CHARACTERS + 1])
@@ -406,7 +403,7 @@ def _collection(value: Any, depth: int) -> str:
 
 
 def _of_numpy(value: Any, name: str) -> str:
-    """Return the values of a number or small array of NumPy, but only the shape of a larger array."""
+    """Return the value of NumPy's number or small array, and the shape of a larger array."""
     dtype = getattr(value, "dtype", None)
     if dtype is None or dtype.kind not in "biuf":
         return f"<{name}>"

@@ -1,13 +1,10 @@
 """The context of running code: its branch or thread, the current world, and the room on its stack.
 
-A branch of a plan shares its thread with other branches. It has its own call stack, context and name; records have this
-name instead of the thread's name.
-
-The current world is the world that was opened or made current last. When it closes, the previous world becomes current
-again. If a thread chooses the current world, the choice applies to the thread, its branches, and all threads without a
-choice of their own. A branch's choice applies only to the branch and its own branches.
-
-Before a record is made, the free room on the stack is checked, so that no RecursionError interrupts the record.
+A branch shares its thread with other branches, but has its own call stack, context and name. The current world is the
+world that was opened or made current last; when it closes, the previous world becomes current again. A thread's choice
+of the current world applies to the thread, its branches, and all threads without a choice. A branch's choice applies
+only to the branch and its own branches. Before a record is made, the free room on the stack is checked, so that no
+RecursionError interrupts the record.
 """
 
 from __future__ import annotations
@@ -26,11 +23,11 @@ if TYPE_CHECKING:
 
 
 class BranchIdentity(NamedTuple):
-    """Identity of a branch of a plan."""
+    """The identity of a branch of a plan."""
 
-    thread: int  # ident of the branch's thread; a thread that the branch starts may inherit its context
-    ident: int  # a negative number; idents of threads are positive
-    name: str  # name of the branch in records
+    thread: int  # ident of the branch's thread; threads that the branch starts may have its context
+    ident: int  # negative; idents of threads are positive
+    name: str
 
 
 _branch: ContextVar[BranchIdentity | None] = ContextVar("pycram_branch", default=None)
@@ -53,7 +50,7 @@ def enter_branch(branch: BranchIdentity | None) -> None:
 
 
 def current_name() -> str:
-    """Return the name of the running branch; outside of branches, the name of the thread."""
+    """Return the name of the running branch, or outside of branches of the thread."""
     branch = _branch.get()
     if branch is None or branch.thread != threading.get_ident():
         return escaped(threading.current_thread().name)
@@ -61,21 +58,21 @@ def current_name() -> str:
 
 
 def current_ident() -> int:
-    """Return the ident of the running branch; outside of branches, the ident of the thread."""
+    """Return the ident of the running branch, or outside of branches of the thread."""
     branch, thread = _branch.get(), threading.get_ident()
     return thread if branch is None or branch.thread != thread else branch.ident
 
 
 class KnownWorld(Protocol):
-    """A world, with its name and clock as in records."""
+    """A world with the name and clock that records have."""
 
     name: str
     sim_step: int
 
 
 _lock = threading.Lock()
-# Open worlds in the order in which they became current, each with the branch or thread that chose it; the tuple is
-# replaced.
+# Open worlds in the order in which they became current, each with the thread of the branch that chose the world, or 0.
+# Changes replace the dictionary.
 _open: dict[KnownWorld, int] = {}
 _chosen: ContextVar[tuple[weakref.ref[KnownWorld], ...]] = ContextVar("pycram_world", default=())
 
@@ -101,12 +98,12 @@ def _without(world: KnownWorld) -> dict[KnownWorld, int]:
 
 
 def open_worlds() -> tuple[KnownWorld, ...]:
-    """Return the open worlds, in the order in which they became current."""
+    """Return the open worlds in the order in which they became current."""
     return tuple(_open)
 
 
 def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | None:
-    """Return the current world of this branch or thread, among all open worlds or ``among``; None if there is none."""
+    """Return the current world of this branch or thread, among all open worlds or ``among``; None without a world."""
     known = _open
     for chosen in reversed(_chosen.get()):
         if (world := chosen()) in known and (among is None or world in among):
@@ -116,35 +113,35 @@ def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | N
     return next((world for world, thread in reversed(worlds.items()) if thread != this_thread), None)
 
 
-#: Largest number of stack frames that a record needs, down to the file's compression.
+#: A record needs at most this many stack frames, with the compression of the file.
 FOR_RECORD: Final = 40
-#: Largest number of stack frames that a task needs for its records, its block and its end.
+#: A task needs at most this many stack frames for its records, its block and its end.
 FOR_TASK: Final = 120
 
-_COUNTED: Final = 4  # a frame and the C functions that called it count up to this number of times for Python's limit
-_outside = 0  # largest number of frames below a greenlet so far; Python counts these frames for the greenlet, too
+_COUNTED: Final = 4  # Python may count a frame this many times, because C functions count, too
+_outside = 0  # largest number of frames below a greenlet, which Python counts for the greenlet, too
 
 
 def require_stack_room(frames: int) -> None:
-    """Raise RecursionError unless the stack has room for the given number of frames.
+    """Raise RecursionError if the stack has no room for this number of frames.
 
-    On a shallow stack, as usual, the check takes as long as 6 calls. On a deep stack, it makes nested calls.
+    The check of a shallow stack takes as long as 6 calls. For a deep stack, it makes nested calls.
     """
     shallow = (sys.getrecursionlimit() - frames) // _COUNTED - _outside
     if shallow > 0:
         try:
             sys._getframe(shallow)  # noqa: SLF001  inspect.stack() reads source files
-        except ValueError:  # the stack is shallow: it has fewer frames
+        except ValueError:  # the stack has fewer frames
             return
     try:
         _call(frames)
     except RecursionError as error:
-        raise RecursionError(*error.args) from None  # the traceback doesn't show the frames of the check
+        raise RecursionError(*error.args) from None  # without the frames of the check
 
 
 def greenlets_begin() -> None:
-    """Note the depth at which greenlets begin: Python counts the frames below for a greenlet, but doesn't show them."""
-    global _outside  # noqa: PLW0603  a large number only makes other threads check nested calls
+    """Note the depth at which greenlets begin. Python counts the frames below a greenlet, but doesn't show them."""
+    global _outside  # noqa: PLW0603  if the number is too large, checks only take longer
     below, frame = 0, sys._getframe()  # noqa: SLF001  as above
     while frame.f_back is not None:
         below, frame = below + 1, frame.f_back

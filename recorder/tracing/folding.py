@@ -17,8 +17,8 @@ _ATTEMPTS: Final = 5  # largest number of earlier attempts that are printed
 def format_folded(error: BaseException, ours: type[BaseException]) -> str:
     """Return an error and its causes as text, with the frames of the plan and of the libraries that it calls.
 
-    Errors other than ``ours`` keep PyCRAM's innermost frames, since such an error may be a bug in them. Causes that
-    PyCRAM raised and handled itself are left out.
+    Errors other than ``ours`` keep PyCRAM's innermost frames, because such an error may be a bug of PyCRAM. Causes that
+    PyCRAM raised and handled are left out.
     """
     token = tracebacks.formatter.set(lambda each: _formatted(each, ours))
     try:

@@ -1,17 +1,13 @@
-"""Ctrl-C: raised immediately in the plan's own Python, and deferred where an interrupt would leave a broken state.
+"""Ctrl-C interrupts the plan's own Python immediately. Elsewhere, it is deferred so that no state is broken.
 
-Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, this would make the
-world differ from its log. Within a record, a number would have no record. Within a block, a branch would continue
-alone. So Ctrl-C is deferred
+Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, the world would differ
+from its log; within a record, a number would have no record; within a block, a branch would continue alone. So Ctrl-C
+waits for the end of a section (:class:`Uninterrupted`), which is a change or a record. In branches and in the plan
+language (:class:`Host`), Ctrl-C waits for the next checkpoint (:mod:`pycram.scheduling`).
 
-- in a section (:class:`Uninterrupted`), which is a change or a record, until the section ends;
-- in branches and in the code of the :class:`Host`, which is the plan language, until the host calls
-  :func:`raise_pending`, at every checkpoint (:mod:`pycram.scheduling`).
-
-Our handler of SIGINT is installed only while a section or a scope of the plan language is open in the main thread. It
-calls the previously installed handler, so a program's own handler is deferred in the same way.
-
-In :func:`terminable`, SIGTERM and SIGHUP interrupt the plan, too, and end the process after the block.
+Our handler of SIGINT is only installed in sections and scopes of the plan language in the main thread. It calls the
+previously installed handler. In :func:`terminable`, SIGTERM and SIGHUP also interrupt the plan, and end the process
+after the block.
 """
 
 from __future__ import annotations
@@ -30,12 +26,15 @@ if TYPE_CHECKING:
     from typing import Self
 
 _SIGINT: Final = int(signal.SIGINT)
-_OURS: Final = ("pycram", "recorder", "replay", "_signal")  # packages of handlers that only interrupt
+_OURS: Final = ("pycram", "recorder", "replay", "_signal")  # handlers of these packages only interrupt the plan
 _TERMINATING: Final = tuple(int(getattr(signal, name)) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class Terminated(SystemExit):
-    """A signal has requested the end of the process; the exit code is 128 plus the signal's number, as in shells."""
+    """A signal has requested the end of the process.
+
+    The exit code is 128 plus the number of the signal, as in shells.
+    """
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)
@@ -43,28 +42,28 @@ class Terminated(SystemExit):
 
 
 class Host(Protocol):
-    """Runs code that can be interrupted only at certain points; its methods are called in the main thread only."""
+    """A runner of code that is only interrupted at checkpoints. Its methods are only called in the main thread."""
 
     @property
     def checkpoints(self) -> int:
         """Number of checkpoints in the main thread so far."""
 
     def defers(self, frame: FrameType) -> bool:
-        """Return whether a Ctrl-C that arrives in this frame must wait until the host raises it."""
+        """Return whether a Ctrl-C in this frame must wait for a checkpoint of the host."""
 
     def interrupt(self) -> None:
-        """Note a deferred Ctrl-C; called by the signal handler, between any two instructions."""
+        """Note a deferred Ctrl-C. The signal handler calls this method between any two instructions."""
 
 
 _host: Host | None = None
-#: The handler that was installed before ours.
+#: The handler that was installed before our handler.
 _handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler
 _holder = 0  # ident of the main thread; after a fork, the forking thread is the main thread
-_open = 0  # number of open sections and scopes in the main thread; our handler is installed while any is open
-_sections = 0  # number of sections among the open sections and scopes
+_open = 0  # number of open sections and scopes in the main thread; above 0, our handler is installed
+_sections = 0
 _pending = False
 _terminated = 0  # the signal of the last interrupt; 0 for Ctrl-C
-_owner = 0  # the process that called :func:`terminable`; forked children differ from it, and have no recording
+_owner = 0  # id of the process that called :func:`terminable`
 _checkpoint = 0  # number of the host's checkpoint at which the last interrupt was raised
 
 
@@ -72,7 +71,7 @@ def _on_sigint(number: int, frame: FrameType | None) -> None:
     global _pending  # noqa: PLW0603  there is one main thread
     if _handler is _ignore and not _terminated:
         return
-    if threading.get_ident() != _holder:  # after a fork by another thread, no section is open in this process
+    if threading.get_ident() != _holder:  # this process is a fork by another thread, so no section is open
         _signal.signal(_SIGINT, _handler)
         _handler(number, frame)
     elif _sections or (frame is not None and (frame.f_globals is globals() or _defers(frame))):
@@ -99,9 +98,9 @@ def _defers(frame: FrameType) -> bool:
 
 
 def enter(host: Host | None = None) -> bool:
-    """Install our handler until :func:`leave`; return whether it was installed. Only the main thread can install it.
+    """Install our handler until :func:`leave`, and return whether it was installed.
 
-    While the handler is installed, the host decides whether Ctrl-C is deferred.
+    Only the main thread can install handlers. Until :func:`leave`, the host decides whether Ctrl-C is deferred.
     """
     global _handler, _holder, _host, _open, _sections, _pending  # noqa: PLW0603  as above
     thread = threading.get_ident()
@@ -114,7 +113,7 @@ def enter(host: Host | None = None) -> bool:
     handler = _signal.getsignal(_SIGINT)
     if not callable(handler):
         return False
-    if handler is not _on_sigint:  # otherwise the handler was inherited from a parent process
+    if handler is not _on_sigint:  # a parent process may have installed our handler
         _handler = handler
     _holder, _host, _sections, _pending = thread, host, 0, False
     _signal.signal(_SIGINT, _on_sigint)
@@ -136,13 +135,13 @@ def leave() -> None:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Treat SIGTERM and SIGHUP as Ctrl-C while the block runs, unless the program handles them itself.
+    """Treat SIGTERM and SIGHUP as Ctrl-C in the block, unless the program handles these signals.
 
-    So a plan leaves a complete recording if a supervisor stops it or its terminal is closed. The process ends after
-    the block, even if the plan has caught the interrupt. Only the main thread can do this.
+    So a stopped plan leaves a complete recording. The process ends after the block, even if the plan has caught the
+    interrupt. Outside of the main thread, this function has no effect.
 
     Raises:
-        Terminated: such a signal has arrived.
+        Terminated: SIGTERM or SIGHUP has arrived.
     """
     taken = _take()
     try:
@@ -161,7 +160,7 @@ def terminable() -> Iterator[None]:
 
 
 def _take() -> list[tuple[int, signal.Handlers]]:
-    """Install handlers for signals that the program doesn't handle; return the signals with their previous handlers."""
+    """Install handlers for signals that the program doesn't handle. Return the signals and their previous handlers."""
     global _terminated, _owner
     if threading.current_thread() is not threading.main_thread():
         return []
@@ -185,7 +184,7 @@ def _on_termination(number: int, frame: FrameType | None) -> None:
 
 
 def _in_child() -> None:
-    """Let these signals kill a forked process, such as a worker of a pool, even while it waits in native code."""
+    """Let SIGTERM and SIGHUP kill a forked process, such as a worker of a pool, also while native code waits."""
     for number in _TERMINATING:
         if signal.getsignal(number) is _on_termination:
             signal.signal(number, signal.SIG_DFL)
@@ -207,7 +206,7 @@ def interrupted_by() -> str:
 
 
 def has_handlers() -> bool:
-    """Return whether the program itself handles a signal in Python; handlers of these packages wake no wait."""
+    """Return whether the program handles a signal in Python. Handlers of PyCRAM's packages don't count."""
     handlers = (*map(signal.getsignal, signal.valid_signals()), _handler if _open else None)
     return any(callable(each) and str(each.__module__).partition(".")[0] not in _OURS for each in handlers)
 
@@ -223,15 +222,15 @@ def is_pending() -> bool:
 
 
 def raise_pending() -> None:
-    """Raise a deferred Ctrl-C, unless a section is open; only interruptible code in the main thread calls this."""
+    """Raise a deferred Ctrl-C, unless a section is open. Only interruptible code calls this function."""
     if _pending and not _sections and threading.get_ident() == _holder:
         drop_pending()
         _note_checkpoint()
-        _handler(_SIGINT, sys._getframe(1))  # noqa: SLF001  inspect.currentframe() gives no other
+        _handler(_SIGINT, sys._getframe(1))  # noqa: SLF001  the caller's frame
 
 
 def drop_pending() -> None:
-    """Drop a deferred Ctrl-C, because the plan is being interrupted already."""
+    """Drop a deferred Ctrl-C, because the plan is already interrupted."""
     global _pending  # noqa: PLW0603  as above
     _pending = False
 
@@ -242,14 +241,14 @@ _soon: Callable[[], bool] | None = None
 def call_soon(function: Callable[[], bool]) -> None:
     """Call a function after each outermost section of the main thread, until the function returns True.
 
-    Use it for work that must follow a record and can't be done within it, such as a change after a certain step.
+    The function does work that must follow a record, such as a change after a certain step.
     """
     global _soon  # noqa: PLW0603  there is one main thread
     _soon = function
 
 
 def _call() -> None:
-    """Call the function of :func:`call_soon`; sections that the function opens don't call it again."""
+    """Call the function of :func:`call_soon`, but not again after sections that it opens."""
     global _soon  # noqa: PLW0603  as above
     if threading.get_ident() != threading.main_thread().ident:
         return
@@ -259,7 +258,10 @@ def _call() -> None:
 
 
 class Uninterrupted:
-    """A section that SIGINT doesn't interrupt; sections may be nested. Outside of the main thread, it has no effect."""
+    """A section that SIGINT doesn't interrupt. Sections may be nested.
+
+    Outside of the main thread, they have no effect.
+    """
 
     __slots__ = ("_held",)
 
@@ -275,7 +277,7 @@ class Uninterrupted:
 
     @property
     def noted(self) -> bool:
-        """Whether a Ctrl-C waits for the end of this section; long sections poll this and end early."""
+        """Whether a Ctrl-C waits for the end of this section. Long sections poll this property, and end early."""
         return self._held and _pending and not _defers(sys._getframe(1))  # noqa: SLF001  as above
 
     def __exit__(self, *_: object) -> None:

@@ -1,8 +1,8 @@
 """The journal: numbers records, orders them, and passes them to sinks.
 
-Lock order: a world's lock, then a journal's lock, never the other way round. A journal calls no user code and no world
-while it holds its lock. Callers of :func:`emit` hold the lock of the changed world, so changes have the same order in
-the log and in the world. If a sink can't keep a record or file, every function that appends raises its RecordingError.
+Lock order: first a world's lock, then a journal's lock. A journal that holds its lock calls no user code and no world.
+Callers of :func:`emit` hold the lock of the changed world, so log and world have the same order of changes. If a sink
+can't keep a record, functions that append records raise RecordingError.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 
 
 class Sink(Protocol):
-    """The destination of records. The journal calls it in order, under its lock; the sink must not call the journal.
+    """The destination of records. The journal calls sinks with its lock held; a sink must not call the journal.
 
-    It must not keep references to mutations and keyframes. It may keep other records; later, only the number and time
-    of a kept record may change, when another journal records it.
+    A sink must not keep mutations and keyframes. It may keep other records, whose number and time another journal may
+    change later.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Take a record and its serialized form; raise RecordingError if the record can't be kept."""
+        """Take a record and its serialized form. Raise RecordingError if the record can't be kept."""
 
     def attach(self, asset: AssetFile) -> None:
-        """Take a file; files with the same content are passed only once."""
+        """Take a file. Files with the same content are passed only once."""
 
     def flush(self) -> None:
-        """Write all buffered records; raise RecordingError if that fails."""
+        """Write all buffered records. Raise RecordingError if writing fails."""
 
     def close(self) -> None:
         """Write all buffered records, and close."""
 
 
 class NullSink:
-    """A sink that drops all records and files; subclasses override some of its methods."""
+    """A sink that drops all records and files. Subclasses override some methods."""
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Drop a record."""
@@ -63,14 +63,14 @@ class NullSink:
 
 
 class RecordedWorld(KnownWorld, Protocol):
-    """A world, as journals use it."""
+    """The part of a world that journals use."""
 
     def record_keyframe(self, journal: Journal) -> None:
-        """Append the whole state to a journal, with its assets."""
+        """Append the whole state and its assets to a journal."""
 
 
 class Journal:
-    """Numbers records for several sinks.
+    """A journal numbers records for several sinks.
 
     ``clock_ns`` returns ns since the Unix epoch; ``monotonic_ns`` returns ns of a steady clock. With
     ``local_variables``, recorded failures may contain the plan's local variables.
@@ -104,7 +104,7 @@ class Journal:
         return self._next
 
     def add_sink(self, sink: Sink) -> None:
-        """Add a sink. It receives all later records, and is closed together with the other sinks."""
+        """Add a sink, which receives all later records, and is closed with the other sinks."""
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
@@ -119,30 +119,29 @@ class Journal:
             self._expected.update(worlds)
 
     def append(self, record: Record) -> int:
-        """Set the number and times of a record, and keep the record; return its size in bytes.
+        """Set the number and times of a record, write the record, and return its size in bytes.
 
-        The size is 0 if the record is skipped (:meth:`expect_keyframes`) or if it is queued because this thread is
-        writing another record. Output of signal handlers, finalizers and sinks is queued.
+        The size is 0 for skipped records (:meth:`expect_keyframes`) and queued records. A record is queued if this
+        thread is writing another record, for example output of signal handlers and finalizers.
         """
         record.cause = _cause.get().get(self, 0)
         return self._take(record)
 
     def strike(self, strike: Strike) -> None:
-        """Keep a strike, which is written with the next record."""
+        """Add a strike to the next record."""
         with self._lock:
             self._strikes.append(strike)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
-        """Keep files; files with the same content are kept once."""
+        """Attach files, but files with the same content only once."""
         for asset in assets:
             self._take(asset)
 
     def _take(self, item: Record | AssetFile) -> int:
         with Uninterrupted(), self._lock:
             if self._writing:
-                if not (
-                    self._resuming and isinstance(item, Output)
-                ):  # otherwise a sink that prints would print forever
+                # otherwise a sink that prints would print forever
+                if not (self._resuming and isinstance(item, Output)):
                     self._interrupting.append(item)
                 return 0
             self._writing = True
@@ -192,24 +191,24 @@ class Journal:
         return [self._lock, *filter(None, (getattr(sink, "lock", None) for sink in self._sinks))]
 
     def close(self) -> None:
-        """Close every sink; an error is raised after all sinks are closed."""
+        """Close every sink. An error is raised after all sinks are closed."""
         with Uninterrupted(), self._lock, ExitStack() as closing:
             for sink in reversed(self._sinks):
                 closing.callback(sink.close)
 
 
 class RunningTask(Protocol):
-    """A task, as the journal uses it."""
+    """The part of a task that journals use."""
 
     @property
     def id(self) -> int:
-        """Its number, from 1."""
+        """The number of the task, from 1."""
 
     def announce(self) -> None:
         """Record the request of the task, unless its request or its start is recorded."""
 
 
-#: The running task of this context, or None; set by :mod:`recorder.tracing.span`.
+#: The running task of this context, or None. :mod:`recorder.tracing.span` sets the task.
 current_task: ContextVar[RunningTask | None] = ContextVar("pycram_task", default=None)
 
 
@@ -220,9 +219,9 @@ def task_id() -> int:
 
 
 def announced_task_id() -> int:
-    """Return the id of the task that runs in this context, 0 without a task; its beginning is recorded first.
+    """Return the id of the running task of this context, after recording its request; 0 without a task.
 
-    A block's body runs before the block's branch starts, and may already change a world.
+    The body of a block runs before the branch starts, and may change a world.
     """
     task = current_task.get()
     if task is None:
@@ -245,20 +244,20 @@ def listening() -> tuple[Journal, ...]:
 
 
 def recording() -> bool:
-    """Return whether any journal records this context; if not, callers needn't build records."""
+    """Return whether a journal records this context. Otherwise callers needn't build records."""
     return bool(listening())
 
 
 def is_unrecorded() -> bool:
-    """Return whether this context is isolated from the plan's recordings; see :func:`unrecorded`."""
+    """Return whether :func:`unrecorded` isolates this context from the plan's recordings."""
     return _isolated.get() is not None
 
 
 @contextmanager
 def unrecorded(*journals: Journal) -> Iterator[None]:
-    """Isolate the block from the plan's recordings; only ``journals`` record it.
+    """Isolate a block from the plan's recordings. Only ``journals`` record the block.
 
-    Outside of the block, the worlds that it opens are unknown until they are announced.
+    Worlds that the block opens are unknown outside until :func:`announce`.
     """
     token = _isolated.set(journals)
     try:
@@ -267,13 +266,13 @@ def unrecorded(*journals: Journal) -> Iterator[None]:
         _isolated.reset(token)
 
 
-#: The step, in each journal, of the event whose handler runs in this context.
+#: The step in each journal of the event whose handler runs in this context.
 _cause: ContextVar[Mapping[Journal, int]] = ContextVar("pycram_cause", default=MappingProxyType({}))
 
 
 @contextmanager
 def caused_by(event: Mapping[Journal, int]) -> Iterator[None]:
-    """Mark the block's records as caused by an event, which is given by its step in each journal."""
+    """Mark the records of a block as caused by an event. ``event`` is the step of the event in each journal."""
     token = _cause.set(event)
     try:
         yield
@@ -289,17 +288,16 @@ def emit(
     task: int | None = None,
     number: Callable[[Journal], None] | None = None,
 ) -> Mapping[Journal, int]:
-    """Complete a record's envelope and append it to every open journal; return its step in each journal.
+    """Complete the envelope of a record, append the record to every open journal, and return its step in each journal.
 
     Args:
-        record: the record without its envelope.
-        world: name of the record's world, if any.
-        sim_step: simulated steps of that world.
-        task: id of its task; by default the current task.
-        number: function that sets references to steps, which each journal numbers differently; called for each journal.
+        sim_step: Simulated steps of the world.
+        task: Id of the record's task, by default the current task.
+        number: A function that sets references to steps in the record, called for each journal. Each journal has other
+            step numbers.
 
     Raises:
-        RecursionError: the stack has no room; the record isn't numbered.
+        RecursionError: The stack has no room for a record.
     """
     context.require_stack_room(context.FOR_RECORD)
     record.world = world
@@ -316,7 +314,7 @@ def emit(
 
 
 def publish(record: Record) -> int:
-    """Append a record with its envelope to every open journal; return its size in bytes, 0 without a journal."""
+    """Append a record with its envelope to every open journal. Return its size in bytes, 0 without a journal."""
     size = 0
     for journal in listening():
         size = journal.append(record)
@@ -329,41 +327,41 @@ def records_here(journal: Journal) -> bool:
 
 
 def keeps_local_variables() -> bool:
-    """Return whether this context is recorded, and all its journals may have local variables."""
+    """Return whether this context has journals, and all of them record local variables."""
     journals = listening()
     return bool(journals) and all(journal.local_variables for journal in journals)
 
 
-#: Returns how often this thread has polled for strikes. The scheduler sets this function; without it, the count is 0.
+#: A function of the scheduler that returns how often this thread has polled for strikes.
 looks: Callable[[], int] = int
 
 
 def strike(look: int, which: Iterable[int]) -> None:
-    """Keep a strike in every open journal. A strike is a decision of the clock or of worker threads that a poll found.
+    """Add a strike to every open journal: a decision of the clock or of worker threads that a poll found.
 
     Args:
-        look: number of the poll that found the decision.
-        which: indices of the polled items, from 0.
+        look: Number of the poll.
+        which: Indices of the polled items, from 0.
     """
     for journal in _open:
         journal.strike(Strike(look=look, which=which))
 
 
 def attach(assets: Iterable[AssetFile]) -> None:
-    """Keep files in every open journal."""
+    """Attach files to every open journal."""
     files = list(assets)
     for journal in listening():
         journal.attach(files)
 
 
 def flush() -> None:
-    """Flush all open journals; called before native code that blocks all other threads for a long time."""
+    """Flush all open journals, before native code that blocks all other threads for a long time."""
     for journal in _open:
         journal.flush()
 
 
 def register(source: RecordedWorld) -> None:
-    """Make a world known to journals until it is unregistered; do nothing in an isolated context."""
+    """Make a world known to journals until :func:`unregister`. In an isolated context, do nothing."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
@@ -371,7 +369,7 @@ def register(source: RecordedWorld) -> None:
 
 
 def announce(source: RecordedWorld) -> None:
-    """Make known a world that was opened unrecorded; open journals record its state now, others when they open."""
+    """Make an unrecorded world known. Open journals record its state now, other journals when they open."""
     register(source)
     for journal in listening():
         source.record_keyframe(journal)
@@ -385,27 +383,28 @@ def unregister(source: RecordedWorld) -> None:
 
 
 def current_world() -> tuple[str, int]:
-    """Return the name and simulated steps of this context's current world, if it is known; otherwise "" and 0."""
+    """Return the name and simulated steps of this context's current world; "" and 0 for an unknown world."""
     world = context.current_world(_sources)
     return (world.name, world.sim_step) if world is not None else ("", 0)
 
 
 def recording_number() -> int:
-    """Return the number of the latest recording of this process, from 1; 0 before the first."""
+    """Return the number of the latest recording of this process, from 1; 0 before the first recording."""
     return _opened
 
 
 def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Record]] | None = None) -> None:
-    """Begin recording to a journal; a keyframe of each existing world comes first.
+    """Begin recording to a journal. First, it records a keyframe of each existing world.
 
     Args:
-        journal: the journal; after an error, no further records are appended to it.
-        running: returns the records of the running tasks, which come first; no task can end until they are appended.
+        journal: The journal. After an error, it gets no further records.
+        running: A context manager that returns the first records, of the running tasks, and keeps these tasks from
+            ending.
 
     Raises:
-        RecursionError: the stack has no room for the keyframes.
+        RecursionError: The stack has no room for the keyframes.
     """
-    global _open, _opened  # noqa: PLW0603  a process has one set of open journals
+    global _open, _opened  # noqa: PLW0603
     context.require_stack_room(context.FOR_TASK)
     with _registry, running or nullcontext(()) as tasks:
         _opened += 1
@@ -431,9 +430,9 @@ def close_journal(journal: Journal) -> None:
 
 @contextmanager
 def still() -> Iterator[None]:
-    """Hold the locks of all open journals while the block runs, for a fork (:mod:`recorder.tracing.forking`).
+    """Hold the locks of all open journals in a block, for a fork (:mod:`recorder.tracing.forking`).
 
-    It writes little memory: a written page is no longer shared with a waiting copy of the process.
+    This function writes little memory, because processes don't share written pages.
     """
     held: list[threading.RLock] = []
     try:
@@ -455,7 +454,7 @@ def paths() -> list[Path]:
 
 
 def forget_all() -> None:
-    """End recording to all journals without touching their sinks, which a forked child's parent owns."""
+    """End recording to all journals in a forked child. Their sinks belong to the parent process."""
     global _open  # noqa: PLW0603  see open_journal
     _open = ()
 

@@ -1,8 +1,7 @@
-"""Printed and logged lines of a plan as records: each has a printed line, and the plan's line that began to print it.
+"""Printed and logged lines of a plan as records. Each record has a line, and the place in the plan that printed it.
 
-Python's streams are replaced by streams that pass all text on immediately. Output of native code isn't recorded. A line
-that is printed in parts is assembled for each thread and branch. If a progress bar overwrites a line, its last form is
-recorded. Messages of ``logging`` are recorded directly, not as the lines that handlers print.
+Output of native code isn't recorded. Parts of a line are joined for each thread and branch. If a progress bar
+overwrites a line, the last text is recorded. Messages of ``logging`` are recorded once, before handlers print them.
 """
 
 from __future__ import annotations
@@ -27,10 +26,10 @@ if TYPE_CHECKING:
 
     from recorder.tracing.journal import Journal
 
-MAX_CHARACTERS: Final = 10_000  # largest number of characters of a record; a longer line is split
+MAX_CHARACTERS: Final = 10_000  # longer lines are split into several records
 
-_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences, for example colours
-#: True while handlers of logging print a message that is recorded already.
+_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences, such as colours
+#: Whether handlers of logging print a message, which is already recorded.
 _logging: ContextVar[bool] = ContextVar("pycram_logging", default=False)
 
 
@@ -60,7 +59,7 @@ def _replaced(name: str, log: Journal) -> Iterator[None]:
 
 @contextmanager
 def _logged(log: Journal) -> Iterator[None]:
-    """Record messages before loggers call handlers; a handler of ours would change the effect of ``basicConfig``."""
+    """Record messages before loggers call handlers. A handler of our own would change the effect of ``basicConfig``."""
     before = logging.Logger.callHandlers
     ended = False
 
@@ -94,8 +93,8 @@ def _logged_line(message: logging.LogRecord) -> Output:
 class _Origin(NamedTuple):
     """The place where an output line began."""
 
-    site: CallSite  # the plan's line that began the output line
-    task: int  # id of the task that began the output line
+    site: CallSite  # the line of the plan
+    task: int  # id of the task
 
     @classmethod
     def here(cls) -> _Origin:
@@ -103,15 +102,15 @@ class _Origin(NamedTuple):
 
 
 class RecordedStream:
-    """A text stream that passes all text on to another stream, and records the lines.
+    """A text stream that passes all text to another stream, and records the lines.
 
-    All other attributes are those of the other stream. If the reader of a pipe has gone, as after ``| head``, the plan
-    continues, and its lines are only recorded.
+    Other attributes are the attributes of the other stream. If the reader of a pipe has gone, as after ``| head``,
+    lines are only recorded.
     """
 
     def __init__(self, stream: TextIO, name: str, log: Journal) -> None:
         self._stream, self._name, self._log = stream, name, log
-        self._begun: dict[int, tuple[str, _Origin]] = {}  # incomplete lines, by thread or branch
+        self._begun: dict[int, tuple[str, _Origin]] = {}  # incomplete lines by thread or branch
         self._ended = False
 
     def write(self, text: str) -> int:
@@ -148,7 +147,7 @@ class RecordedStream:
         return type(self._stream)
 
     def end(self) -> None:
-        """Record the incomplete lines; from now on, the stream only passes text on."""
+        """Record the incomplete lines. From now on, the stream records nothing."""
         self._ended = True
         for text, origin in self._begun.values():
             self._record(text, origin)
@@ -178,7 +177,7 @@ class RecordedStream:
 
 
 def _visible(text: str) -> str:
-    """Return the text that a terminal shows for a line with carriage returns; the line may be incomplete."""
+    """Return the text that a terminal shows for a line with carriage returns. The line may be incomplete."""
     if "\r" not in text:
         return text
     last = next((part for part in reversed(text.split("\r")) if part), "")

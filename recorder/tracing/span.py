@@ -1,11 +1,9 @@
 """The running task: a span for each node of the task tree.
 
-A span is opened around each designator execution, process module, language block, branch and attempt. The context has
-the current span, so that records within it know their task. A plain thread starts with an empty context, so the threads
-of a task must be run with ``contextvars.copy_context().run``.
-
-Every span makes its records even without a recording, because the tree of the running plan (:func:`tree`) is folded
-from them. Without a recording, the records have no results and no tracebacks.
+A span is opened around each designator execution, process module, language block, branch and attempt. Records belong to
+the span of their context. Plain threads start with an empty context, so threads of a task must use
+``contextvars.copy_context().run``. Spans make records even without a recording, for the tree of the running plan
+(:func:`tree`).
 """
 
 from __future__ import annotations
@@ -38,54 +36,50 @@ if TYPE_CHECKING:
     #: Records that contain the plan's line.
     Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent
 
-#: Limits of the tree in tasks and in bytes of records. A plan may run for days, so the tree keeps only the latest
-#: tasks.
+#: Limits of the tree in tasks and in bytes of records. A plan may run for days, so old tasks are dropped.
 MAX_TASKS: Final = 20_000
 MAX_BYTES: Final = 100_000_000
-_MAX_CACHED: Final = 4096  # largest number of call stacks whose record fields are cached
+_MAX_CACHED: Final = 4096  # fields of at most this many call stacks are cached
 
-_STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # looked up once, as a message type finds them slowly
+_STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # attributes of protobuf's classes are slow
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
 _tree: Final = Tree(MAX_TASKS, MAX_BYTES)
 _tree_of = 0  # number of the recording that contains the tree's tasks; 0 before the first recording
-_running: Final[dict[int, Task]] = {}  # the first records of running tasks, by id, if recordings may contain them
-_emitting: Final = threading.RLock()  # held while a task's record is kept, and while these two variables change
+_running: Final[dict[int, Task]] = {}  # the first records of running tasks by id
+_emitting: Final = threading.RLock()  # held during each change of ``_tree`` and ``_running``
 _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
 class Cancelled(BaseException):
     """The task was cancelled, because the outcome of the block around it was decided.
 
-    It isn't an Exception, so that a plan's ``except Exception`` doesn't catch it.
+    A plan's ``except Exception`` doesn't catch this error.
     """
 
 
 def tree() -> Tree:
-    """Return the tree of the latest 20,000 tasks since the latest recording began; without one, since the start.
-
-    The tree grows while the process runs.
-    """
+    """Return the growing tree of the latest 20,000 tasks of the latest recording, or of the process before it."""
     return _tree
 
 
 @dataclass(slots=True)
 class Span:
-    """A running task. As a context manager, the span is a task that consists of the block."""
+    """A running task. As a context manager, it is the task of the block."""
 
     kind: str  # motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
-    name: str  # the task's name, for people
-    parent: int = field(default_factory=journal.task_id)  # id of the task around it, 0 for none
+    name: str  # name of the task
+    parent: int = field(default_factory=journal.task_id)  # id of the task around this task, 0 without such a task
     parameters: Mapping[str, object] = field(default_factory=dict)
-    attempt: int = 0  # number of the attempt, from 1; 0 if it isn't an attempt
-    source: CallStack | None = None  # call stack of the requesting code; None: the call stack at the start is used
+    attempt: int = 0  # number of the attempt, from 1; 0 for other kinds
+    source: CallStack | None = None  # call stack of the request; None for the call stack at the start
     id: int = field(default_factory=_ids.__next__)  # unique in this process, from 1
-    solution: Mapping[str, object] = field(default_factory=dict)  # the resolved solution; set while the task runs
-    result: object = None  # the result; set while the task runs
-    error: BaseException | None = None  # a failure that isn't raised; set while it runs
-    decision: Decision | None = None  # how the task was decided; set while the task runs, or before
-    checkpoint: int = 0  # checkpoint at which the clock or a worker thread decided the task; set while the task runs
-    #: The task of the context in which this task was made.
+    solution: Mapping[str, object] = field(default_factory=dict)  # the resolved solution
+    result: object = None
+    error: BaseException | None = None  # a failure that isn't raised
+    decision: Decision | None = None  # decision about the task
+    checkpoint: int = 0  # checkpoint at which the clock or a worker thread decided the task
+    #: The task of the context that made this task.
     _around: Span | None = field(default_factory=lambda: _current.get(), repr=False)  # noqa: PLW0108  defined below
     _start_ns: int = 0
     _begun: bool = False
@@ -103,19 +97,16 @@ class Span:
             self.ask()
 
     def start(self, began_ns: int = 0) -> None:
-        """Record the start.
-
-        Args:
-            began_ns: time of an earlier start, by the performance counter.
+        """Record the start. ``began_ns`` is the time of an earlier start, by the performance counter.
 
         Raises:
-            RecursionError: the stack has no room to record its end, so the task isn't recorded.
+            RecursionError: The stack has no room for a record of the task's end. The task isn't recorded.
         """
         self._start_ns = began_ns or time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Record the end, but only once and after a recorded start; ``error`` is None if the task succeeded."""
+        """Record the end once, after a recorded start. ``error`` is None if the task succeeded."""
         if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
@@ -130,7 +121,7 @@ class Span:
             record.result_json = to_json(self.result) if self.result is not None else "null"
         if error is not None and status == _FAILED:
             record.failure.CopyFrom(failure_with_frames(error) if recorded else failure(error, trace=False))
-        with Uninterrupted():  # the end is in both the log and the tree, or in neither
+        with Uninterrupted():  # the end must be in the log and in the tree
             self._ended = True
             try:
                 self._emit(record)
@@ -140,7 +131,7 @@ class Span:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Run the block as part of this task, which begins and ends elsewhere."""
+        """Run a block as part of this task, which begins and ends elsewhere."""
         if self.source is None:
             self.source = current_call_stack()
         token = _current.set(self)
@@ -158,7 +149,7 @@ class Span:
         self._token = _current.set(self)
         try:
             self.start()
-        except BaseException as error:  # a started task must end, also if an interrupt stops its start
+        except BaseException as error:  # after an interrupted start, the task must end
             self.__exit__(type(error), error, error.__traceback__)
             raise
         return self
@@ -168,7 +159,7 @@ class Span:
     ) -> None:
         try:
             self.finish(self.error if error is None else error)
-        except KeyboardInterrupt as interrupt:  # the interrupt may have come before the record of the end
+        except KeyboardInterrupt as interrupt:  # the record of the end may be missing
             self.finish(interrupt)
             raise
         finally:
@@ -231,9 +222,9 @@ def current() -> Span | None:
 
 @contextmanager
 def running() -> Iterator[list[Task]]:
-    """Prevent tasks from starting and ending while the block runs, and yield the running tasks.
+    """Run a block in which no task starts or ends.
 
-    The tasks are given as records of their beginnings for a new recording, outer tasks before inner ones.
+    Yield the running tasks as the first records of a new recording, outer tasks before inner tasks.
     """
     with _emitting:
         records = []
@@ -250,7 +241,7 @@ def running() -> Iterator[list[Task]]:
 def emit(
     record: Located, *, world: str = "", sim_step: int = 0, number: Callable[[Journal], None] | None = None
 ) -> Mapping[Journal, int]:
-    """Emit a record with the plan's line that led to it, unless its task has the same; see :func:`journal.emit`."""
+    """Call :func:`journal.emit` with the plan's line in the record, unless the record's task has the same line."""
     if not journal.is_unrecorded():
         task = _current.get()
         asked = task.source if task is not None else None
@@ -260,7 +251,7 @@ def emit(
 
 
 def _line_fields(kind: type[Located], stack: CallStack) -> bytes:
-    """Return the serialized fields of a call stack; they are cached, as loops in a plan repeat call stacks."""
+    """Return the serialized fields of a call stack from a cache, because loops in a plan repeat call stacks."""
     key = kind, stack.lines
     fields = _fields.get(key)
     if fields is None:
@@ -277,7 +268,7 @@ _fields: Final[dict[tuple[type[Located], tuple[CallSite, ...]], bytes]] = {}
 
 def current_call_stack() -> CallStack:
     """Return the call stack of the caller."""
-    frame = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files: it takes 100 times as long
+    frame = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files, and takes 100 times as long
     task = _current.get()
     if task is None:
         return walk(frame)[0]
@@ -288,8 +279,8 @@ def current_call_stack() -> CallStack:
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:
-    """Return a task for a ``with`` statement, which records the beginning and the end of its block.
+    """Return a task for a ``with`` statement, which records the beginning and the end of the block.
 
-    Set its ``solution`` and ``result`` in the block.
+    The block may set ``solution`` and ``result`` of the task.
     """
     return Span(kind, name, parameters=parameters or {})

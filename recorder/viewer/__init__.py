@@ -1,4 +1,1 @@
-"""The view of a recording in Rerun. Live and afterwards, the same code makes it from the same records.
-
-:class:`recorder.viewer.translator.Translator` passes each record to the parts of the view.
-"""
+"""The view of a recording in Rerun: the same code shows recordings live and afterwards."""

@@ -1,6 +1,6 @@
 """Connections to viewers: the requested viewer, servers and free ports, and this machine's viewer window.
 
-A viewer is a window on this machine, a viewer that is started separately, or a page in browsers. All of them use
+A viewer is a window on this machine, a viewer that another program starts, or a page in browsers. All viewers use
 servers at ``rerun+http`` addresses.
 """
 
@@ -34,7 +34,7 @@ _SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
 _HINT: Final = f"use spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 _SOCKETS: Final = Path("/proc/net/tcp")
-_LISTENS: Final = "0A"  # the state of a listening socket, as in /proc/net/tcp
+_LISTENS: Final = "0A"  # state of a listening socket in /proc/net/tcp
 _ANSWER_TIMEOUT: Final = 1.0  # seconds; a running viewer answers within milliseconds
 
 
@@ -43,7 +43,7 @@ class ViewerGone(Exception):
 
 
 class ViewerKind(Enum):
-    """Ways of starting the viewer."""
+    """The ways to start a viewer."""
 
     SPAWN = "spawn"
     CONNECT = "connect"
@@ -55,11 +55,11 @@ class Target:
     """The viewer that shows a plan."""
 
     kind: ViewerKind
-    url: str = ""  # address of a viewer that is started separately
+    url: str = ""  # address of a viewer that another program starts
 
     @classmethod
     def parse(cls, text: str) -> Target:
-        """Parse "spawn", "connect", "connect:URL", "serve" or a URL; raise RecordingError for other text."""
+        """Parse "spawn", "connect", "connect:URL", "serve" or a URL. Other texts raise RecordingError."""
         if text in (ViewerKind.SPAWN.value, ViewerKind.SERVE.value):
             return cls(ViewerKind(text))
         if text == ViewerKind.CONNECT.value:
@@ -69,9 +69,9 @@ class Target:
             parts = urlsplit(url)
             valid = parts.scheme in _SCHEMES and parts.hostname and parts.port != 0
         except ValueError as error:
-            raise RecordingError(text, f"isn't the address of a viewer ({error}); {_HINT}") from error
+            raise RecordingError(text, f"this isn't the address of a viewer ({error}); {_HINT}") from error
         if not valid or parts.path.rstrip("/") != "/proxy":
-            raise RecordingError(text, f"isn't the address of a viewer; {_HINT}")
+            raise RecordingError(text, f"this isn't the address of a viewer; {_HINT}")
         return cls(ViewerKind.CONNECT, url)
 
 
@@ -81,7 +81,7 @@ def address(port: int) -> str:
 
 
 def answers(url: str) -> bool:
-    """Return whether a viewer's server accepts an empty stream of messages; an open port isn't always a viewer's."""
+    """Return whether a viewer's server accepts an empty stream of messages. Other programs may use the port."""
     import http.client  # noqa: PLC0415  most recordings have no viewer
 
     parts = urlsplit(url)
@@ -98,7 +98,7 @@ def answers(url: str) -> bool:
 
 
 def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
-    """Wait until a viewer answers; ``check`` is called before each attempt, and may raise an error."""
+    """Wait until a viewer answers. ``check`` is called before each attempt, and may raise an error."""
     pause = threading.Event()
     while not answers(url):
         check()
@@ -106,9 +106,9 @@ def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
 
 
 def is_own(port: int) -> bool:
-    """Return whether a process of this user listens on a port of the loopback; records aren't sent to other users.
+    """Return whether a process of this user listens on a port of the loopback. Records aren't sent to other users.
 
-    Only Linux tells the owner of a port; on other systems, return True.
+    On systems other than Linux, return True, because ports have no known owner.
     """
     if not _SOCKETS.exists():
         return True
@@ -119,7 +119,7 @@ def is_own(port: int) -> bool:
 
 
 def free_port(preferred: int) -> int:
-    """Return the preferred port if it is free on all addresses of this machine, else any free port."""
+    """Return the preferred port if it is free on all addresses of this machine, or else another free port."""
     for port in (preferred, 0):
         try:
             with socket.create_server(("", port)) as server:
@@ -129,29 +129,29 @@ def free_port(preferred: int) -> int:
     raise RecordingError(HOST, "no port is free")
 
 
-END_TIMEOUT: Final = 2.0  # seconds that a viewer has to end after its connection broke
+END_TIMEOUT: Final = 2.0  # seconds to wait for the end of a viewer after its connection broke
 
 
 class ViewerWindow:
-    """This user's open viewer on this machine, or a new viewer process that outlives this process.
+    """The open viewer of this user on this machine, or a new viewer that outlives this process.
 
-    The viewer's server answers before the window opens. If there is no screen, the viewer ends when it opens the
-    window. So callers that lose the connection call :meth:`check`.
+    The viewer's server answers before the window opens. Without a screen, the viewer ends at that moment. So callers
+    that lose the connection call :meth:`check`.
 
     Raises:
-        ViewerGone: the viewer ended immediately, or another user's program took its port.
+        ViewerGone: The viewer ended immediately, or another user's program took its port.
     """
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  its last line is read when it ended
-        self.url = address(PORT)  # address at which the viewer accepts records, and has already answered
+        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read after the end of the viewer
+        self.url = address(PORT)  # address of the viewer, which has already answered
         if not (is_own(PORT) and answers(self.url)):
             self._start(free_port(PORT))
 
     def _start(self, port: int) -> None:
         self.url = address(port)
-        self._process = subprocess.Popen(  # noqa: S603  the library's own viewer
+        self._process = subprocess.Popen(  # noqa: S603
             [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", HOST, "--expect-data-soon"],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
@@ -166,7 +166,7 @@ class ViewerWindow:
     def check(self, timeout: float = 0.0) -> None:
         """Raise :class:`ViewerGone` if the viewer was closed or ended with an error, for example without a screen.
 
-        After a broken connection, the viewer is ending; ``timeout`` (s) is the time to wait for its end.
+        ``timeout`` (s) is the time to wait for the end of a viewer with a broken connection.
         """
         if self._process is None:
             return

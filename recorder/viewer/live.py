@@ -1,15 +1,13 @@
-"""Show a recording live in a Rerun viewer; a viewer that is slow, stalls, dies or is missing doesn't delay the plan.
+"""Show a recording live in a Rerun viewer. A slow or missing viewer doesn't delay the plan.
 
 Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches to a separate process
-(:func:`main`), which translates them for the viewer. The next batch is sent when the viewer has taken the previous one.
-When the recording ends, the viewer has a short time to take the remaining records. Then the process gets these records,
-and more time to deliver them, even if it is still loading the viewer's library. Records that the viewer didn't get are
+(:func:`main`), which translates records for the viewer. A viewer can stall its client, fill its memory or hang its
+exit; only the separate process suffers then. The next batch is sent when the viewer has taken the previous batch. At
+the end of the recording, the process gets all remaining records, and some time to deliver them. Missing records are
 counted and reported.
 
-A viewer can stall its client, fill its memory or hang its exit; only the separate process suffers from that. On the
-socket, the process sends ``Status.READY`` when there is a viewer, and then the number of shown records of each batch.
-If there is no viewer yet, it sends ``Status.ABSENT``. The recording sends batches: lists of files, and of topics with
-payloads. An empty batch means the end.
+On the socket, the process sends ``Status.READY`` or ``Status.ABSENT``, and then the number of shown records of each
+batch. The recording sends batches: lists of files, and of topics with payloads. An empty batch means the end.
 """
 
 from __future__ import annotations
@@ -56,19 +54,16 @@ if TYPE_CHECKING:
     from recorder.viewer.translator import Translator
 
 
-_END_TIMEOUT: Final = 1.8  # seconds for the viewer to take the remaining records
-_START_TIMEOUTS: Final = {
-    ViewerKind.SPAWN: 5.0,
-    ViewerKind.CONNECT: 3.0,
-    ViewerKind.SERVE: 3.0,
-}  # seconds for a viewer to start, even if the plan ends earlier
-_LINGER_TIMEOUT: Final = 30.0  # seconds that the process waits for a late viewer after the end of a recording
-_HAND_OVER_TIMEOUT: Final = 0.5  # seconds for the process to read the remaining records
+_END_TIMEOUT: Final = 1.8  # s; the viewer must take the remaining records in this time
+#: Seconds for a viewer to start, even if the plan ends earlier.
+_START_TIMEOUTS: Final = {ViewerKind.SPAWN: 5.0, ViewerKind.CONNECT: 3.0, ViewerKind.SERVE: 3.0}
+_LINGER_TIMEOUT: Final = 30.0  # s; after the end of a recording, the process waits this long for a late viewer
+_HAND_OVER_TIMEOUT: Final = 0.5  # s; the process must read the remaining records in this time
 _BATCH_PERIOD: Final = 0.2  # seconds between batches: many small batches cost too much
 _MAX_ITEMS: Final = 500  # largest number of items in a batch
 _MAX_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent.parent)
-_NICENESS: Final = 10  # if cores are few, the plan has priority, even while the viewer's library is loaded
+_NICENESS: Final = 10  # on few cores, the plan has priority
 _CODE: Final = f"""
 import os, sys
 os.nice({_NICENESS})
@@ -82,26 +77,29 @@ _lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that still de
 
 
 class RerunSink:
-    """A sink that is a viewer; ``live`` is as for :func:`recorder.record`. Raises RecordingError for other values."""
+    """A sink that is a viewer.
+
+    ``live`` is the argument of :func:`recorder.record`; other values raise RecordingError.
+    """
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
-        if not hasattr(os, "fork"):  # without fork, a process can't inherit the pipe of records either
+        if not hasattr(os, "fork"):  # systems without fork can't pass a pipe to a process
             hint = "record to a file, and show it with pycram-replay view"
             raise RecordingError(live, "this system can't pass an open pipe to a process", hint)
         self._queue = LiveQueue()
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        # set if waiting is useless: the viewer has all records, is gone or hasn't started
+        # set if the viewer has all records, is gone or hasn't started
         self._settled = threading.Event()
         self._sending = threading.Lock()
         self._started = time.monotonic()
         self._connection, child_end = Pipe()
         with child_end:
-            self._process = subprocess.Popen(  # noqa: S603  our own code
+            self._process = subprocess.Popen(  # noqa: S603
                 [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title, str(_LINGER_TIMEOUT)],
-                stdin=subprocess.PIPE,  # the pipe is closed when this process ends, however it ends
+                stdin=subprocess.PIPE,  # every end of this process closes the pipe
                 stdout=subprocess.DEVNULL,
                 pass_fds=[child_end.fileno()],
                 env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # the process prints its own messages
@@ -114,16 +112,16 @@ class RerunSink:
         return {"viewer_dropped": str(self._queue.dropped)}
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
-        """Queue a record; see :class:`recorder.tracing.journal.Sink`."""
+        """Queue a record."""
         self._records += 1
         self._queue.put((topic, payload), transient=is_transient(record))
 
     def attach(self, asset: AssetFile) -> None:
-        """Queue a file; see :class:`recorder.tracing.journal.Sink`."""
+        """Queue a file."""
         self._queue.put(asset, transient=False)
 
     def flush(self) -> None:
-        """Do nothing: a viewer stores no records; see :class:`recorder.tracing.journal.Sink`."""
+        """Do nothing, because a viewer stores no records."""
 
     def close(self) -> None:
         """End after the viewer has all records, or after a timeout."""
@@ -138,7 +136,7 @@ class RerunSink:
         if served and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process, os.getpid())
         elif not behind:
-            _stop(self._process)  # unblocks the thread if it still waits
+            _stop(self._process)  # unblocks a waiting thread
         self._thread.join()
         self._connection.close()
         missed = self._records - self._taken
@@ -151,7 +149,10 @@ class RerunSink:
             )
 
     def _hand_over(self) -> bool:
-        """Send the remaining items to the process, and unblock the thread; return whether the process took them."""
+        """Send the remaining items to the process, and unblock the thread.
+
+        Return whether the process took the items.
+        """
 
         def send() -> None:
             with self._sending, contextlib.suppress(OSError):
@@ -177,18 +178,18 @@ class RerunSink:
             while self._connection.recv() is not Status.READY:
                 self._settled.set()
             self._settled.clear()
-            with unrecorded():  # otherwise a finalizer that prints in this thread would wait forever for the queue
+            with unrecorded():  # text that a finalizer prints in this thread would wait for the queue
                 while sent := self._send():
                     self._taken += self._connection.recv()
                     self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # use at most half a core
             self._connection.recv()
-        except (EOFError, OSError):  # the process ended and printed the reason, or has received all records
+        except (EOFError, OSError):  # the process has ended
             self._queue.take_rest()
         finally:
             self._settled.set()
 
     def _send(self) -> float | None:
-        """Wait for a batch and send it; return the time of sending; None for the empty batch at the end."""
+        """Send the next batch, and return the time of sending; None for the empty batch at the end."""
         with self._sending:  # the batch must be sent before the remaining records
             batch = self._queue.take(_MAX_ITEMS, _MAX_BYTES)
             started = time.monotonic()
@@ -201,7 +202,7 @@ class RerunSink:
 
 
 def _stop(process: subprocess.Popen[bytes], owner: int | None = None) -> None:
-    if owner not in (None, os.getpid()):  # this process is a forked child: the viewer belongs to the parent
+    if owner not in (None, os.getpid()):  # in a forked child, whose parent owns the viewer
         return
     with process:  # leaving the block waits for the end of the process, and closes the pipe
         process.kill()
@@ -215,10 +216,10 @@ _OVERHEAD: Final = 200  # approximate memory of an item in Python, in bytes
 
 
 class LiveQueue:
-    """A queue with a limited number of items and bytes, which never makes its writer wait.
+    """A queue with a limited number of items and bytes. Writers never wait.
 
-    A full queue drops the oldest transient items first: motions of bodies and simulations (the next keyframe has the
-    poses), events, fluents and output. Models, tasks and the contents of worlds are dropped last.
+    A full queue drops the oldest transient items: motions (the next keyframe has the poses), events, fluents and
+    output. Models, tasks and the contents of worlds are dropped last.
     """
 
     def __init__(self, max_items: int = 20_000, max_bytes: int = 128 << 20) -> None:
@@ -230,13 +231,13 @@ class LiveQueue:
         self._changed = threading.Condition()
         self._closed = False
         self.size = 0  # number of bytes of all items
-        self.dropped = 0  # number of records that were dropped
+        self.dropped = 0  # number of dropped records
 
     def __len__(self) -> int:
         return len(self._items)
 
     def put(self, item: Item, *, transient: bool) -> None:
-        """Append an item, and drop other items if the queue is full; do nothing if the queue is closed."""
+        """Append an item, and drop other items of a full queue. Do nothing if the queue is closed."""
         with self._changed:
             if self._closed:
                 return
@@ -251,7 +252,7 @@ class LiveQueue:
             self._changed.notify()
 
     def take(self, max_items: int, max_bytes: int) -> list[Item]:
-        """Wait for items, and take the oldest items up to the limits; a closed and empty queue returns no items."""
+        """Wait for items, and take the oldest items up to the limits. A closed and empty queue returns no items."""
         taken: list[Item] = []
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed)
@@ -272,7 +273,7 @@ class LiveQueue:
         return taken
 
     def close(self) -> None:
-        """Close the queue; items can still be taken."""
+        """Close the queue, from which items can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -286,7 +287,7 @@ class LiveQueue:
 
 
 def is_transient(record: Record) -> bool:
-    """Return whether later records replace this one in the view."""
+    """Return whether later records replace this record in the view."""
     if isinstance(record, Mutation):
         return record.WhichOneof("command") in _TRANSIENT
     return isinstance(record, Event | Fluent | Output)
@@ -302,7 +303,7 @@ _CALL_TIMEOUT: Final = 1.0  # seconds for a call of the viewer's library
 
 
 class Status(Enum):
-    """State of the viewer, as the separate process reports it."""
+    """The state of the viewer that the separate process reports."""
 
     ABSENT = "absent"
     READY = "ready"
@@ -312,8 +313,8 @@ def main(arguments: list[str]) -> None:
     """Translate a recording for a viewer until its end, in a separate process.
 
     Args:
-        arguments: the socket's descriptor, the target, the recording's title, and the time in s to wait for a late
-            viewer after the recording's end.
+        arguments: Descriptor of the socket, target, title of the recording, and time in s to wait for a late viewer
+            after the end of the recording.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops only the plan; a new session would undo nice()
     connection = Connection(int(arguments[0]))
@@ -339,9 +340,9 @@ def _print(text: str) -> None:
 
 
 def _end_with_parent(absent: threading.Event, linger: float) -> None:
-    """End this process ``linger`` seconds after the recording's process has ended, which always closes the pipe.
+    """End this process ``linger`` seconds after the end of the recording's process, which closes the pipe.
 
-    By then, this process has all records. Without a viewer, it ends immediately.
+    Without a viewer, this process ends immediately.
     """
     sys.stdin.buffer.read()
     sys.stderr.flush()
@@ -351,7 +352,7 @@ def _end_with_parent(absent: threading.Event, linger: float) -> None:
 
 
 class _Batches:
-    """The batches of the recording. They are read immediately, even if the viewer is slow."""
+    """The batches of the recording. A slow viewer doesn't delay the reading of batches."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -371,13 +372,13 @@ class _Batches:
         return iter(self._queue.get, [])
 
     def report(self, status: Status | int) -> None:
-        """Send the viewer's status, or the number of shown records of a batch, if the recording still listens."""
+        """Send the viewer's status, or the number of shown records of a batch, unless the recording has ended."""
         with contextlib.suppress(OSError):
             self._connection.send(status)
 
 
 def _serve(batches: _Batches, target: Target, title: str, absent: threading.Event) -> None:
-    # loading the library takes longer than a short plan; the plan's records are read meanwhile
+    # loading the library takes longer than a short plan
     import rerun as rr  # noqa: PLC0415
 
     from recorder.viewer.rerun_stream import APPLICATION  # noqa: PLC0415
@@ -427,7 +428,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
 
 
 class _Display:
-    """Translates batches; skips records that can't be shown, and reports the first error."""
+    """A translator of batches, which skips records that can't be shown, and reports the first error."""
 
     def __init__(self, stream: rr.RecordingStream, translator: Translator) -> None:
         self._stream = stream
@@ -436,7 +437,7 @@ class _Display:
         self._reported = False
 
     def lay_out(self) -> None:
-        """Send the layout at the beginning, and again when a plan begins to act in another world."""
+        """Send the layout at the beginning, and whenever a plan begins to act in another world."""
         from recorder.viewer.translator import blueprint  # noqa: PLC0415
 
         worlds = self._translator.worlds
@@ -470,7 +471,10 @@ class _Display:
 
 
 def _deliver(stream: rr.RecordingStream, window: ViewerWindow | None) -> None:
-    """Wait until the viewer has taken all rows, without a time limit; raise :class:`ViewerGone` if it has ended."""
+    """Wait without a time limit until the viewer has taken all rows.
+
+    Raise :class:`ViewerGone` if the viewer has ended.
+    """
     while True:
         try:
             stream.flush(timeout_sec=_CALL_TIMEOUT)
