@@ -14,6 +14,7 @@ from types import FunctionType
 from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
 
 from pycram.foundation.errors import UsageError
+from pycram.foundation.forcing import SKIPPED, decider, forced
 from recorder import records
 from recorder.tracing import journal, span
 from recorder.tracing.call_stack import is_plan
@@ -44,6 +45,10 @@ def refusing(
     def decorate(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
         def ask(*args: P.args, **kwargs: P.kwargs) -> T:
+            if decider() is not None:  # a recording guides the run
+                given = _arguments(function, subject, args, kwargs)
+                if forced(f"call {name or function.__name__}", given) == SKIPPED:
+                    return None  # type: ignore[return-value]  # only calls without a result are skipped
             try:
                 return function(*args, **kwargs)
             except (kinds, TypeError) as error:

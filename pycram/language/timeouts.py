@@ -16,7 +16,7 @@ from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.language.nesting import scope, sequential
 from pycram.scheduling.cancellation import CancelScope, current_scope, entered, raise_if_cancelled
 from pycram.scheduling.schedule import scheduler
-from pycram.scheduling.strikes import Deadline, Limit
+from pycram.scheduling.strikes import Deadline, Limit, limited
 from pycram.world.simulation import WorldClock
 from recorder.records import STEPS_PER_SECOND
 from recorder.tracing.span import Cancelled, span
@@ -77,7 +77,7 @@ class _SimulatedDeadline(Limit):
     def __init__(self, world: BulletWorld, seconds: float) -> None:
         super().__init__()
         self._world = world
-        self.end = world.sim_step + round(seconds * STEPS_PER_SECOND)
+        self.end = world.sim_step + round(limited(seconds) * STEPS_PER_SECOND)
         self.clock = WorldClock(world, last=True)
 
     @property

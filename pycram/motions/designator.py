@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
 
 from pycram.foundation.errors import chained, qualified_name
 from pycram.foundation.failures import BadArgument, UnknownName
+from pycram.foundation.forcing import forced
 from pycram.foundation.refusals import refusing
 from pycram.motions import motion_types
 from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same, slot_name
@@ -518,7 +519,8 @@ class ResolvedDesignator(Designator):
 
     def _resolve(self) -> Iterator[tuple[Solution, str]]:
         errors: list[DesignatorError] = []
-        found = False
+        number = 0
+        admitted = forced(f"solution {self.type}", {key: value for key, value in self._slots if key != "type"})
         own = [resolver for cls in type(self).__mro__ for resolver in vars(cls).get("resolvers", ())]
         for resolver in (*own, self._own_resolver()):
             name = qualified_name(resolver)
@@ -529,11 +531,13 @@ class ResolvedDesignator(Designator):
                 for solution in given or ():
                     if not isinstance(solution, Mapping):
                         raise BadArgument(f"a solution of {name}", solution, "a dictionary")
-                    found = True
-                    yield dict(solution), name
+                    number += 1
+                    chosen = dict(solution) if admitted is None else admitted(number, dict(solution))
+                    if chosen is not None:
+                        yield chosen, name
             except DesignatorError as error:
                 errors.append(error)
-        if errors and not found:
+        if errors and not number:
             *earlier, last = errors
             if earlier and last.slot == "type":  # only a resolver of the user's knows this type
                 earlier, last = [last, *earlier[:-1]], earlier[-1]

@@ -86,10 +86,13 @@ def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
     rooms = (True, query.space, MAX_CHECKS // 2), (False, query.wider or query.space, MAX_CHECKS)
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
-        if touch is None:
+        if touch is None and choice.admits(STRAIGHT):
             choice.take(STRAIGHT, checks=clearance.checks)
             return Path(STRAIGHT, 0, len(reached) - 1, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
-        choice.reject(STRAIGHT, Touching([touch]))
+        if touch is not None:
+            choice.reject(STRAIGHT, Touching([touch]))
+        if not choice.admits(RRT_CONNECT):
+            break
         found = _searched(query, clearance, space, budget, reached)
         if found is not None:
             attempts = len(reached) - 1

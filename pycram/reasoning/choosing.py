@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
+from pycram.foundation.forcing import decider, forced
+from pycram.reasoning.rejections import Excluded
 from recorder import records
 from recorder.tracing import journal, span
 
@@ -91,19 +93,42 @@ class Question:
         )
         if self.considered is not None:
             self.considered.add_candidates(record)
+            record.by_fork = bool(self.considered.forced)
         return record
 
 
 class Choice(Question):
     """A choice among candidates. For each candidate the latest result counts."""
 
-    __slots__ = ("_rejected", "chosen", "wanted")
+    __slots__ = ("_met", "_rejected", "chosen", "forced", "wanted")
 
     def __init__(self, name: str, arguments: Mapping[str, object], *, wanted: bool = True) -> None:
         super().__init__(name, arguments, considered=self)
         self.wanted = wanted  # whether the candidates are recorded; if not, no time is needed for reasons
         self._rejected: dict[str, tuple[Rejection, int]] = {}
         self.chosen = ""  # name of the chosen candidate
+        self.forced = ""  # name of the only candidate that a fork admits; "" if all are admitted
+        self._met = False  # whether the forced candidate was considered
+
+    @contextmanager
+    def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
+        """Choose in the block as :meth:`Question.asked`; a fork may force a candidate."""
+        self.forced = forced(f"choice {self.name}", self.arguments) or ""
+        try:
+            with super().asked(world, trace=trace):
+                yield
+        finally:
+            missing = self.forced and self._rejected and not self._met
+            if missing and (decides := decider()) is not None:
+                decides.missing(self.name, self.forced, list(self._rejected))
+
+    def admits(self, candidate: str) -> bool:
+        """Return whether a candidate may be chosen; if a fork forces another candidate, reject this one."""
+        if not self.forced or candidate == self.forced or candidate.startswith(f"{self.forced}, "):
+            self._met = True
+            return True
+        self.reject(candidate, Excluded())
+        return False
 
     def reject(self, candidate: str, reason: Rejection, count: int = 1) -> None:
         """Reject a candidate.
@@ -112,6 +137,7 @@ class Choice(Question):
             candidate: its name, such as "front".
             count: number of similar candidates that it stands for, such as postures for one grasp.
         """
+        self._met |= candidate == self.forced
         if self.wanted:
             self._rejected[candidate] = reason, count
             self.chosen = "" if candidate == self.chosen else self.chosen
@@ -127,6 +153,7 @@ class Choice(Question):
             answer: the candidate's name by default.
             evidence: further facts about the candidate.
         """
+        self._met |= candidate == self.forced
         self._rejected.pop(candidate, None)
         self.chosen = candidate
         self.answer = candidate if answer is None else answer

@@ -37,6 +37,11 @@ class Rejection:
 
 
 @dataclass(frozen=True, slots=True)
+class Excluded(Rejection):
+    """A fork forces another candidate."""
+
+
+@dataclass(frozen=True, slots=True)
 class OutOfReach(Rejection):
     """No posture reaches the target."""
 

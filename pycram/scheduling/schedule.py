@@ -34,6 +34,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from greenlet import getcurrent, greenlet
 
 from pycram.foundation.errors import UsageError
+from pycram.foundation.forcing import decider, forced
 from pycram.foundation.refusals import refused
 from pycram.scheduling.order import BlockedWait, BranchLine, DeadlockedBranches, order_of
 from recorder import notebook
@@ -214,6 +215,11 @@ def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order:
         chosen = candidates[order.choose(candidates)] if len(candidates) > 1 else next(iter(ready))
         del ready[chosen]
         return chosen
+    if len(ready) > 1 and decider() is not None:
+        named = {"" if each.branch is None else each.branch.name: each for each in reversed(ready)}
+        if first := forced("order order", {"ready": list(named)}):
+            del ready[named[first]]
+            return named[first]
     if dice is None or len(ready) == 1:
         return ready.popitem(last=False)[0]
     drawn = next(islice(ready, int(dice.random() * len(ready)), None))

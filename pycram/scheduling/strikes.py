@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING, Protocol
 
+from pycram.foundation.forcing import forced
 from pycram.scheduling.schedule import Condition, scheduler
 
 if TYPE_CHECKING:
@@ -80,11 +81,16 @@ class StrikeSource(Condition):
         self._scheduler.strike_sources.pop(self, None)
 
 
+def limited(seconds: float) -> float:
+    """Return the seconds of a limit; a fork may force others."""
+    return float(forced("timeout timeout", {"seconds": seconds}) or seconds)
+
+
 class Deadline(StrikeSource, Limit):
     """A deadline in wall-clock time, in seconds from now."""
 
     def __init__(self, seconds: float) -> None:
-        super().__init__(time.monotonic() + seconds)
+        super().__init__(time.monotonic() + limited(seconds))
 
     @property
     def was_missed(self) -> bool:

@@ -124,7 +124,8 @@ def _query(record: Query) -> Line:
     rejected = f"; {text}" if record.candidates and (text := rejections(record)) else ""
     if record.HasField("failure"):
         return f"{asked} raised {record.failure.type}{rejected}", _WARNING
-    by = f", set by the fork (own answer: {by_name(record.own_answer_json)})" if record.by_fork else ""
+    own = f" (own answer: {by_name(record.own_answer_json)})" if record.own_answer_json else ""
+    by = f", set by the fork{own}" if record.by_fork else ""
     return f"{asked} -> {by_name(record.answer_json)}{by}{rejected}", _INFO
 
 
@@ -406,6 +407,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     ),
     "Inferior": lambda data: f"{data['by']} {data['value']:g}",
     "Untried": lambda _: "not tried",
+    "Excluded": lambda _: "excluded by the fork",
     "Unfit": lambda data: str(data["reason"]),
 }
 

@@ -132,7 +132,8 @@ def _short(line: str) -> tuple[str, str]:
 def add_fork(parser: argparse.ArgumentParser) -> None:
     """Add the step, the changes, the control run and the new recording."""
     parser.epilog = (
-        "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs before the step. "
+        "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs before the step; "
+        "or a decision of --answer didn't come. "
         "With --control, the exit code is 0 if the control run matches the recording, and 1 if it differs."
     )
     parser.add_argument(
@@ -147,16 +148,19 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="set a value after that step: milk.position=1,2,0.9 (also orientation, color), pr2.torso_lift_joint=0.2, "
-        "or a fluent, battery=20 (fluent:left.battery=20 if its name has a dot); repeatable",
+        "milk.hand=left (or none), gravity=0,0,-9.8, or a fluent, battery=20 (fluent:left.battery=20 if its name has a "
+        "dot); repeatable",
     )
     parser.add_argument("--world", metavar="NAME", help="set values in this world (default: the last opened world)")
     parser.add_argument(
         "--answer",
-        metavar="QUERY=ANSWER",
+        metavar="DECISION=VALUE",
         action="append",
         default=[],
-        help="override the answer of the next matching query: 'reachable_object(milk, ...)=false', "
-        "'blocking(...)=[bowl]'; repeatable",
+        help="force the next matching decision: the answer of a query, 'reachable_object(milk, ...)=false'; a recorded "
+        "candidate by name or number, 'grasp(milk)=top', 'best_seen(...)=#2'; a slot or a solution, "
+        "'pick-up.arm(milk)=left', 'transporting(milk)=#2'; the order of branches, 'order(...)=[cook, serve]'; a "
+        "limit, 'timeout(...)=30'; a call that isn't made, 'remove(milk)=skip'; repeatable",
     )
     parser.add_argument(
         "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after that step"
@@ -205,6 +209,8 @@ def _print_fork(log: Recording, forked: Fork, *, as_json: bool) -> int:
         "control": control and _facts(control),
     }
     print_result(lambda: facts, _fork_lines(log, forked), as_json=as_json)
+    if forked.unused:
+        return USAGE
     if control is not None:
         return FINE if control.identical else FAILED
     return FINE if forked.succeeded else FAILED

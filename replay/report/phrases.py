@@ -289,7 +289,8 @@ def answer(query: Query) -> str:
     if query.HasField("failure"):
         return failure(query.failure)
     if query.by_fork:
-        return f"{_answer(query.answer_json)}, set by the fork (own answer: {_answer(query.own_answer_json)})"
+        own = f" (own answer: {_answer(query.own_answer_json)})" if query.own_answer_json else ""
+        return f"{_answer(query.answer_json)}, set by the fork{own}"
     return _answer(query.answer_json)
 
 

@@ -26,35 +26,45 @@ from pycram import bullet_world_reasoning as btr
 from pycram.fluents.expressions import Variable
 from pycram.fluents.fluent import Fluent
 from pycram.foundation.failures import PycramError
+from pycram.foundation.forcing import SKIPPED
+from pycram.reasoning.grasping.fingers import close_around
+from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
 from pycram.running import MAX_SEED
 from pycram.scheduling.schedule import is_held
-from pycram.world.object import Object
 from pycram.world.world import open_worlds
-from recorder import records
+from recorder import geometry, records
 from recorder.records import Change, Mutation, Query, from_json
 from recorder.tracing import interrupts, journal
 from recorder.tracing.forking import process
-from replay.errors import NoSuchName, ReplayError
+from replay.errors import NoSuchName
 from replay.report.question import BadQuestion, Name, QueryCall, parse, unquoted
 from replay.restore.recorded_world import description_of
+from replay.retrace.decisions import BadChange, ForcedDecision, is_same, on_record, parse_decision
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from pycram.reasoning.choosing import Question as Asked
+    from pycram.world.object import Object
     from pycram.world.world import BulletWorld
     from recorder.records import LoadBody, Plain, Record
     from replay.file.record_reader import RecordReader
     from replay.report.question import Term
     from replay.retrace.guide import Guide
 
-_COUNTS: Final[Mapping[str, tuple[int, ...]]] = {"position": (3, 7), "orientation": (4,), "color": (4,)}
+_COUNTS: Final[Mapping[str, tuple[int, ...]]] = {
+    "position": (3, 7),
+    "orientation": (4,),
+    "color": (4,),
+    "gravity": (3,),
+}
 _EXPECTED: Final = (
     "OBJECT.position=X,Y,Z (m, or these and a quaternion x,y,z,w), OBJECT.orientation=X,Y,Z,W, OBJECT.color=R,G,B,A, "
-    "OBJECT.JOINT=VALUE (rad or m) or FLUENT=VALUE"
+    "OBJECT.JOINT=VALUE (rad or m), OBJECT.hand=ARM (or none), gravity=X,Y,Z (m/s^2) or FLUENT=VALUE"
 )
+_HAND, _GRAVITY = "hand", "gravity"
 _FLUENT: Final = "fluent:"  # prefix for a fluent whose name looks like an object's part
 #: Matches an ellipsis, which stands for all further arguments of a query.
 _ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")
@@ -73,15 +83,6 @@ _ANSWERS: Final = {
 }
 
 
-class BadChange(ReplayError):
-    """A fork can't make a change."""
-
-    def __init__(self, change: str, cause: str) -> None:
-        super().__init__(f"{change}: {cause}")
-        self.change = change  # the change, as the user gave it
-        self.cause = cause
-
-
 # --- settings and the seed --------------------------------------------------------------------------------------------
 
 
@@ -90,9 +91,9 @@ class Setting:
     """A value for a quantity of an object, or for a fluent."""
 
     text: str  # the setting as given
-    name: str  # name of the object or the fluent
-    quantity: str  # "position", "orientation", "color" or a joint of the object; "" for a fluent
-    value: Any  # list of numbers for an object; any value for a fluent
+    name: str  # name of the object or the fluent; "" for gravity
+    quantity: str  # "position", "orientation", "color", "hand" or a joint of the object; "gravity"; "" for a fluent
+    value: Any  # list of numbers for an object; name of the arm, or "none", for a hand; any value for a fluent
 
     def make(self, world: str) -> None:
         """Set the value in a world of this process.
@@ -107,8 +108,13 @@ class Setting:
         opened = next((each for each in open_worlds() if each.name == world), None)
         if opened is None:
             raise BadChange(self.text, f"the world {world} isn't open at that moment")
+        if self.quantity == _GRAVITY:
+            opened.set_gravity(self.value)
+            return
         body = object_of(opened, self.name)
-        if self.quantity == "position":
+        if self.quantity == _HAND:
+            hold(body, self.value)
+        elif self.quantity == "position":
             body.set_position(self.value[:3], self.value[3:] or None)
         elif self.quantity == "orientation":
             body.set_orientation(self.value)
@@ -150,13 +156,14 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
         name = ""
         if setting.quantity:
             there = state_at(log, step).world(world)
+            name = there.name
+        if setting.quantity not in ("", _GRAVITY):
             is_robot = setting.name == "robot" and "robot" not in there.bodies
             if is_robot and not there.robot:
                 raise BadChange(text, f"{there.name} has no robot at step {step}")
             body = there.body(there.robot if is_robot else setting.name)
-            if setting.quantity not in _COUNTS and setting.quantity not in body.joints:
+            if setting.quantity not in (*_COUNTS, _HAND) and setting.quantity not in body.joints:
                 raise NoSuchName(f"position, orientation, color or joint of {body.name}", setting.quantity, body.joints)
-            name = there.name
         changes.append(Change(step=step, set=text, world=name))
     return changes
 
@@ -167,11 +174,8 @@ def _is_of_fluent(log: RecordReader, text: str) -> bool:
     name = text.partition("=")[0].strip()
     if quoted:
         return not rest.startswith(".")
-    return (
-        "." not in name
-        or name.startswith(_FLUENT)
-        or any(record.name == name for record in log.records(records.Fluent))
-    )
+    recorded = any(record.name == name for record in log.records(records.Fluent))
+    return recorded or name.startswith(_FLUENT) or ("." not in name and name != _GRAVITY)
 
 
 def parse_setting(text: str, *, fluent: bool) -> Setting:
@@ -189,13 +193,15 @@ def parse_setting(text: str, *, fluent: bool) -> Setting:
         name, quantity = quoted, left.removeprefix(".").strip()
     else:
         name, _, quantity = (left.removeprefix(_FLUENT), "", "") if fluent else left.rpartition(".")
-    if not name or not right or (not fluent and not quantity):
+    if not right or not (name if fluent else quantity and (name or quantity == _GRAVITY)):
         raise BadChange(text, f"expected {_EXPECTED}")
     if fluent:
         try:
             return Setting(text, name, "", json.loads(right))
         except ValueError:
             return Setting(text, name, "", right)
+    if quantity == _HAND:
+        return Setting(text, name, quantity, right)
     try:
         numbers = [float(part) for part in right.split(",")]
     except ValueError:
@@ -203,6 +209,29 @@ def parse_setting(text: str, *, fluent: bool) -> Setting:
     if len(numbers) not in _COUNTS.get(quantity, (1,)) or not all(map(math.isfinite, numbers)):
         raise BadChange(text, f"expected {_EXPECTED}")
     return Setting(text, name, quantity, numbers)
+
+
+def hold(body: Object, arm: str) -> None:
+    """Put an object into the closed hand of its world's robot, or take it out of all hands (``none``)."""
+    for held in [each for each in body.attachments.values() if each.body is body]:
+        held.carrier.detach(body)
+    robot = body.world.robot
+    if arm == "none":
+        return
+    if robot is None or robot.description is None:
+        raise BadChange(f"{body.name}.{_HAND}={arm}", f"{body.world.name} has no robot with a description")
+    part = robot.description.arm(arm)
+    tool = part.tool_pose(robot.get_link_position_and_orientation(part.tool_frame))
+    stood = body.get_position_and_orientation()
+    for grasp in candidates(body, robot, part):
+        moved = geometry.multiply(tool, geometry.invert((grasp.position, grasp.orientation)))
+        body.set_position_and_orientation(*geometry.multiply(moved, stood))
+        closed = close_around(robot, part, {}, body)
+        if closed is not None and closed.sides == 2:
+            robot.set_joint_positions(closed.positions)
+            robot.attach(body, part.tool_frame)
+            return
+    raise BadChange(f"{body.name}.{_HAND}={arm}", f"{body.name} doesn't fit into this hand")
 
 
 def seed_change(step: int, seed: int) -> Change:
@@ -240,10 +269,10 @@ class GivenAnswer:
     arguments: Mapping[str, Term]  # required arguments, by their names in records
     answer: Term  # true or false; names of objects; true or false for each target
 
-    def fits(self, name: str, arguments: Mapping[str, object], world: BulletWorld) -> bool:
+    def fits(self, name: str, arguments: Mapping[str, object]) -> bool:
         """Return whether a query matches."""
         return name == self.query and all(
-            key in arguments and _is_same(term, arguments[key], world) for key, term in self.arguments.items()
+            key in arguments and is_same(term, arguments[key]) for key, term in self.arguments.items()
         )
 
     def replace(self, own: Any, world: BulletWorld) -> Any:
@@ -266,33 +295,40 @@ class GivenAnswer:
         return Found([object_of(world, _name(term)) for term in terms], own.evidence, own.picture, own.considered)
 
 
-def parse_answer(text: str) -> GivenAnswer:
+def parse_answer(text: str) -> GivenAnswer | ForcedDecision:
     """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``; only the given arguments must match.
+
+    A decision that isn't a query, such as ``grasp(milk)=top``, is parsed by :mod:`replay.retrace.decisions`.
 
     Raises:
         BadChange: the text has another form, or the query can't have this answer.
         NoSuchName: there is no such query.
     """
     left, equals, right = text.rpartition("=")
+    if text.partition("(")[0].strip() not in ANSWERABLE or right.strip() == SKIPPED:
+        return parse_decision(text)
     try:
         asked = parse(_ANY.sub(lambda match: f"{match[1].rstrip(',')})", left.strip()))
         given = parse(f"answer({right})").arguments if equals and right.strip() else ()
     except BadQuestion as error:
         raise BadChange(text, f"expected QUERY(ARGUMENTS)=ANSWER, such as stable(milk)=false: {error.cause}") from None
-    if asked.query not in ANSWERABLE:
-        raise NoSuchName("query on record", asked.query, ANSWERABLE)
     kind = _kind(asked.query)
     if len(given) != 1 or not _can_be(given[0], kind):
         raise BadChange(text, f"its answer is {_ANSWERS[kind]}")
     return GivenAnswer(text, asked.query, _bound(asked, text), given[0])
 
 
-def check_names(log: RecordReader, given: GivenAnswer) -> None:
-    """Check that the recording has the objects, arms and links that an answer names.
+def checked_answer(log: RecordReader, step: int, text: str) -> str:
+    """Return the text of an answer after a step, if the recording has the decision and the names in it.
 
     Raises:
-        NoSuchName: an object is never loaded in the recording, or its robots have no such arm or link.
+        BadChange: the text has another form, or the decision can't have this answer.
+        NoSuchName: an object is never loaded in the recording, or its robots have no such arm or link; or there is no
+            such decision.
     """
+    given = parse_answer(text)
+    if isinstance(given, ForcedDecision):
+        return on_record(log, step, given, ANSWERABLE)
     loaded: dict[str, LoadBody] = {}
     for record in log.records((Mutation, records.Keyframe)):
         if isinstance(record, records.Keyframe):
@@ -306,6 +342,7 @@ def check_names(log: RecordReader, given: GivenAnswer) -> None:
             known = (*loaded, "robot") if argument in _OBJECTS else _parts(log, loaded.values())
             if _name(term) not in known:
                 raise NoSuchName(argument.rstrip("12"), _name(term), known)
+    return text
 
 
 def _parts(log: RecordReader, loaded: Iterable[LoadBody]) -> Iterator[str]:
@@ -337,19 +374,6 @@ def _can_be(term: Term, kind: str) -> bool:
         return isinstance(term, bool)
     wanted: Any = bool if kind == _OF_MANY else (Name, str)
     return isinstance(term, list) and all(isinstance(each, wanted) for each in term)
-
-
-def _is_same(term: Term, value: object, world: BulletWorld) -> bool:
-    if isinstance(value, Object):
-        name = _name(term)
-        return name == value.name or (name == "robot" and value is world.robot)
-    if isinstance(term, list):
-        return (
-            isinstance(value, list | tuple)
-            and len(term) == len(value)
-            and all(_is_same(one, other, world) for one, other in zip(term, value, strict=True))
-        )
-    return bool((term.text if isinstance(term, Name) else term) == value)
 
 
 def _name(term: Term) -> str:
@@ -450,7 +474,7 @@ class AnswerOracle:
         self._process = process()
         self._beside: dict[int, Query] = {}  # fields to add to the record of a thread's query, by thread
         self.taken = 0  # number of recorded answers that were used
-        self.given: list[GivenAnswer] = []  # answers for the next matching queries, in order
+        self.given: list[GivenAnswer | ForcedDecision] = []  # answers for the next matching decisions, in order
 
     def __call__(
         self, question: Asked, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
@@ -468,7 +492,7 @@ class AnswerOracle:
             return Found(answer, evidence, picture) if isinstance(answer, list) else Verdict(answer, evidence, picture)
         own = ask()
         for given in self.given:
-            if given.fits(question.name, question.arguments, world):
+            if isinstance(given, GivenAnswer) and given.fits(question.name, question.arguments):
                 self.given.remove(given)
                 self._beside[threading.get_ident()] = Query(by_fork=True, own_answer_json=records.to_json(own))
                 try:
@@ -476,6 +500,31 @@ class AnswerOracle:
                 except (BadChange, PycramError) as error:
                     self._refuse(error)
         return own
+
+    def decide(self, decision: str, arguments: Mapping[str, Any]) -> Any:
+        """Return the forced value of a decision; see :class:`pycram.foundation.forcing.Decider`."""
+        if process() != self._process:
+            return None
+        kind, _, name = decision.partition(" ")
+        for given in self.given:
+            if isinstance(given, ForcedDecision) and given.fits(kind, name, arguments):
+                value = given.decide(kind, arguments)
+                if value is not None and not given.lasts:
+                    self.given.remove(given)
+                given.used |= value is not None
+                return value
+        return None
+
+    def missing(self, decision: str, candidate: str, candidates: Sequence[str]) -> None:
+        """End the run: a choice doesn't have the forced candidate."""
+        self._refuse(
+            BadChange(f"{decision}={candidate}", f"there is no such candidate; there are {', '.join(candidates)}")
+        )
+
+    @property
+    def unused(self) -> list[str]:
+        """The answers that weren't used."""
+        return [each.text for each in self.given if not (isinstance(each, ForcedDecision) and each.used)]
 
     def complete(self, record: Query) -> None:
         """Complete the record of a query whose answer was taken or given instead of being asked."""

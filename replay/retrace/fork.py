@@ -11,18 +11,17 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from recorder.records import Change, Query, Run
+from recorder.records import Change, Run
 from recorder.records.values import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.retrace.changes import (
-    BadChange,
     change_text,
-    check_names,
-    parse_answer,
+    checked_answer,
     seed_change,
     settings as settings_of,
 )
+from replay.retrace.decisions import BadChange
 from replay.retrace.plan_process import PlanProcess
 from replay.retrace.retrace import compared, reads_before
 
@@ -56,6 +55,7 @@ class Fork:
     succeeded: bool  # whether the plan succeeded
     notes: tuple[str, ...]  # differences from the recorded conditions
     control: Retracing | None = None  # comparison of the unchanged plan with the whole recording; None if not requested
+    unused: tuple[str, ...] = ()  # given answers of decisions that didn't come
 
 
 def fork(
@@ -131,8 +131,9 @@ def fork(
         undoing.pop_all()
     with RecordReader(file) as forked:
         end = forked[-1]
-        notes += (*guided.notes, *_unasked(forked))
-        return Fork(file, step, len(forked), getattr(end, "succeeded", False), notes, controlled)
+        notes += (*guided.notes, *_unused(forked, guided.unused))
+        succeeded = getattr(end, "succeeded", False)
+        return Fork(file, step, len(forked), succeeded, notes, controlled, guided.unused)
 
 
 def _changes(
@@ -140,8 +141,7 @@ def _changes(
 ) -> list[Change]:
     changes = settings_of(log, step, given, world)
     for text in answers:
-        check_names(log, parse_answer(text))
-        changes.append(Change(step=step, answer=text))
+        changes.append(Change(step=step, answer=checked_answer(log, step, text)))
     if seed is not None:
         changes.insert(0, seed_change(step, seed))
     if changes and step == len(log) - 1 and log.closed:
@@ -149,14 +149,13 @@ def _changes(
     return changes
 
 
-def _unasked(forked: RecordReader) -> Iterator[str]:
-    """Yield a note if given answers of this fork, or of earlier forks, weren't used."""
-    given = sum(record.by_fork for record in forked.records(Query))
+def _unused(forked: RecordReader, unused: Sequence[str]) -> Iterator[str]:
+    """Yield a note if decisions didn't come to which this fork, or an earlier fork, gives answers."""
     recorded = forked[0]
     wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
-    if given < len(wanted):
-        listed = ", ".join(f"{change.answer} after step {change.step}" for change in wanted)
-        yield f"{len(wanted) - given} of the {len(wanted)} given answers weren't used: {listed}"
+    if unused:
+        listed = ", ".join(f"{each.answer} after step {each.step}" for each in wanted if each.answer in unused)
+        yield f"{len(unused)} of the {len(wanted)} given answers weren't used: {listed}"
 
 
 def resume(

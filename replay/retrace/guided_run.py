@@ -18,6 +18,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, NoReturn
 
 from pycram import running
+from pycram.foundation.forcing import decided_by
 from pycram.projection.child import die_with
 from pycram.reasoning.queries.query import answered_by
 from pycram.running import seed_random_numbers
@@ -32,7 +33,8 @@ from recorder.records import Change, Check, Run, escaped, format_error
 from recorder.tracing.forking import process
 from recorder.tracing.journal import NullSink
 from replay.file.record_reader import RecordReader
-from replay.retrace.changes import AnswerOracle, BadChange, PendingChanges, change_text, parse_setting
+from replay.retrace.changes import AnswerOracle, PendingChanges, change_text, parse_setting
+from replay.retrace.decisions import BadChange
 from replay.retrace.guide import Guide, GuidedSink
 from replay.retrace.plan_process import FirstDifference, Guidance
 
@@ -114,7 +116,9 @@ class GuidedRun:
                 guide_strikes(lambda look: self.guide.foreseen(look) if process() == owner else None, began.looks)
             return sink_of(run)
 
-        with answered_by(self.answers), redirected(redirect):
+        decided = any(change.answer for change in self.guidance.changes)
+        forcing = decided_by(self.answers) if decided else contextlib.nullcontext()
+        with answered_by(self.answers), forcing, redirected(redirect):
             if by_program:
                 sys.argv = [began.called_as or plan, *arguments]
                 sys.path.insert(0, str(Path(plan).parent.resolve()))
@@ -173,6 +177,8 @@ class _ReportedRun:
         """Run the plan to its end, unless the process ends earlier."""
         self._guided.run(plan, arguments, self._sink_of, Path(self._file or os.devnull))
         self._guided.guide.close()
+        if self._file is not None and self._sent:
+            self._send(difference=None)
         if self._guided.changes.due:
             change = self._guided.changes.due[0]
             self._refuse(
@@ -219,5 +225,5 @@ class _ReportedRun:
     def _send(self, **facts: object) -> None:
         self._sent = True
         taken, notes = self._guided.answers.taken, self._guided.guide.notes()
-        answer = {"equal": self._equal, "taken": taken, "notes": notes, **facts}
+        answer = {"equal": self._equal, "taken": taken, "notes": notes, "unused": self._guided.answers.unused, **facts}
         os.write(self._result, json.dumps(answer).encode() + b"\n")

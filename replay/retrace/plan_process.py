@@ -87,6 +87,7 @@ class GuidedResult:
     difference: FirstDifference | None  # None if all compared records are equal
     taken: int  # number of answers that were taken from the recording
     notes: tuple[str, ...] = ()  # differences from the recorded conditions that were found during the run
+    unused: tuple[str, ...] = ()  # given answers of decisions that didn't come
 
 
 class PlanProcess:
@@ -218,7 +219,9 @@ class PlanProcess:
             raise ReplayError(answer["error"])
         found = answer["difference"]
         difference = None if found is None else FirstDifference(**found)
-        return GuidedResult(answer["equal"], difference, answer["taken"], tuple(answer["notes"]))
+        return GuidedResult(
+            answer["equal"], difference, answer["taken"], tuple(answer["notes"]), tuple(answer.get("unused", ()))
+        )
 
     def stop(self) -> None:
         """Stop the run from another thread; :meth:`run` then raises `CantRetrace`."""

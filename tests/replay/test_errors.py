@@ -26,7 +26,7 @@ from replay.errors import (
     Unreadable,
 )
 from replay.report.question import BadQuestion
-from replay.retrace.changes import BadChange
+from replay.retrace.decisions import BadChange
 from replay.retrace.fork import NotForked
 from replay.retrace.plan_process import CantRetrace, FirstDifference
 from replay.runs.folder import NotRead, Refused

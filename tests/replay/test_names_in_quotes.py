@@ -12,7 +12,7 @@ from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from replay.cli.main import main
 from replay.debug.expressions import NoQuantity, quantity_names, value_changes
-from replay.retrace.changes import check_names, parse_answer, parse_setting, settings
+from replay.retrace.changes import checked_answer, parse_setting, settings
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -97,4 +97,4 @@ def test_settings_and_answers_take_names_in_quotes(log: Recording) -> None:
     assert not fluent.world
     found = parse_setting(fluent.set, fluent=True)
     assert (found.name, found.quantity, found.value) == ("left = battery", "", 20)
-    check_names(log, parse_answer("contact('milk carton', 'cup 2.0')=false"))
+    checked_answer(log, 0, "contact('milk carton', 'cup 2.0')=false")

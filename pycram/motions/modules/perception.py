@@ -41,6 +41,8 @@ class Detecting(SimulatedModule):
         with robot.world.lock:
             with choosing("best_seen", robot.world, type=kind) as choice:
                 for body in robot.world.get_objects_by_type(kind):
+                    if not choice.admits(body.name):
+                        continue
                     verdict = visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE)
                     evidence: dict[str, Any] = dict(verdict.evidence)
                     if verdict:
@@ -83,7 +85,8 @@ class WorldStateDetecting(SimulatedModule):
         with robot.world.lock:
             with choosing("nearest", robot.world, type=kind) as choice:
                 here = robot.get_position()
-                found = [(math.dist(body.get_position(), here), body) for body in robot.world.get_objects_by_type(kind)]
+                bodies = [body for body in robot.world.get_objects_by_type(kind) if choice.admits(body.name)]
+                found = [(math.dist(body.get_position(), here), body) for body in bodies]
                 if not found:
                     raise PerceptionError(kind)
                 for distance, body in found:

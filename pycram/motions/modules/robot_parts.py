@@ -267,7 +267,7 @@ def _posture(
         raise Unreachable(arm.name, target, postures[0].position_error)
     touched: list[CollisionPair] = []
     for number, posture in enumerate(postures, 1):
-        if posture.reaches():
+        if posture.reaches() and choice.admits(f"posture {number}"):
             touched = checker.newly_touched(robot, posture.positions)
             if not touched:
                 choice.take(f"posture {number}")

@@ -93,10 +93,11 @@ def best_grasp(
     if takes is None:  # a link without a gripper reaches a place without grasping
         return grasping.best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
     central = [*candidates(body, robot, takes, names, base=base, choice=choice), *adjusted]
-    plan = grasping.best_of([grasp for grasp in central if grasp not in refused])
+    plan = grasping.best_of([grasp for grasp in central if grasp not in refused and choice.admits(str(grasp))])
     if plan.grasp is None or plan.obstacles:
         every = candidates(body, robot, takes, names, off_center=True, base=base, choice=choice)
-        free = grasping.best_of([grasp for grasp in every if grasp not in refused], limit=_FREE)
+        every = [grasp for grasp in every if grasp not in refused and choice.admits(str(grasp))]
+        free = grasping.best_of(every, limit=_FREE)
         if free.grasp is not None:
             return free
     return plan

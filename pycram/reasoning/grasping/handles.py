@@ -229,8 +229,10 @@ def plan_path(
             search = _Search(robot, arm, handle, values, base, kept, checker, quick=quick)
             holds = [(grips[0], ANGLES)] if quick else [(grip, angles) for angles in ((0.0,), ANGLES) for grip in grips]
             for grip, angles in holds:
-                found = search.path(grip, angles)
                 name = f"{grip.name}, {'from the front' if len(angles) == 1 else 'turned'}"
+                if not choice.admits(name):
+                    continue
+                found = search.path(grip, angles)
                 if isinstance(found, HandlePath):
                     choice.take(name)
                     return found

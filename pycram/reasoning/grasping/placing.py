@@ -137,6 +137,8 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     for back in _BACK:
         name = f"{back:g} m back"
+        if not choice.admits(name):
+            continue
         position = geometry.transform(tool, (-back, 0.0, 0.0))
         for posture in inverse.postures(robot, arm.tool_frame, position, tool[1]):
             if not posture.reaches():
@@ -147,7 +149,7 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
                 choice.take(name)
                 return posture.positions
             choice.reject(name, Touching(pairs))
-    for name in arm.poses:
+    for name in filter(choice.admits, arm.poses):
         pairs = checker.in_the_way(robot, arm.posture(name))
         if not pairs:
             choice.take(name)
@@ -216,6 +218,8 @@ def placements(
         if quickly and not quick:
             return
         name = _name(pose[1]) + (f", released {1e3 * lift:.0f} mm higher" if lift else "")
+        if not choice.admits(name):
+            continue
         tool = geometry.multiply(pose, body_T_tool)
         for posture in solver.search([(*tool, base)], quick=quick, thorough=not quick)[0]:
             if not posture.reaches():

@@ -365,7 +365,7 @@ class SurfaceSearch(Search):
         """Return the first place that fulfils all constraints."""
         outline = searched.outline()
         obstacles = [geometry.convex_hull(each) for each in self._obstacles(searched).corners().reshape(-1, 4, 2)]
-        for spot in spots:
+        for spot in batch.admitted(spots):
             self._done.append(spot.pose[0])
             excluded = self._excluded(spot, searched, outline, obstacles)
             if isinstance(excluded, FoundPlace):

@@ -80,6 +80,10 @@ class Batch(Choice):
         self._drawn = grid, scores, spots
         return spots
 
+    def admitted(self, spots: Sequence[Spot]) -> Sequence[Spot]:
+        """Return the places that may be chosen."""
+        return [spot for spot in spots if self.admits(spot.name)]
+
     def add_candidates(self, record: records.Query) -> Mapping[str, int]:
         """Put the candidates and the grid into a record."""
         groups = super().add_candidates(record)

@@ -266,6 +266,7 @@ class StandingSearch(Search):
         tries = _TRIES if quick else _FEWER
         place: FoundPlace | None = None
         closely: list[tuple[Spot, str, Rejection]] = []  # counted last, because these places fulfil most constraints
+        spots = batch.admitted(spots)
         for some in _growing(spots) if quick else (spots,):
             left = []
             for spot, known in zip(some, self._at_first_sight(some), strict=True):

@@ -14,7 +14,8 @@ from replay.cli.main import main
 from replay.compare import differing
 from replay.errors import NoSuchName, ReplayError
 from replay.restore.verify import verify
-from replay.retrace.changes import BadChange, parse_answer
+from replay.retrace.changes import parse_answer
+from replay.retrace.decisions import BadChange
 from replay.retrace.fork import fork
 from replay.retrace.retrace import retrace
 from tests.replay.retrace.bits import assert_same_bits

@@ -1,0 +1,220 @@
+"""Decisions that a fork forces, as text: ``grasp(object=milk)=top``, ``pick-up.arm(milk)=left``, ``remove(cup)=skip``.
+
+A decision is a choice of a candidate, a solution of a designator, a limit, the order of branches, or whether a call of
+the plan is made. Code that decides considers only the forced value. If this value is impossible, the code fails with
+the true reason.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.foundation.forcing import SKIPPED
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
+from recorder.records import Query, Task
+from replay.errors import NoSuchName, ReplayError
+from replay.report.question import BadQuestion, Name, parse, question_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Mapping, Sequence
+
+    from replay.file.record_reader import RecordReader
+    from replay.report.question import Term
+
+_FORM: Final = re.compile(r"\s*([\w-]+)(?:\.([\w-]+))?\s*\((.*)\)\s*=\s*(.+?)\s*", re.DOTALL)
+_NUMBER: Final = re.compile(r"#([1-9]\d*)")
+_KEYWORD: Final = re.compile(r"([\w-]+)(\s*=)")
+_ANY: Final = re.compile(r"(^|,)\s*\.\.\.\s*$")
+_LIMIT, _ORDER = "timeout", "order"
+_PLACES: Final = {"standing_places": 2, "free_places": 3}  # decimals in the names of candidates, which are places
+_NEAR: Final = 0.01  # m between a given place and a candidate
+_MOST_IN_A_ROW: Final = 100  # turns of a branch that polls, after which another branch runs
+
+
+class BadChange(ReplayError):
+    """A fork can't make a change."""
+
+    def __init__(self, change: str, cause: str) -> None:
+        super().__init__(f"{change}: {cause}")
+        self.change = change  # the change, as the user gave it
+        self.cause = cause  # the cause
+
+
+@dataclass(slots=True)
+class ForcedDecision:
+    """A value for the next matching decision; for the order of branches, for all decisions from now on."""
+
+    text: str  # the decision as given
+    name: str  # name of the choice, type of the designator, name of the called function, "timeout" or "order"
+    slot: str  # slot of the designator's solution; "" for the whole solution, or another decision
+    positional: tuple[Term, ...]  # required arguments, in the recorded order
+    keywords: Mapping[str, Term]  # required arguments by name; names have underscores
+    value: Term
+    number: int  # number of the solution or recorded candidate, from 1; 0 if the value is given
+    used: bool = False
+    _in_a_row: list[str] = field(default_factory=list)
+
+    @property
+    def lasts(self) -> bool:
+        """Whether it applies to all later decisions."""
+        return self.name == _ORDER
+
+    def fits(self, kind: str, name: str, arguments: Mapping[str, Any]) -> bool:
+        """Return whether a decision of the running plan matches."""
+        if name != self.name or (kind == "call") != (self.value == Name(SKIPPED)) or (self.slot and kind != "solution"):
+            return False
+        return self._has(arguments)
+
+    def fits_recorded(self, record: Query) -> bool:
+        """Return whether a recorded choice matches."""
+        try:
+            return record.name == self.name and self._has(dict(question_of(record).keywords))
+        except BadQuestion:
+            return False
+
+    def _has(self, arguments: Mapping[str, Any]) -> bool:
+        given = {key.replace("-", "_"): value for key, value in arguments.items()}
+        wanted = {**dict(zip(given, self.positional, strict=False)), **self.keywords}
+        enough = len(self.positional) <= len(given)
+        return enough and all(key in given and is_same(term, given[key]) for key, term in wanted.items())
+
+    def decide(self, kind: str, arguments: Mapping[str, Any]) -> Any:
+        """Return the forced value; None if it doesn't apply to these branches."""
+        if kind == "order":
+            return self._first(arguments["ready"])
+        if kind == "solution":
+            return self._admitting(arguments)
+        return self.value if kind == "timeout" else _text(self.value)
+
+    def _first(self, ready: Sequence[str]) -> str | None:
+        wanted = [_text(term) for term in (self.value if isinstance(self.value, list) else [self.value])]
+        there = [name for each in wanted for name in ready if each in (name, name.partition(" ")[2])]
+        if not there or (len(there) == 1 < len(wanted)):
+            return None
+        self._in_a_row = [*(self._in_a_row if self._in_a_row[:1] == there[:1] else ()), there[0]]
+        if len(self._in_a_row) > _MOST_IN_A_ROW:
+            self._in_a_row.clear()
+            return None
+        return there[0]
+
+    def _admitting(self, given: Mapping[str, Any]) -> Callable[[int, dict[str, Any]], dict[str, Any] | None]:
+        """Return a function that returns an admitted solution; None instead of another solution.
+
+        If the plan gives the slot, the forced value replaces the given value.
+        """
+
+        def admit(number: int, solution: dict[str, Any]) -> dict[str, Any] | None:
+            if self.slot and given.get(self.slot) is not None:
+                before, value = solution.get(self.slot), self.value
+                named = isinstance(before, Object) and isinstance(value, Name)
+                live = before.world.get_object(_text(value)) if named else _live(value)  # type: ignore[union-attr]
+                return {**solution, self.slot: live}
+            values = [solution.get(self.slot)] if self.slot else list(solution.values())
+            found = number == self.number if self.number else any(_is_value(self.value, each) for each in values)
+            return solution if found else None
+
+        return admit
+
+
+def parse_decision(text: str) -> ForcedDecision:
+    """Parse ``grasp(object=milk, ...)=top``, ``transporting(milk)=#2`` or ``order(...)=[cook, serve]``.
+
+    Raises:
+        BadChange: the text has another form.
+    """
+    form = _FORM.fullmatch(text)
+    wrong = "expected DECISION(ARGUMENTS)=VALUE, such as grasp(milk)=top or pick-up.arm(milk)=left"
+    if form is None:
+        raise BadChange(text, wrong)
+    name, slot, given, right = form.groups()
+    number = _NUMBER.fullmatch(right)
+    given = _KEYWORD.sub(lambda match: match[1].replace("-", "_") + match[2], _ANY.sub("", given))
+    try:
+        call = parse(f"decision({given})")
+        (value,) = (None,) if number else parse(f"value({right})").arguments
+    except (BadQuestion, ValueError) as error:
+        raise BadChange(text, f"{wrong}: {error.cause}" if isinstance(error, BadQuestion) else wrong) from None
+    seconds = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
+    if name == _LIMIT and not seconds:
+        raise BadChange(text, "its value is a number of seconds, more than 0")
+    return ForcedDecision(text, name, slot or "", call.arguments, call.keywords, value, int(number[1]) if number else 0)
+
+
+def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequence[str]) -> str:
+    """Return the text of a decision, with the name of the candidate instead of its number.
+
+    Raises:
+        NoSuchName: the recording has no such choice, motion or action; or there is no such function to skip.
+        BadChange: no matching choice with so many candidates is recorded after the step.
+    """
+    skipped = given.value == Name(SKIPPED)
+    choices = {record.name for record in log.records(Query) if record.HasField("chosen")}
+    tasks = {record.name for record in log.records(Task) if record.kind in ("motion", "action")}
+    calls = {name for kind in (Object, BulletWorld) for name in vars(kind) if not name.startswith("_")}
+    known = calls if skipped else {*choices, *tasks, _LIMIT, _ORDER, *queries}
+    if given.name not in known or given.name in queries:
+        raise NoSuchName("function to skip" if skipped else "query or decision on record", given.name, known)
+    if given.name in tasks or given.name not in choices or not (given.number or isinstance(given.value, list)):
+        return given.text
+    found = next((each for each in log.records(Query, step + 1) if given.fits_recorded(each)), None)
+    if found is None:
+        raise BadChange(given.text, f"no such choice is recorded after step {step}")
+    names = list(_candidates(found))
+    if given.number > len(names):
+        listed = ", ".join(f"#{number} {name}" for number, name in enumerate(names, 1))
+        raise BadChange(given.text, f"the choice at step {found.seq} has {len(names)} candidates: {listed}")
+    name = names[given.number - 1] if given.number else _place(given, found)
+    return f"{given.text.rpartition('=')[0]}={name!r}"
+
+
+def _candidates(record: Query) -> Iterator[str]:
+    """Yield the recorded candidates' names; for places, in the order of their scores."""
+    if record.name in _PLACES:
+        decimals = _PLACES[record.name]
+        for spot in record.grid.spots:
+            x, y, _ = spot.position
+            yield f"[{x:.{decimals}f}, {y:.{decimals}f}]"
+        return
+    for candidate in record.candidates:
+        yield from candidate.names
+
+
+def _place(given: ForcedDecision, record: Query) -> str:
+    """Return the name of the candidate at a given place."""
+    for spot, name in zip(record.grid.spots, _candidates(record), strict=False):
+        if _is_value(given.value, list(spot.position)):
+            return name
+    raise BadChange(given.text, f"no candidate of step {record.seq} is within {_NEAR * 100:.0f} cm of that place")
+
+
+def is_same(term: Term, value: object) -> bool:
+    """Return whether an argument of a running plan has a given value."""
+    if isinstance(value, Object | BulletWorld):
+        return _text(term) == value.name or (_text(term) == "robot" and isinstance(value, Object) and value.is_robot)
+    if isinstance(term, list):
+        same = isinstance(value, list | tuple) and len(term) == len(value)
+        return same and all(is_same(*each) for each in zip(term, value, strict=True))  # type: ignore[call-overload]
+    return (term.text if isinstance(term, Name) else term) == (value.text if isinstance(value, Name) else value)
+
+
+def _is_value(term: Term, value: Any) -> bool:
+    """Return whether a solution's value is the given value; a place may be 1 cm away."""
+    place = value.get("position") if isinstance(value, dict) else getattr(value, "position", value)
+    if isinstance(term, list) and term and all(isinstance(each, int | float) for each in term):
+        if not isinstance(place, list | tuple) or not all(isinstance(each, int | float) for each in place):
+            return False
+        size = min(len(term), len(place))
+        return math.dist(term[:size], place[:size]) <= _NEAR  # type: ignore[arg-type]
+    return is_same(term, value)
+
+
+def _live(term: Term) -> Any:
+    return [_live(each) for each in term] if isinstance(term, list) else term.text if isinstance(term, Name) else term
+
+
+def _text(term: Term) -> str:
+    return term.text if isinstance(term, Name) else str(term)
