@@ -1,1 +1,1 @@
-"""Models: from the file that a user names to a checked, self-contained URDF with shapes and convex pieces."""
+"""Models: they turn the file that a user names into a checked, self-contained URDF with shapes and convex pieces."""

@@ -1,9 +1,9 @@
 """Canonical URDF: the single form of URDF that the engine, viewers and recordings read.
 
-Only elements that URDF defines are kept; elements of Gazebo, of sensors and of other namespaces are removed first.
-PyBullet refuses an invalid link without a reason, or loads it silently; here an AssetError names it. Planar and
-floating joints become chains of joints that the engine supports. Each element starts a line, because PyBullet breaks
-lines after 8,191 characters, even inside a number. Numbers keep their digits.
+It has only elements that URDF defines; elements of Gazebo, of sensors and of other namespaces are removed. PyBullet
+rejects an invalid link without a reason, or loads it silently; an AssetError names the link. Planar and floating joints
+become chains of joints that the engine supports. Each element starts a new line, because PyBullet breaks lines after
+8,191 characters, even inside a number. Numbers keep their digits.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
     "material": ("color", "texture"),
     "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 }
-_ANY_CHILD: Final = ("geometry", "contact")  # shapes are checked by name; contact is PyBullet's
+_ANY_CHILD: Final = ("geometry", "contact")  # _check_shape() checks shapes; "contact" is an element of PyBullet
 _XACRO: Final = "ros.org/wiki/xacro}"
-_MAX_JOINTS: Final = 127  # fixed joints included; with more, PyBullet returns no states
-_MAX_MOVABLE: Final = 121  # PyBullet's 128 numbers of state minus 7 of the base
+_MAX_JOINTS: Final = 127  # including fixed joints; with more joints, PyBullet returns no states
+_MAX_MOVABLE: Final = 121  # PyBullet's state has 128 values; 7 are the base's pose
 _MAX_NAME: Final = 1000  # bytes; PyBullet crashes the process at about 1,024
-_FAR: Final = "10000"  # m, for planar and floating joints, which have no limits
+_FAR: Final = "10000"  # m, limit of the chains that replace planar and floating joints
 _SLIDE: Final = f'<limit lower="-{_FAR}" upper="{_FAR}" effort="0" velocity="0"/>'
 LARGEST: Final = 1e9
 """Largest number in a link (m, kg or kg m^2): the engine turns larger numbers into infinity."""
-DENSITY: Final = 700.0  # kg/m^3 of household objects of unknown mass
-_FRAME_MASS: Final = 1e-3  # kg of links that are only frames
+DENSITY: Final = 700.0  # kg/m^3, for household objects of unknown mass
+_FRAME_MASS: Final = 1e-3  # kg, for links without shapes
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
-_JOINT_INERTIA: Final = 0.05  # kg m^2 of frames between joints, like that of rotors: motors in a row converge sooner
-_ROUNDING: Final = 1e-9  # kg m^2 below 0 that count as a rounding error of a mesh tool
+_JOINT_INERTIA: Final = 0.05  # kg m^2, for links between joints: with it, motors in a row converge sooner
+_ROUNDING: Final = 1e-9  # kg m^2; a value this little below 0 is a rounding error of a mesh tool
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
@@ -58,18 +58,16 @@ _MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
 
 def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
-    """Return the checked <robot> element of a URDF, in metres, without elements that URDF doesn't define.
+    """Return the checked <robot> element of a URDF in metres, without elements that URDF doesn't define.
 
     Args:
-        source: The file.
-        content: The text.
         scale: Metres per unit of length of the file.
 
     Raises:
         AssetError: The text isn't XML, isn't a URDF, is xacro, or has a link that the engine can't use.
     """
     try:
-        root = ET.fromstring(content)  # noqa: S314  a model of the user's own, and expat limits entity expansion
+        root = ET.fromstring(content)  # noqa: S314  the user chose the file, and expat limits the expansion of entities
     except (ET.ParseError, LookupError, ValueError) as error:
         if b"<xacro:" in (content.encode() if isinstance(content, str) else content):
             raise _expand_first(source) from error
@@ -77,7 +75,7 @@ def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
     if source.suffix == ".xacro" or any(_XACRO in element.tag for element in root.iter()):
         raise _expand_first(source)
     namespace, end, tag = root.tag.rpartition("}")
-    if tag == "robot" and end:  # a document with its own default namespace, as URDFs of Drake have
+    if tag == "robot" and end:  # URDFs of Drake have a default namespace
         for element in root.iter():
             element.tag = element.tag.removeprefix(namespace + end)
     if root.tag != "robot":
@@ -94,7 +92,7 @@ def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
 
 
 def _scale(root: ET.Element, scale: float) -> None:
-    """Convert a URDF to metres: shapes, places, joints that slide and moments of inertia; masses stay in kg."""
+    """Convert shapes, origins, prismatic joints and moments of inertia of a URDF to metres; masses stay in kg."""
     if scale == 1.0:
         return
     for element in root.iter("origin"):
@@ -118,7 +116,7 @@ def _scale(root: ET.Element, scale: float) -> None:
 
 
 def _multiply(element: ET.Element, attributes: Iterable[str], factor: float) -> None:
-    """Multiply the numbers of attributes; broken numbers stay, for the checks that report them."""
+    """Multiply the numbers in attributes; invalid numbers stay, because later checks report them."""
     for attribute in attributes if factor != 1.0 else ():
         with suppress(ValueError):
             numbers = [finite(part) * factor for part in element.attrib.get(attribute, "").split()]
@@ -133,13 +131,13 @@ def _expand_first(source: Path) -> AssetError:
 
 
 def _strip(element: ET.Element) -> None:
-    """Remove elements that aren't URDF, without descending into them: they may be nested deeply."""
+    """Remove elements that URDF doesn't define, without visiting their children, which may be nested deeply."""
     own = _OWN_CHILDREN.get(element.tag, ())
     for child in list(element):
         if child.tag in own:
             _strip(child)
         elif element.tag in _ANY_CHILD and not child.tag.startswith("{"):
-            del child[:]  # a shape has no parts
+            del child[:]  # shapes have no children
         else:
             element.remove(child)
 
@@ -148,8 +146,7 @@ def check_link(source: Path, link: ET.Element) -> None:
     """Reject a ``<link>`` element that the engine can't use.
 
     Raises:
-        AssetError: A shape is missing, unknown or has an impossible size; or an origin, a mass, an inertia or a colour
-            has a number that isn't finite.
+        AssetError: A shape is missing, is unknown or has an impossible size; or a number isn't finite.
     """
     where = f"link {link.get('name', '')!r}"
     for role in ("visual", "collision"):
@@ -217,10 +214,10 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
 
 
 def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
-    """Return the canonical text and the tree of a <robot> element from :func:`read`; the element is modified.
+    """Return the canonical text and the tree of a <robot> element from :func:`read`; this modifies the element.
 
     Raises:
-        AssetError: The links and joints aren't a tree, a joint is broken, or there are more than the engine supports.
+        AssetError: The links and joints aren't a tree, a joint is invalid, or the engine can't handle so many joints.
     """
     tree = parse_urdf(ET.tostring(root), source, chains=True)
     chains = [joint for joint in root.findall("joint") if joint.get("type") in ("planar", "floating")]
@@ -240,10 +237,10 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
 
 
 def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
-    """Replace a planar or floating joint with single joints and frames between them.
+    """Replace a planar or floating joint with single joints and links between these joints.
 
     A planar joint NAME becomes NAME_x and NAME_y in its plane, and NAME_yaw about its axis. A floating joint NAME
-    becomes NAME_x, NAME_y, NAME_z, NAME_yaw, NAME_pitch and NAME_roll; each turns about an axis of the frame before it.
+    becomes NAME_x, NAME_y, NAME_z, NAME_yaw, NAME_pitch and NAME_roll; each turns about an axis of the link before it.
     """
     name = element.get("name", "")
     if element.get("type") == "planar":
@@ -269,7 +266,7 @@ def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
         ET.SubElement(joint, "child", link=child)
         ET.SubElement(joint, "axis", xyz=" ".join(map(repr, axis.tolist())))
         if slides:
-            joint.append(ET.fromstring(_SLIDE))  # noqa: S314  our own
+            joint.append(ET.fromstring(_SLIDE))  # noqa: S314  a constant
         if child != tree.joints[name].child:
             ET.SubElement(root, "link", name=child)
         root.insert(place + number, joint)
@@ -277,7 +274,7 @@ def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
 
 
 def _normalize(element: ET.Element, tree: Urdf) -> None:
-    """Scale an axis to unit length (PyBullet multiplies joint values by it); remove limits of continuous joints."""
+    """Scale an axis to length 1, by which PyBullet multiplies joint values; remove limits of continuous joints."""
     joint = tree.joints[element.get("name", "")]
     axis, limit = element.find("axis"), element.find("limit")
     if joint.movable:
@@ -289,14 +286,11 @@ def _normalize(element: ET.Element, tree: Urdf) -> None:
 
 
 def give_inertia(link: ET.Element, *, moved: bool) -> None:
-    """Add the inertia of a solid of household density to a checked ``<link>`` element without inertia.
+    """Add the inertia of a household object to a checked ``<link>`` element without inertia.
 
-    A link without shapes gets a negligible inertia: PyBullet would make it 1 kg and print a warning. Moments that no
-    body can have (two of them add up to less than the third) are replaced by their mean; the engine would make them 0.
-
-    Args:
-        link: The element.
-        moved: Whether a joint moves the link.
+    A link without shapes gets a negligible inertia: PyBullet would make it 1 kg and print a warning. Impossible
+    moments, where two add up to less than the third, are replaced by their mean; the engine would make them 0.
+    ``moved`` says whether a joint moves the link.
     """
     inertia = link.find("inertial/inertia")
     if inertia is not None:
@@ -332,11 +326,7 @@ def _box(collision: ET.Element) -> tuple[float, float, float] | None:
 
 
 def check_size(source: Path, tree: Urdf) -> None:
-    """Reject a robot with more joints, longer names or joints farther away than the engine takes.
-
-    Raises:
-        AssetError: The robot has them.
-    """
+    """Raise an AssetError if the engine can't handle so many joints, so long names or so distant joints."""
     for count, most, what in (
         (len(tree.joints), _MAX_JOINTS, "joints, including fixed joints"),
         (len(tree.movable), _MAX_MOVABLE, "movable joints"),

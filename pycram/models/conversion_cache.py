@@ -1,10 +1,9 @@
 """A cache of converted meshes and of convex hulls in a folder of the user, shared by all processes.
 
-Without it some robots take 1 to 3 s to load each time: COLLADA and OBJ are text, hulls of fine meshes are slow, and
-trimesh alone takes a second to import. An entry is named after the hash of everything that the conversion reads: the
-mesh, the files next to it that it uses, and the converting code. So an entry is never out of date, and any entry may be
-deleted at any time. If the folder can't be written, or others can write to it (:mod:`recorder.user_folders`), meshes
-are converted each time.
+Without it, some robots take 1 to 3 s to load each time. The name of an entry is the hash of everything that the
+conversion reads: the mesh, other files, and the converting code. So an entry is never out of date, and a user may
+delete entries at any time. If the folder isn't writable, or other users can write to it, each process converts the
+meshes.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ if TYPE_CHECKING:
 
     Piece = tuple[str, bytes, Sequence[float] | None]
 
-_WORTH: Final = 50_000  # bytes above which a binary STL takes longer to convert than to look up
-_LARGEST: Final = 1_000_000_000  # bytes of all entries; the least recently used entries are deleted
+_WORTH: Final = 50_000  # bytes; a smaller binary STL takes longer to look up than to convert
+_LARGEST: Final = 1_000_000_000  # bytes of all entries; if there are more, the least recently used entries are deleted
 _CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "shapes.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)
@@ -39,13 +38,11 @@ _MAP: Final = re.compile(rb"^\s*map_kd\s+(.+?)\s*$", re.MULTILINE | re.IGNORECAS
 def get(
     kind: str, file: Path, convert: Callable[[], Sequence[Piece]], beside: Iterable[Path] | None = None
 ) -> Sequence[Piece]:
-    """Return the pieces of a converted mesh: file name, content and colour RGBA 0..1 of each.
+    """Return the pieces of a converted mesh: file name, content and colour RGBA 0..1 of each piece.
 
     Args:
         kind: The kind of conversion: a mesh has an entry for each kind.
-        file: The mesh.
-        convert: Converts the mesh.
-        beside: Further files that the conversion reads if they exist.
+        beside: Other files that the conversion reads if they exist.
 
     Raises:
         AssetError: The mesh can't be read or converted.
@@ -62,7 +59,7 @@ def get(
 
 
 def kept(kind: str, sources: Iterable[bytes], convert: Callable[[], Sequence[Piece]]) -> Sequence[Piece]:
-    """Return the pieces of a conversion that reads only the given bytes, from the cache if possible."""
+    """Return the pieces of a conversion from the cache, else convert; the conversion reads only ``sources``."""
     where = cache_folder()
     if where is None:
         return convert()
@@ -92,12 +89,12 @@ def _version(library: str) -> str:
 
     try:
         return version(library)
-    except PackageNotFoundError:  # not every conversion needs every library
+    except PackageNotFoundError:  # some conversions don't need the library
         return "none"
 
 
 def _materials(file: Path, content: bytes) -> list[bytes]:
-    """Return the contents of the materials that an OBJ names."""
+    """Return the contents of the material files that an OBJ names."""
     libraries = _MATERIALS.findall(content) if file.suffix.lower() == ".obj" else []
     return [_content(file.parent / os.fsdecode(library)) for library in libraries]
 
@@ -119,7 +116,7 @@ def _content(file: Path) -> bytes:
 
 
 def _read(entry: bytes) -> Sequence[Piece]:
-    """Return the pieces of an entry.
+    """Return the pieces in an entry of the cache.
 
     Raises:
         ValueError: The entry is incomplete.

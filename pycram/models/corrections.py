@@ -1,6 +1,6 @@
-"""Corrections of found furniture: a TOML file next to the URDF, ``kitchen.furniture.toml`` for ``kitchen.urdf``.
+"""Corrections of found furniture in a TOML file next to the URDF: ``kitchen.furniture.toml`` for ``kitchen.urdf``.
 
-Each table corrects the found surface or container of that name; a table with a new name adds one::
+Each table corrects the found surface or container with that name; a table with a new name adds a surface or container::
 
     [surfaces."sink"]
     name = "counter"
@@ -15,7 +15,7 @@ Each table corrects the found surface or container of that name; a table with a 
     handle = "bin_lid"
     kind = "door"
 
-Names of links and joints are checked when the model is loaded; names of found furniture, when the furniture is found.
+Loading the model checks names of links and joints; finding its furniture checks names of furniture.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ _NEW: Final = {_SURFACES: ("link", "position", "size or outline"), _CONTAINERS: 
 class Corrections:
     """The checked entries of a TOML file."""
 
-    source: str  # the file, for errors
+    source: str  # name of the file, for errors
     surfaces: Mapping[str, Mapping[str, Any]]  # entries of each surface by its name
     containers: Mapping[str, Mapping[str, Any]]  # entries of each container by its name
 
 
 def asset(name: str, content: bytes) -> AssetFile:
-    """Return the entry of a TOML file in the list of a model's files."""
+    """Return a TOML file as an entry in the list of a model's files."""
     return AssetFile(name, content, "application/toml")
 
 
@@ -147,11 +147,7 @@ def _checked(source: str | Path, kind: str, name: str, said: object) -> Mapping[
 
 
 def check(corrections: Corrections, urdf: Urdf) -> None:
-    """Reject corrections that don't fit a URDF.
-
-    Raises:
-        AssetError: The URDF has no such link or movable joint.
-    """
+    """Raise an AssetError if corrections name a link or movable joint that a URDF doesn't have."""
     for name, said in corrections.surfaces.items():
         _known(corrections, f"{_SURFACES}.{name!r}", "link", said.get("link"), urdf.links)
     for name, said in corrections.containers.items():
@@ -167,10 +163,10 @@ def _known(corrections: Corrections, where: str, key: str, value: str | None, kn
 
 
 def correct(found: Furniture, corrections: Corrections, urdf: Urdf) -> Furniture:
-    """Return found furniture with corrections applied.
+    """Return the corrected furniture.
 
     Raises:
-        AssetError: A corrected surface or container wasn't found, or two get the same name.
+        AssetError: A corrected surface or container wasn't found, or two surfaces or containers have the same name.
     """
     return _Correction(corrections, urdf).apply(found)
 
@@ -201,16 +197,13 @@ class _Correction:
         return Furniture(MappingProxyType(surfaces), MappingProxyType(containers))
 
     def _things(self, kind: str, found: Mapping[str, Any], said: Mapping[str, Mapping[str, Any]]) -> list[Any]:
-        """Return names and found things (None for an added thing), without removed things."""
+        """Return names and found surfaces or containers, without the removed; None stands for an added thing."""
         for key, entries in said.items():
             needed = [part for part in _NEW[kind] if not any(name in entries for name in part.split(" or "))]
             if key not in found and (needed or "remove" in entries):
                 hint = did_you_mean(key, found)
-                raise self._error(
-                    kind,
-                    key,
-                    f"no {kind[:-1]} of that name was found{hint}; a new {kind[:-1]} takes {', '.join(_NEW[kind])}",
-                )
+                takes = f"a new {kind[:-1]} takes {', '.join(_NEW[kind])}"
+                raise self._error(kind, key, f"no {kind[:-1]} of that name was found{hint}; {takes}")
         every = {**found, **dict.fromkeys(key for key in said if key not in found)}
         return [(key, thing) for key, thing in every.items() if not said.get(key, {}).get("remove", False)]
 

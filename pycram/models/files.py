@@ -1,14 +1,14 @@
-"""Finding and reading the files of models; an invalid file raises an AssetError that names it.
+"""Finding and reading the files of models. An AssetError names a missing or invalid file.
 
-Models are found among PyCRAM's resources and the robots of example-robot-data. A URDF names a mesh by a relative path,
-an absolute path, ``file://`` or a path in a ROS package, ``package://NAME/PATH``. A package is a folder of that name,
-or a folder whose ``package.xml`` has that name. Packages are searched for in this order:
+Models come from PyCRAM's resources, example-robot-data and the user. A URDF names a mesh by a relative path, an
+absolute path, ``file://`` or a path in a ROS package, ``package://NAME/PATH``. A package is a folder with that name, or
+a folder whose ``package.xml`` contains that name. The search for a package looks in this order:
 
-1. the folders that the caller gives, and below them;
-2. the folders of the environment variable ``PYCRAM_PACKAGES``, and below them;
-3. all folders above the URDF;
-4. the folders of ``ROS_PACKAGE_PATH``, and below them, as in ROS;
-5. the folders above the URDF without a ``package.xml``: the folder of a package may have another name.
+1. in and below the folders that the caller gives;
+2. in and below the folders in the environment variable ``PYCRAM_PACKAGES``;
+3. in all folders above the URDF;
+4. in and below the folders in ``ROS_PACKAGE_PATH``, as ROS does;
+5. in the folders above the URDF without a ``package.xml``, because the folder of a package may have another name.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _NAME: Final = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 _MANIFEST: Final = "package.xml"
 _DISTRIBUTION: Final = "example-robot-data"
 _FLANGE: Final = "tool0"
-_FILES: Final = {  # of example-robot-data
+_FILES: Final = {  # paths in example-robot-data
     "pr2.urdf": "pr2_description/urdf/pr2.urdf",
     "tiago_pro.urdf": "tiago_pro_description/robots/tiago_pro.urdf",
     "panda.urdf": "panda_description/urdf/panda.urdf",
     "ur5.urdf": "ur_description/urdf/ur5_robot.urdf",
 }
 ROBOT_URDFS: Final = tuple(_FILES)
-"""Names under which the bundled robots are loaded."""
+"""File names of the bundled robots."""
 
 
 def read_bytes(file: Path) -> bytes:
@@ -77,16 +77,15 @@ def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -
     """Return the tree of links and joints of a URDF.
 
     Args:
-        text: The document.
-        source: Its file, for errors.
-        chains: Whether planar and floating joints are still to be replaced with chains of single joints.
+        source: Name of the file, for errors.
+        chains: Whether the caller will replace planar and floating joints with chains of single joints.
 
     Raises:
         AssetError: The text isn't a URDF, its links aren't one tree, or a joint mimics itself.
     """
     try:
         tree = Urdf.parse(text, chains=chains)
-        tree.mimics  # noqa: B018  computed when first read; raises here if invalid
+        tree.mimics  # noqa: B018  the first reading checks the value
     except UrdfError as error:
         raise AssetError(source, str(error)) from error
     return tree
@@ -103,8 +102,8 @@ def find(path: str | Path) -> Path:
     """Return the absolute path of a model's file.
 
     Args:
-        path: A file. A bare name that isn't in the working directory is looked up among PyCRAM's resources;
-            ``pr2.urdf``, ``tiago_pro.urdf``, ``panda.urdf`` and ``ur5.urdf`` are robots of example-robot-data.
+        path: A file. A bare name that isn't in the working directory is a file of PyCRAM's resources, or a robot of
+            example-robot-data: ``pr2.urdf``, ``tiago_pro.urdf``, ``panda.urdf`` or ``ur5.urdf``.
 
     Raises:
         BadArgument: The argument isn't a path.
@@ -119,7 +118,7 @@ def find(path: str | Path) -> Path:
         raise AssetError(path, "is not a file")
     if given.name == str(path):
         if given.name in ROBOT_URDFS:
-            file = _installed(given.name)  # its folder has the meshes
+            file = _installed(given.name)  # the meshes are next to it
             return _with_gripper(given.name, file) if given.name == "ur5.urdf" else file
         shipped = resources() / given
         if shipped.is_file():
@@ -146,11 +145,11 @@ def _installed(name: str) -> Path:
 
 
 def _with_gripper(name: str, arm: Path) -> Path:
-    """Store the URDF of an arm with PyCRAM's gripper: the z axis of the arm's flange is the gripper's x axis."""
+    """Store the URDF of an arm with PyCRAM's gripper. The z axis of the flange is the x axis of the gripper."""
     gripper = resources() / "two_finger_gripper.urdf"
     robot, hand = (ET.fromstring(read_text(file)) for file in (arm, gripper))  # noqa: S314  installed files
     robot.set("name", f"{robot.get('name')}_with_gripper")
-    for mesh in robot.iter("mesh"):  # in the store, relative names of meshes would not be found
+    for mesh in robot.iter("mesh"):  # relative names would be wrong in the store
         mesh.set("filename", os.fspath(find_mesh(arm, mesh.get("filename", ""))))
     children = {child.get("link") for child in hand.iter("child")}
     (base,) = (link.get("name", "") for link in hand.findall("link") if link.get("name") not in children)
@@ -165,11 +164,7 @@ def _with_gripper(name: str, arm: Path) -> Path:
 
 
 def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Return a caller's package folders as absolute paths.
-
-    Raises:
-        BadArgument: The argument isn't a list of existing folders.
-    """
+    """Return package folders as absolute paths; raise BadArgument if they aren't a list of existing folders."""
     expected = "a list of folders that exist"
     if isinstance(packages, str | bytes) or not all(isinstance(folder, str | Path) for folder in packages):
         raise BadArgument("packages", packages, expected)
@@ -180,15 +175,12 @@ def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
 
 
 def find_mesh(source: Path, name: str, packages: Sequence[Path] = ()) -> Path:
-    """Return the file of a mesh or texture.
+    """Return the file of a mesh or texture; raise an AssetError if it doesn't exist.
 
     Args:
         source: The URDF that names the mesh.
         name: The name in the URDF.
-        packages: Folders in which packages are searched for first.
-
-    Raises:
-        AssetError: The file doesn't exist.
+        packages: Folders in which the search for packages begins.
     """
     if not name:
         raise AssetError(source, "has a <mesh> without filename")
@@ -218,7 +210,7 @@ def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
 
 
 def _candidates(source: Path, package: str, packages: Sequence[Path]) -> Iterator[Path]:
-    """Yield folders that may be a package, likely folders first; folders are walked only as far as needed."""
+    """Yield folders that may be a package, likely folders first. The generator walks folders only on demand."""
     for root in (*packages, *_variable(_VARIABLE)):
         yield from _below(root, package)
     for folder in source.parents:
@@ -242,7 +234,7 @@ def _below(root: Path, package: str) -> Iterator[Path]:
         if _MANIFEST in files:
             if _is_package(Path(folder), package):
                 yield Path(folder)
-            inside.clear()  # packages don't contain others
+            inside.clear()  # packages don't contain packages
         else:
             inside[:] = sorted(name for name in inside if not name.startswith("."))
             if package in inside:

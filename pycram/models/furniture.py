@@ -1,9 +1,9 @@
 """Finding the surfaces and containers of a model in its shapes and joints.
 
-A level face (:mod:`pycram.models.level_faces`) is a surface if it is accessible: from above, from a side, or because a
-joint opens the way. A drawer is a part on a horizontal prismatic joint, with a surface in it or a handle on it. A door
-is a moving part that hides a surface when closed: all rays from the surface end nearby, and the door is what they hit
-first. A face that nothing makes accessible is not a surface.
+A level face (:mod:`pycram.models.level_faces`) is a surface if it is accessible from above or from a side, or if a
+joint gives access. A drawer is a part on a horizontal prismatic joint, with a surface in it or a handle on it. A door
+is a moving part that blocks access to a surface when closed: all rays from the surface end nearby, and hit the door
+first.
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion
     from recorder.urdf import Urdf, UrdfJoint
 
-_HIGHEST: Final = 1.8  # m above the lowest point; higher surfaces are out of reach and out of sight
+_HIGHEST: Final = 1.8  # m above the lowest point of the model; higher surfaces are out of reach and out of sight
 _GROUND: Final = 10.0  # m^2; larger surfaces are floors
 _NARROW: Final = 0.2  # m, maximum width of the top of a wall
 _UPRIGHT: Final = 4.0  # minimum ratio of height to width of a wall
-_RAYS: Final = 24  # horizontal directions
-_NEAR: Final = 0.6  # m beyond the outline of a surface, within which a part hides it
-_HEIGHTS: Final = (0.3, 0.6, 0.9)  # heights of rays above a surface, as shares of the free height that a hand needs
+_RAYS: Final = 24  # number of horizontal directions
+_NEAR: Final = 0.6  # m; only parts this near to the outline of a surface hide the surface
+_HEIGHTS: Final = (0.3, 0.6, 0.9)  # heights of rays above a surface, as shares of ``_HAND``
 _HAND: Final = 0.2  # m, free height that a hand needs
 _LEVEL: Final = 0.5  # maximum |z| of the axis of a horizontal joint
 _TRAVEL: Final = (0.05, 2.0)  # m, range of the travel of a drawer
-_HANDLE: Final = ("handle", "knob", "grip", "pull")  # words in names of handles
+_HANDLE: Final = ("handle", "knob", "grip", "pull")  # words in the names of handles
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
 _DIRECTIONS: Final = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)])
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _CACHED_MODELS: Final = 128
 _WORDS: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
-_EMPTY: Final = frozenset({"link", "main", "surface", "area", "frame", "body", "base", "part"})  # meaningless words
+_EMPTY: Final = frozenset({"link", "main", "surface", "area", "frame", "body", "base", "part"})  # words without meaning
 
 
 def furniture_of(model: Model) -> Furniture:
-    """Return the surfaces and containers of a model, with the corrections next to its file.
+    """Return the surfaces and containers of a model, with the corrections in the TOML file next to it.
 
     Raises:
         AssetError: A corrected surface or container wasn't found.
@@ -71,7 +71,7 @@ def _furniture(path: Path, corrections: bytes, source: str) -> Furniture:
 
 
 def find_furniture(path: Path, urdf: Urdf) -> Furniture:
-    """Return the surfaces and containers of the model with a canonical URDF, without corrections."""
+    """Return the surfaces and containers of a canonical URDF, without corrections."""
     closed = {name: closed_position(urdf.joints[name]) for name in urdf.movable}
     poses = urdf.link_poses(closed)
     every = pieces(path, poses) if _is_wide(path, poses) else []
@@ -82,11 +82,11 @@ def find_furniture(path: Path, urdf: Urdf) -> Furniture:
 
 @lru_cache(maxsize=_CACHED_MODELS)
 def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
-    """Return the surfaces on top of a free object, with everything closed: of a plate, a tray or a box.
+    """Return the surfaces on top of a free object with closed joints, such as a plate, a tray or a box.
 
     Args:
         path: A canonical URDF.
-        orientation: The object's, xyzw in the world: an object that lies on its side has another top.
+        orientation: Orientation xyzw of the object in the world. An object that lies on its side has another top.
     """
     urdf = stored_tree(path)
     turned = (0.0, 0.0, 0.0), orientation
@@ -99,7 +99,7 @@ def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
 
 
 def _is_wide(path: Path, poses: Mapping[str, Pose]) -> bool:
-    """Return whether a link is wide enough for a face; most objects that robots carry have none."""
+    """Return whether a link is wide enough for a face; most objects that robots carry have no such link."""
     boxes: dict[str, list[Ends]] = {}
     for link, ends in piece_bounds(path):
         boxes.setdefault(link, []).append(ends)
@@ -112,7 +112,7 @@ def _is_wide(path: Path, poses: Mapping[str, Pose]) -> bool:
 
 
 def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:
-    """Return whether a face is neither a floor, nor the top of a wall, nor out of reach."""
+    """Return False for a floor, for the top of a wall, and for a face that is out of reach."""
     if face.area > _GROUND or face.middle[2] - floor > _HIGHEST:
         return False
     width = float(np.ptp(face.outline, axis=0).min())
@@ -122,12 +122,11 @@ def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:
 
 
 class _Search:
-    """The search for accessible faces of a model, and for the joints that open the way to them.
+    """The search for accessible faces of a model, and for the joints that give access.
 
     Args:
-        urdf: The model's tree.
-        poses: Poses of the links in the root link, with everything closed.
-        every: The model's convex pieces.
+        poses: Poses of the links in the root link, with closed joints.
+        every: All convex pieces of the model.
         offered: Faces on which objects could stand.
     """
 
@@ -142,9 +141,8 @@ class _Search:
                 self._movers[link] = self._movers[joint.parent]
 
     def furniture(self) -> Furniture:
-
         drawers = {joint.name for face in self._offered if (joint := self._drawer(face.link)) is not None}
-        kept: list[tuple[Face, str]] = []  # faces, each with the joint that gives access; "" if access is always free
+        kept: list[tuple[Face, str]] = []  # faces, each with the joint that gives access; "" without such a joint
         for face in self._offered:
             drawer = self._drawer(face.link)
             opened = drawer.name if drawer is not None else self._opened_by(face, drawers)
@@ -163,7 +161,7 @@ class _Search:
         return self._named(kept, drawers | solid)
 
     def _drawer(self, link: str) -> UrdfJoint | None:
-        """Return the joint that moves a link like a drawer; None if there is none."""
+        """Return the joint that moves a link like a drawer; None if no joint does."""
         joint = self._movers[link]
         if joint is None or joint.type != "prismatic" or not _TRAVEL[0] <= joint.upper - joint.lower <= _TRAVEL[1]:
             return None
@@ -171,7 +169,7 @@ class _Search:
         return joint if abs(axis[2]) < _LEVEL else None
 
     def _opened_by(self, face: Face, drawers: set[str]) -> str | None:
-        """Return the joint of the door that hides a face; "" if nothing hides it, None if no joint gives access."""
+        """Return the joint of the door that hides a face; "" for a visible face, None if no joint gives access."""
         if face.clearance == math.inf:
             return ""
         reach = float(np.linalg.norm(face.outline, axis=1).max()) + _NEAR
@@ -200,7 +198,7 @@ class _Search:
             for name in joints
         ]
         by_joint = dict(zip(joints, distinct(names), strict=True))
-        # faces of one link are numbered: in a container from low to high, else by size
+        # order of the numbers in names: in a container from low to high, else by size
         order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)
         named = dict(
             zip(order, distinct(readable(kept[number][0].link, self._urdf.name) for number in order), strict=True)
@@ -232,13 +230,13 @@ class _Search:
         )
 
     def _handle(self, joint: UrdfJoint) -> str:
-        """Return the moved link with the name of a handle; "" if there is none."""
+        """Return the link that a joint moves and that is named like a handle; "" if there is no such link."""
         moved = [link for link, mover in self._movers.items() if mover is joint and link != joint.child]
         return next((link for word in _HANDLE for link in moved if word in link.casefold()), "")
 
 
 def surface_of(name: str, face: Face, poses: Mapping[str, Pose], container: str = "") -> Surface:
-    """Return a face as a surface of its link."""
+    """Convert a face to a surface of its link."""
     x, y, z = face.middle.tolist()
     pose = (x, y, z), geometry.from_rpy(0.0, 0.0, face.yaw)
     position, orientation = geometry.multiply(geometry.invert(poses[face.link]), pose)
@@ -247,7 +245,7 @@ def surface_of(name: str, face: Face, poses: Mapping[str, Pose], container: str 
 
 
 def readable(link: str, model: str, dropped: Iterable[str] = ()) -> str:
-    """Return the words of a link's name, without the name of the model, meaningless words and ``dropped`` words."""
+    """Return the words of a link's name without the model's name, meaningless words and ``dropped`` words."""
     every = [word.casefold() for word in _WORDS.findall(link)]
     own = [word.casefold() for word in _WORDS.findall(model)]
     if every[: len(own)] == own:
@@ -262,7 +260,7 @@ def readable(link: str, model: str, dropped: Iterable[str] = ()) -> str:
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Return unique names: repetitions of a name get a number, starting at 2."""
+    """Return unique names: the second and further occurrences of a name get a number from 2."""
     taken: dict[str, int] = {}
     given = []
     for name in names:

@@ -1,11 +1,8 @@
-"""Level faces of a model on which objects can stand, with the free height above each.
+"""Level faces of a model on which objects can stand, with the free height above each face.
 
-The top of each link is divided by a grid whose lines are the edges of convex pieces; for boxes the result is exact. A
-cell is free if it is part of the top and has enough clearance above it. A face that is free (nearly) everywhere keeps
-its shape; any other face is divided into rectangles.
-
-The engine takes the convex hull of each piece, so objects stand on hulls, whatever the mesh looks like. A line enters a
-convex piece at a maximum over its planes, and leaves it at a minimum.
+A grid divides the top of each link; its lines are the edges of convex pieces, so the result is exact for boxes. A cell
+is free if it belongs to the top and has enough free height. A face keeps its shape if nearly all of its cells are free;
+else it is divided into rectangles. The engine uses the convex hull of each piece, so objects stand on hulls.
 """
 
 from __future__ import annotations
@@ -40,21 +37,21 @@ class Least(NamedTuple):
 
 AREA: Final = 0.02  # m^2, minimum area of a face of furniture
 FURNITURE: Final = Least(AREA, 0.06)  # as wide as a glass
-THINGS: Final = Least(0.0016, 0.04)  # faces of a plate, a box, or another object that robots carry
+THINGS: Final = Least(0.0016, 0.04)  # for a plate, a box, or another object that robots carry
 _CLEARANCES: Final = (0.25, 0.05)
-"""Minimum free heights in m. The search uses the first clearance first. So a low lamp excludes only its own area."""
+"""Minimum free heights in m, in the order of the search: so a low lamp excludes only the area below it."""
 _LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
-_THICK: Final = 0.004  # m, maximum difference in height of tops of one link that are one face
+_THICK: Final = 0.004  # m, maximum difference in height of the tops that form one face of a link
 _ROUGH: Final = 0.002  # m, maximum height of a bump that isn't an obstacle on a face
 _GAP: Final = 0.001  # m, minimum distance of grid lines
-_FINE: Final = 0.02  # m, distance of grid lines where edges aren't parallel to the grid
-_ALONG: Final = 1e-3  # maximum component of a unit normal across the grid, for sides parallel to it
+_FINE: Final = 0.02  # m, distance of grid lines if edges aren't parallel to the grid
+_ALONG: Final = 1e-3  # maximum component, along a grid axis, of the unit normal of a side parallel to this axis
 _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
-_PARALLEL: Final = 1e-9  # maximum component of a unit normal along a parallel line
-_SIMPLE: Final = 16  # planes of a piece, up to which no line is left out
-_ROUNDING: Final = 1e-9  # share by which rounding may change an area
-_COLUMNS: Final = 8  # of a matrix that BLAS multiplies together
-_SAME_PLANE: Final = 6  # decimals in which planes of triangles on one side of a hull agree
+_PARALLEL: Final = 1e-9  # maximum component of a plane's unit normal along a line parallel to the plane
+_SIMPLE: Final = 16  # number of planes; for pieces with more, lines that miss the bounding box are skipped
+_ROUNDING: Final = 1e-9  # maximum relative rounding error of an area
+_COLUMNS: Final = 8  # number of columns that BLAS multiplies together
+_SAME_PLANE: Final = 6  # decimal places that planes of triangles on one side of a hull share
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,18 +60,18 @@ class Face:
 
     link: str
     middle: Array  # (3,), m
-    yaw: float  # rad, of the frame of the outline
-    outline: Array  # (n, 2) corners around the middle, counter-clockwise, m
+    yaw: float  # rad, orientation of the outline's frame about z
+    outline: Array  # (n, 2) corners relative to the middle, counter-clockwise, m
     clearance: float  # m, free height; infinite if the face is open above
 
     @property
     def area(self) -> float:
-        """Area in m^2."""
+        """Area of the face in m^2."""
         return _area(self.outline)
 
 
 def faces(every: Sequence[Piece], least: Least | None = None) -> Iterator[Face]:
-    """Yield the faces of a model's pieces, link by link, from low to high; by default faces of furniture."""
+    """Yield the faces of a model's pieces, for each link from low to high; ``least`` is FURNITURE by default."""
     bounds = np.array([(piece.low, piece.high) for piece in every]).reshape(-1, 2, 3)
     by_link: dict[str, list[Piece]] = {}
     for piece in every:
@@ -85,7 +82,7 @@ def faces(every: Sequence[Piece], least: Least | None = None) -> Iterator[Face]:
 
 
 def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
-    """Return the pieces of a link with a level top, grouped by height, from low to high."""
+    """Return the pieces of a link that have a level top, grouped by height, from low to high."""
     levels: list[list[Piece]] = []
     height = -math.inf
     level = [piece for piece in parts if piece.planes[:, 2].max() >= _LEVEL and (piece.high - piece.low)[:2].min() > 0]
@@ -101,7 +98,7 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, leas
     """Yield the faces that pieces of one height form.
 
     Args:
-        tops: The pieces.
+        tops: The pieces of one height.
         every: All pieces of the model.
         bounds: (k, 2, 3) lowest and highest corners of all pieces, m.
         least: Sizes of the smallest face.
@@ -109,7 +106,7 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, leas
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)
-    turn = np.array([[cosine, -sine], [sine, cosine]])  # corners @ turn: into the face's frame
+    turn = np.array([[cosine, -sine], [sine, cosine]])  # ``corners @ turn`` has corners in the frame of the face
     edges = np.concatenate([piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops])
     corners = edges @ turn
     width, depth = np.ptp(corners, axis=0)
@@ -142,7 +139,7 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, leas
 def _free(
     tops: Sequence[Piece], above: Sequence[Piece], height: float, points: Array
 ) -> tuple[NDArray[np.bool_], Array]:
-    """Return which of the points (n, m, 2) are on the top, and the free height above them in m."""
+    """Return whether each of the points (n, m, 2) is on the top, and the free height above each point in m."""
     flat, shape = points.reshape(-1, 2), points.shape[:2]
     standing: NDArray[np.bool_] = np.any(vertical_extents(tops, flat)[1] >= height - _THICK, axis=1)
     if not above:
@@ -155,7 +152,7 @@ def _free(
 def _rectangles(
     free: NDArray[np.bool_], rows: Array, columns: Array, least: Least
 ) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
-    """Yield corners (counter-clockwise) and cells of rectangles of free cells."""
+    """Yield the counter-clockwise corners and the cells of rectangles of free cells."""
     for top, left, bottom, right in divide(free, rows, columns, least.side, least.area):
         within = np.zeros_like(free)
         within[top:bottom, left:right] = True
@@ -164,7 +161,7 @@ def _rectangles(
 
 
 def _yaw(piece: Piece) -> float:
-    """Return the direction of the grid, along the sides of a piece: rad, from -pi/4 to pi/4."""
+    """Return the direction of a grid along the sides of a piece: -pi/4 to pi/4 rad."""
     x, y = piece.planes[np.abs(piece.planes[:, 2]) < _ALONG, :2].T
     if not len(x):
         return 0.0
@@ -175,7 +172,7 @@ def _yaw(piece: Piece) -> float:
 
 
 def _lines(parts: Sequence[Piece], turn: Array, hull: Array) -> list[Array]:
-    """Return the grid lines over a hull along both axes, m."""
+    """Return the coordinates of the grid lines over a hull, for both axes, m."""
     corners = np.concatenate([piece.corners for piece in parts])[:, :2] @ turn
     normals = np.abs(np.concatenate([piece.planes for piece in parts])[:, :2] @ turn)
     fine = bool(((normals > _ALONG) & (normals < 1 - _ALONG)).any())
@@ -184,7 +181,7 @@ def _lines(parts: Sequence[Piece], turn: Array, hull: Array) -> list[Array]:
 
 
 def _between(edges: Array, low: float, high: float, *, fine: bool) -> Array:
-    """Return the grid lines along an axis from ``low`` to ``high``, m."""
+    """Return the coordinates of the grid lines along an axis from ``low`` to ``high``, m."""
     at = _apart(np.array([low, high, *edges[(edges >= low) & (edges <= high)]]))
     at[-1] = high
     if not fine:
@@ -194,7 +191,7 @@ def _between(edges: Array, low: float, high: float, *, fine: bool) -> Array:
 
 
 def _apart(values: Array) -> Array:
-    """Return sorted values, without values within ``_GAP`` of their predecessor."""
+    """Sort values, and drop values within ``_GAP`` of their predecessor."""
     ordered = distinct(values)
     kept: Array = ordered[np.concatenate([[True], np.diff(ordered) > _GAP])]
     return kept
@@ -206,7 +203,7 @@ def _area(outline: Array) -> float:
 
 
 class Rectangle(NamedTuple):
-    """Cells of a grid; bottom and right are exclusive."""
+    """Indices of cells of a grid; ``bottom`` and ``right`` are exclusive."""
 
     top: int
     left: int
@@ -215,10 +212,10 @@ class Rectangle(NamedTuple):
 
 
 def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, area: float) -> Iterator[Rectangle]:
-    """Yield disjoint rectangles of free cells: repeatedly the largest rectangle of the remaining cells.
+    """Yield disjoint rectangles of free cells: each is the largest rectangle of the remaining cells.
 
     Args:
-        free: (n, m) cells.
+        free: (n, m) whether each cell is free.
         rows: (n + 1,) ascending grid lines, m.
         columns: (m + 1,) ascending grid lines, m.
         side: Minimum length of a side, m.
@@ -232,13 +229,13 @@ def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, ar
 
 
 def _largest(free: NDArray[np.bool_], rows: Array, columns: Array, side: float) -> tuple[float, Rectangle] | None:
-    """Return the area and the largest rectangle of free cells: the largest in a histogram, row by row."""
+    """Return the largest rectangle of free cells and its area, by the largest rectangle in a histogram of each row."""
     best: tuple[float, Rectangle] | None = None
-    starts = np.zeros(free.shape[1], dtype=np.intp)  # the row at which the free cells of each column start
+    starts = np.zeros(free.shape[1], dtype=np.intp)  # for each column, the first row of the free cells above ``row``
     for row, cells in enumerate(free):
         starts = np.where(cells, starts, row + 1)
         below = float(rows[row + 1])
-        pending: list[tuple[int, int]] = []  # columns, and the top rows of the free cells from there, ascending
+        pending: list[tuple[int, int]] = []  # columns, and their first free rows, ascending
         for column, start in enumerate([*starts.tolist(), row + 1]):
             first = column
             while pending and pending[-1][1] < start:
@@ -265,21 +262,21 @@ class Piece:
 def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:
     """Return the heights (n, m) at which vertical lines through points (n, 2) enter and leave m pieces.
 
-    Where a line misses a piece, these are infinity and -infinity.
+    If a line misses a piece, the heights are infinity and -infinity.
     """
     origins = np.column_stack([points, np.zeros(len(points))])
     return _through(every, origins, np.array([[0.0, 0.0, 1.0]]))
 
 
 def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
-    """Return the index of the first piece that each ray (n, 3) hits, and the distance in m; infinite for no hit."""
+    """Return the index of the first piece that each ray (n, 3) hits, and the distance in m; infinite without a hit."""
     into, out = _through(every, origins, directions)
     met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
     return met.argmin(axis=1), met.min(axis=1)
 
 
 def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return the distances (n, m) along lines at which they enter and leave pieces; infinity and -infinity for a miss.
+    """Return the distances (n, m) at which lines enter and leave pieces; infinity and -infinity for a miss.
 
     Args:
         every: m pieces.
@@ -301,16 +298,16 @@ def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple
 
 
 def _near(piece: Piece, origins: Array, directions: Array) -> NDArray[np.intp]:
-    """Return the indices of the lines that pass through the bounding box of a piece, which is a little widened."""
+    """Return the indices of the lines that pass through a piece's bounding box, with a margin of ``_GAP``."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (np.stack([piece.low - _GAP, piece.high + _GAP])[:, None] - origins) / directions
-    low, high = np.sort(ends, axis=0)  # (n, 3) by axis; infinite where a line is parallel to a side
+    low, high = np.sort(ends, axis=0)  # (n, 3); infinite if a line is parallel to a side
     found = np.flatnonzero(low.max(axis=1) <= high.min(axis=1))
-    return np.resize(found, 2) if len(found) == 1 else found  # twice, as BLAS rounds a single row differently
+    return np.resize(found, 2) if len(found) == 1 else found  # repeated, because BLAS rounds a single row differently
 
 
 def _between_planes(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return the same as :func:`_through`, by all planes of all pieces for each line."""
+    """Return the distances of :func:`_through`, from all planes of all pieces."""
     starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
     planes = np.concatenate([piece.planes for piece in every])
     planes = np.concatenate([planes, planes[[-1] * (-len(planes) % _COLUMNS)]])  # BLAS rounds odd columns differently
@@ -326,7 +323,7 @@ def _between_planes(every: Sequence[Piece], origins: Array, directions: Array) -
 
 
 def pieces(path: Path, poses: Mapping[str, Pose]) -> Sequence[Piece]:
-    """Return the convex pieces of the model with a canonical URDF, for poses of its links in the root link."""
+    """Return the convex pieces of a canonical URDF for poses of its links in the root link."""
     links, every = [], []
     for link, corners in pieces_of(path):
         position, orientation = poses[link]
@@ -334,7 +331,7 @@ def pieces(path: Path, poses: Mapping[str, Pose]) -> Sequence[Piece]:
         every.append(corners @ geometry.to_matrix(orientation).T + position)
     found = []
     for link, placed, hull in zip(links, every, convex_hulls(every), strict=True):
-        if hull is None:  # flat: objects don't stand on it safely
+        if hull is None:  # objects don't stand safely on a flat piece
             continue
         planes = np.array(sorted(set(map(tuple, hull.planes.round(_SAME_PLANE).tolist()))))
         low, high = placed.min(axis=0), placed.max(axis=0)

@@ -1,8 +1,8 @@
 """Loading models: from a user's file or a recording's attachments to a checked, canonical URDF in the store.
 
-PyBullet refuses a broken file without a reason, loads it without a shape, or crashes the process. So every file is
-checked here first. That includes files of recordings, which a stranger may have written. A canonical URDF names its
-meshes ``<sha256>/<file name>``, as the store does (:mod:`pycram.models.store`).
+PyBullet rejects a broken file without a reason, loads it without a shape, or crashes the process. So this module checks
+every file first, also files of recordings, which a stranger may have written. A canonical URDF names its meshes
+``<sha256>/<file name>``, as the store does (:mod:`pycram.models.store`).
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128
 _CACHED_MESHES: Final = 1024
 _SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # shapes with textures
-_START: Final = b"<robot "  # start of a canonical URDF: no declarations, no entities, no other encoding
+_START: Final = b"<robot "  # start of a canonical URDF, which has no declarations and no entities
 _MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
-_MAX_NAME: Final = 230  # bytes of a file's name; file systems take 255, and a partial file has a longer name
-_MAX_LINE: Final = 8000  # bytes of a line of a URDF: PyBullet breaks longer lines and then reads something else
-_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # a byte that isn't UTF-8, as recordings spell it
+_MAX_NAME: Final = 230  # bytes of a file's name; file systems allow 255, and a temporary file has a longer name
+_MAX_LINE: Final = 8000  # bytes of a line of a URDF; PyBullet breaks longer lines
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # a byte that isn't UTF-8, as recordings write it
 _RESERVED: Final = ("", ".", "..")
 
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """A model, ready to load."""
+    """A checked model that the engine can load."""
 
     path: Path  # the canonical URDF in the store
     urdf: Urdf  # tree of links and joints
-    files: tuple[AssetFile, ...]  # the URDF, then the files that it names by their keys, then corrections of furniture
+    files: tuple[AssetFile, ...]  # the URDF, then the files that the URDF names, then corrections of furniture
     loading: Loading = NOW  # how the engine makes a body of the model
 
 
@@ -61,17 +61,17 @@ def load(
 
     Args:
         path: A .urdf, .stl, .obj or .dae file; see :func:`pycram.models.files.find`.
-        color: RGBA 0..1 for a mesh; None keeps the colours of the file.
-        packages: Folders of ROS packages that the URDF names, or their parents; see :mod:`pycram.models.files`.
+        color: RGBA 0..1 of a mesh; None keeps the colours of the file.
+        packages: Folders of ROS packages, or folders that contain them; see :mod:`pycram.models.files`.
         scale: Metres per unit of length of the file.
 
     Raises:
-        BadArgument: A folder of packages doesn't exist.
+        BadArgument: A folder in ``packages`` doesn't exist.
         AssetError: The file or one of its meshes is missing, broken or of an unknown type.
     """
     file = find(path)
     kind = file.suffix.lower()
-    with Uninterrupted():  # libraries with lazy imports of each other swallow a Ctrl-C
+    with Uninterrupted():  # libraries with lazy imports ignore a Ctrl-C
         if kind == ".urdf":
             return _corrected(file, _canonical(file, read_bytes(file), file.stem, check_packages(packages), scale))
         if kind in _MESH_SUFFIXES:
@@ -82,7 +82,7 @@ def load(
 
 
 def _corrected(file: Path, model: Model) -> Model:
-    """Return a model with the corrections of its furniture in the TOML file next to it, if there is one."""
+    """Return a model with the corrections of its furniture, if a TOML file next to the model has corrections."""
     beside = file.with_name(f"{file.stem}{corrections.SUFFIX}")
     if not beside.exists():
         return model
@@ -108,7 +108,7 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
 def _file_names(source: Path, content: bytes, scale: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Check the links of a URDF; return the file names of its meshes and of its textures."""
+    """Check the links of a URDF; return the file names of the meshes, and of the textures."""
     root = canonical_urdf.read(source, content, scale)
     meshes, textures = (
         dict.fromkeys(element.get("filename", "") for element in root.iter(tag)) for tag in ("mesh", "texture")
@@ -128,7 +128,7 @@ class _FileVersion(NamedTuple):
 def _cached_model(
     source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...], scale: float
 ) -> Model:
-    """Return the model of a URDF with these versions of its files; without a cache, worlds load much more slowly."""
+    """Return the model of a URDF and of these versions of its files. The cache makes loading much faster."""
     root = canonical_urdf.read(source, content, scale)
     files = dict(versions)
     used: dict[str, AssetFile] = {}
@@ -147,17 +147,17 @@ def _cached_model(
                 _cover(link, visual, picture, used)
     for material in root.iter("material"):
         for texture in material.findall("texture"):
-            material.remove(texture)  # the shapes have its colours now
+            material.remove(texture)  # the shapes have the texture's colours now
     text, tree = canonical_urdf.write(source, root)
     path, asset = store.write_urdf(f"{stem}.urdf", text, root)
-    piece_bounds(path)  # computed now, so that the first query is fast
+    piece_bounds(path)  # fill the cache, so that the first query is fast
     return Model(path, tree, (asset, *used.values()))
 
 
 def _texture(
     visual: ET.Element, named: Mapping[str | None, ET.Element], files: Mapping[str, _FileVersion]
 ) -> _FileVersion | None:
-    """Return the texture of a visual's material, defined there or by name; None if it has none, or it is missing."""
+    """Return the texture of a visual's material; None without a texture, or if its file is missing."""
     material = visual.find("material")
     if material is not None and len(material) == 0:
         material = named.get(material.get("name"))
@@ -181,7 +181,7 @@ def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: di
 def _color(
     link: ET.Element, visual: ET.Element, shown: ET.Element, parts: Sequence[_Painted], used: dict[str, AssetFile]
 ) -> None:
-    """Replace a visual with a visual for each colour of its mesh; colours of meshes override the URDF's, as in RViz."""
+    """Replace a visual with a visual for each colour of its mesh. As in RViz, meshes override colours of the URDF."""
     place = list(link).index(visual)
     link.remove(visual)
     for number, (asset, rgba) in enumerate(parts):
@@ -203,7 +203,7 @@ class _Painted(NamedTuple):
 @cache
 @notable
 def _collision_mesh(version: _FileVersion) -> AssetFile:
-    """Store a mesh as the engine reads it; each version of a file is checked once."""
+    """Store a collision mesh in a format that the engine reads; check each version of a file once."""
     file = version.file
     ((name, content, _),) = conversion_cache.get("collision", file, lambda: [(*mesh.convert_collision(file), None)])
     return store.write_mesh(name, content)
@@ -212,7 +212,7 @@ def _collision_mesh(version: _FileVersion) -> AssetFile:
 @cache
 @notable
 def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple[_Painted, ...]:
-    """Store the visual meshes of a mesh, one for each colour; each version of the files is checked once."""
+    """Store a visual mesh as one mesh for each colour; check each version of the files once."""
     file, cover = version.file, None if picture is None else read_bytes(picture.file)
     kind = "visual" if cover is None else f"visual {sha256(cover).hexdigest()}"
     parts = conversion_cache.get(kind, file, lambda: mesh.convert_visual(file, cover))
@@ -221,7 +221,7 @@ def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple
 
 @cache
 def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple[_Painted, ...]:
-    """Store the visual meshes of a shape with a texture, one for each colour."""
+    """Store a shape with a texture as one mesh for each colour."""
     name = f"{picture.file.stem}-{kind}"
     parts = enumerate(cover_shape(kind, size, picture.file))
     return tuple(_Painted(store.write_mesh(f"{name}-{n}.stl", mesh.stl(some)), rgba) for n, (some, rgba) in parts)
@@ -231,12 +231,12 @@ def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
     """Load a model from a recording's attachments.
 
     Args:
-        files: Attachment names (``<sha256>/<file name>``) and contents of the model's files, the URDF first.
+        files: Names (``<sha256>/<file name>``) and contents of attachments: the URDF first, then the other files.
         loading: How the engine made a body of the model.
 
     Raises:
-        AssetError: A file's name isn't the hash of its content, the URDF is broken or names another file, a mesh is
-            broken, or corrections of its furniture don't fit.
+        AssetError: The name of a file doesn't match the hash of its content, the URDF names another file, or a file is
+            broken.
     """
     model, *others = [_file(key, content) for key, content in files]
     beside = [file for file in others if file.name.endswith(corrections.SUFFIX)]
@@ -274,7 +274,7 @@ def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
     if max(map(len, content.splitlines())) > _MAX_LINE:
         raise AssetError(key, f"has a line of more than {_MAX_LINE} bytes, which canonical URDF doesn't have")
     canonical_urdf.read(path, content)
-    for element in ET.fromstring(content).iter():  # noqa: S314  no entities; the engine reads more elements than URDF's
+    for element in ET.fromstring(content).iter():  # noqa: S314  without entities; the engine reads all elements
         named = element.get("filename")
         if element.tag == "texture" or (named is not None and named not in meshes):
             raise AssetError(key, f"names the file {named!r}, which the recording doesn't contain for this body")

@@ -1,8 +1,7 @@
-"""Meshes: STL, OBJ and COLLADA files, checked and converted for the engine and viewers.
+"""Meshes: this module checks STL, OBJ and COLLADA files, and converts them for the engine and viewers.
 
-PyBullet loads a truncated or ASCII STL as a body without a shape. So every mesh is parsed here first. COLLADA files are
-read with pycollada: trimesh takes three times as long. OBJ files of triangles without materials, such as all OBJ files
-in recordings, are read without trimesh, which takes a second to import.
+PyBullet loads a truncated or ASCII STL as a body without a shape, so every mesh is parsed here first. pycollada reads
+COLLADA three times as fast as trimesh. Most OBJ files are read without trimesh, whose import takes a second.
 """
 
 from __future__ import annotations
@@ -37,27 +36,27 @@ else:
     with needed("executor"):
         collada, trimesh = LazyModule("collada"), LazyModule("trimesh")
 
-_LARGE: Final = 5000  # faces
-_FAR: Final = 1e9  # maximum coordinate of a mesh, in the file's unit, which a URDF may scale
+_LARGE: Final = 5000  # number of faces of a large mesh
+_FAR: Final = 1e9  # maximum coordinate of a mesh, in the unit of the file
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 _STL_HEADER: Final = 84
 _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
-_MAX_LINE: Final = 8000  # bytes of a line of OBJ: PyBullet splits lines after 8,192
+_MAX_LINE: Final = 8000  # bytes of a line of an OBJ file; PyBullet splits lines after 8,192 bytes
 
 
 class ColoredPart(NamedTuple):
-    """Triangles of a mesh with the same colour."""
+    """Triangles of a mesh that have the same colour."""
 
     triangles: Array  # (n, 3, 3) corners in the mesh's frame, m
     rgba: Rgba | None  # 0..1; None if the file has no colour
 
 
-@lru_cache(maxsize=2)  # most models use the same mesh first for collision, then for visuals
+@lru_cache(maxsize=2)  # most models use a mesh for collision, and then for visuals
 def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[ColoredPart, ...]:
-    """Return the triangles of a .dae or .obj file by colour.
+    """Return the triangles of a .dae or .obj file, grouped by colour.
 
     Args:
-        file: The file; its textures and materials are next to it.
+        file: The file. Its textures and materials are next to the file.
         content: The content of the file.
         cover: Content of a texture for faces without a material.
 
@@ -78,10 +77,10 @@ def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[
 
 
 def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterator[ColoredPart]:
-    """Yield parts as ROS reads COLLADA: in the file's unit of length, ignoring its up axis."""
+    """Yield parts in the file's unit of length. Like ROS, ignore the file's up axis."""
     try:
         document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
-    except collada.common.DaeMalformedError as error:  # it names the line
+    except collada.common.DaeMalformedError as error:  # the error names the line
         _, end, tail = content.rpartition(b"</COLLADA>")
         raise ValueError(f"{error}{'; delete everything after </COLLADA>' if end and tail.strip() else ''}") from error
     unit = document.assetInfo.unitmeter or 1.0
@@ -89,7 +88,7 @@ def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterato
         for primitive in geometry.primitives():
             mesh = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
             if not isinstance(mesh, collada.triangleset.BoundTriangleSet) or mesh.vertex is None or not len(mesh):
-                continue  # lines
+                continue  # lines have no triangles
             triangles = np.asarray(mesh.vertex[mesh.vertex_index], dtype=np.float64) * unit
             diffuse = getattr(getattr(mesh.material, "effect", None), "diffuse", None)
             if isinstance(diffuse, collada.material.Map):
@@ -133,10 +132,10 @@ def _obj_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterato
 
 
 def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
-    """Return the coordinates of an OBJ's vertices, as text, and the indices of each face's vertices.
+    """Return the vertices of an OBJ as texts of coordinates, and the indices of each face's vertices.
 
     Raises:
-        ValueError: A face has a corner that doesn't exist, or PyBullet would split a line: either crashes the process.
+        ValueError: A face has a missing corner, or a line is too long. PyBullet would crash in both cases.
     """
     known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
     vertices: list[list[bytes]] = []
@@ -210,7 +209,7 @@ def _without_log() -> Iterator[None]:
 
 
 def parse(file: Path) -> trimesh.Trimesh:
-    """Read a .stl, .obj or .dae file as a single mesh in its own frame, in metres.
+    """Read a .stl, .obj or .dae file as a single mesh, in metres.
 
     Raises:
         AssetError: The file can't be read, has no faces, or has a number that isn't finite.
@@ -233,7 +232,7 @@ def parse(file: Path) -> trimesh.Trimesh:
 
 
 def convert(file: Path) -> tuple[str, bytes]:
-    """Return file name and content of a .stl, .obj or .dae mesh for the engine: ASCII STL and COLLADA as binary STL.
+    """Return file name and content of a mesh for the engine; ASCII STL and COLLADA become binary STL.
 
     Raises:
         AssetError: The file is empty or truncated, has no faces, or has a number that isn't finite.
@@ -245,7 +244,7 @@ def convert(file: Path) -> tuple[str, bytes]:
         return file.name, _with_normals(content)
     if kind == ".obj":
         _all_triangles(file, content)
-        # colours are the URDF's materials: PyBullet supports one colour per mesh
+        # the URDF has the colours, because PyBullet supports one colour per mesh
         lines = content.decode("utf-8", "replace").splitlines()
         kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
         return file.name, ("\n".join(kept) + "\n").encode()
@@ -255,8 +254,8 @@ def convert(file: Path) -> tuple[str, bytes]:
 def convert_collision(file: Path) -> tuple[str, bytes]:
     """Return file name and content of a collision mesh for the engine; see :func:`convert`.
 
-    A large mesh in one piece is replaced with its convex hull: only the hull collides, and the engine would compute it
-    slowly each time the model is loaded.
+    The convex hull replaces a large mesh in one piece: the engine uses only the hull, and would compute it slowly each
+    time that it loads the model.
     """
     content = _bytes(file)
     kind = file.suffix.lower()
@@ -274,7 +273,7 @@ def convert_collision(file: Path) -> tuple[str, bytes]:
 
 
 def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:
-    """Return the triangles of the convex hull with outward normals; None if the mesh is flat."""
+    """Return the triangles of the convex hull with outward normals; None for a flat mesh."""
     with needed():
         from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415  pictures of recordings don't need SciPy
 
@@ -292,32 +291,22 @@ def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:
 
 
 def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, bytes, Sequence[float] | None]]:
-    """Return the visual parts of a mesh: file name, content and colour RGBA 0..1 of each.
+    """Return file name, content and colour of each visual part of a mesh; a file without faces has no parts.
 
-    A colour is None if the file has none. Lines are not shown: a file without faces has no parts.
-
-    Args:
-        file: The mesh.
-        cover: Content of a texture for faces without a material; faces without texture coordinates get its mean colour.
-
-    Raises:
-        AssetError: As for :func:`convert`.
+    The colour is RGBA 0..1, or None if the file has no colour. ``cover`` is the content of a texture for faces without
+    a material; faces without texture coordinates get its mean colour. Errors are those of :func:`convert`.
     """
     if file.suffix.lower() not in (".dae", ".obj"):
         image = None if cover is None else read_image(io.BytesIO(cover))
         return [(*convert(file), None if image is None else mean(image))]
     parts = read_parts(file, _bytes(file), cover)
     if file.suffix.lower() == ".obj" and len(parts) == 1:
-        return [(*convert(file), parts[0].rgba)]  # keeps its normals
+        return [(*convert(file), parts[0].rgba)]  # keeps the normals of the file
     return [(f"{file.stem}-{number}.stl", stl(part.triangles), part.rgba) for number, part in enumerate(parts)]
 
 
 def check(file: Path) -> None:
-    """Reject a mesh that :func:`convert` can't have written.
-
-    Raises:
-        AssetError: The file is neither a binary STL nor an OBJ, or is broken.
-    """
+    """Raise an AssetError if a mesh is broken, or isn't a binary STL or an OBJ, the formats that we write."""
     kind = file.suffix.lower()
     if kind == ".stl":
         _check_binary_stl(file, _bytes(file))
@@ -335,7 +324,7 @@ def _all_triangles(file: Path, content: bytes) -> NDArray[np.float64]:
 
 
 def stl_faces(content: bytes) -> NDArray[np.void]:
-    """Return the faces (n,) of a complete binary STL; "numbers" (4, 3) are the normal and three corners of each."""
+    """Return the faces (n,) of a complete binary STL; their "numbers" (4, 3) are a normal and three corners."""
     count = struct.unpack("<I", content[_STL_HEADER - 4 : _STL_HEADER])[0]
     return np.frombuffer(content, dtype=_STL_FACE, count=count, offset=_STL_HEADER)
 
@@ -371,7 +360,7 @@ def _check_binary_stl(file: Path, content: bytes) -> None:
 
 
 def _with_normals(content: bytes) -> bytes:
-    """Fill in the zero normals that many exporters write: the mesh would be rendered black."""
+    """Replace the zero normals that many exporters write, because viewers would render the mesh black."""
     table = stl_faces(content).copy()
     numbers = table["numbers"]
     missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # the absolute components of a unit vector add up to at least 1
@@ -386,7 +375,7 @@ def _with_normals(content: bytes) -> bytes:
 
 
 def stl(triangles: Array) -> bytes:
-    """Return a binary STL of triangles (n, 3, 3), which is read many times faster than text."""
+    """Return triangles (n, 3, 3) as a binary STL, which is much faster to read than text."""
     table = np.zeros(len(triangles), dtype=_STL_FACE)
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     table["numbers"][:, 0] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

@@ -1,8 +1,9 @@
 """The URDF of an object that is a single mesh file.
 
-PyBullet collides with the convex hull of a mesh: a bowl would be solid. So concave meshes get a convex decomposition:
-from ``NAME.collision.obj`` next to the mesh (one ``o`` group per convex piece), otherwise by V-HACD. A table ``[NAME]``
-in ``objects.toml`` next to the mesh may give its mass (kg), friction and coloured visual parts.
+PyBullet uses the convex hull of a mesh for collisions: a bowl would be solid. So a concave mesh gets a convex
+decomposition: the file ``NAME.collision.obj`` next to the mesh (one ``o`` group per convex piece), else by V-HACD. The
+table ``[NAME]`` of the file ``objects.toml`` next to the mesh may contain mass (kg), friction and coloured visual
+parts.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
     import trimesh
 
-_MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fills; of its area for an open mesh
+_MIN_CONVEXITY: Final = 0.9  # minimum share of the hull's volume that a convex mesh fills; for open meshes of the area
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 
@@ -38,8 +39,8 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
 
     Args:
         file: The mesh.
-        color: RGBA 0..1 of the object; None for the colours of the mesh, or grey.
-        scale: Metres per unit of length of the mesh, and of meshes next to it.
+        color: RGBA 0..1 of the object; None for the colours of the mesh, or grey if the mesh has no colours.
+        scale: Metres per unit of length of the mesh, and of other meshes next to it.
 
     Raises:
         AssetError: The mesh or a file next to it is broken, or the object is too large for the engine.
@@ -54,7 +55,7 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
 
 
 def _read_besides(file: Path) -> Iterator[Path]:
-    """Yield the files next to a mesh that its conversion reads: pieces, table, and meshes that the table names."""
+    """Yield the files next to a mesh that the conversion reads: pieces, table, and meshes that the table names."""
     yield _pieces(file)
     yield _table(file)
     for part in _colored(_properties(file)) or ():
@@ -62,9 +63,9 @@ def _read_besides(file: Path) -> Iterator[Path]:
 
 
 def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[tuple[str, bytes, None]]:
-    """Yield name and content of the meshes and, last, of the URDF, which names the meshes by their keys.
+    """Yield name and content of the meshes, and then of the URDF.
 
-    The URDF has one link with convex collision shapes, mass, centre of mass and inertia.
+    The URDF has one link with convex collision shapes, mass, centre of mass and inertia. Keys name the meshes.
     """
     shape = parse(file)
     if scale != 1.0:
@@ -91,7 +92,7 @@ def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[
     if _pieces(file).is_file():
         _set_scale(mesh, scale)
     yield name, content, None
-    # escaped: names may contain bytes of the file's name that aren't UTF-8
+    # escaped, because the name of the file may contain bytes that aren't UTF-8
     yield f"{file.stem}.urdf", escaped(ET.tostring(robot, encoding="unicode")).encode(), None
 
 
@@ -119,7 +120,7 @@ def _collision(file: Path, shape: trimesh.Trimesh) -> tuple[str, bytes]:
     hull = shape.convex_hull
     if shape.is_watertight:
         convex = shape.volume > _MIN_CONVEXITY * hull.volume
-    else:  # an open shell, such as a bowl without thickness, has no volume
+    else:  # an open shell has no volume, for example a bowl without thickness
         convex = _MIN_CONVEXITY < shape.area / hull.area < 1 / _MIN_CONVEXITY
     if convex:
         return f"{file.stem}.hull.obj", _obj(hull)
@@ -132,7 +133,7 @@ def _obj(shape: trimesh.Trimesh) -> bytes:
 
 
 def _decompose(content: bytes) -> bytes:
-    """Return the convex decomposition of an OBJ as an OBJ with one group per piece."""
+    """Return the convex decomposition of an OBJ, as an OBJ with a group for each piece."""
     from pycram.physics.engine import decompose  # noqa: PLC0415  only concave meshes need the engine
 
     source = store.write(AssetFile("concave.obj", content).key, content)
@@ -151,13 +152,13 @@ def _table(file: Path) -> Path:
 
 
 def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the coloured visual parts in a mesh's table; None if the table has none."""
+    """Return the coloured visual parts in a mesh's table; None if the table has no parts."""
     parts = entry.get("visual")
     return parts if isinstance(parts, list) else None
 
 
 def _properties(file: Path) -> Mapping[str, object]:
-    """Return a mesh's table in ``objects.toml``; empty if there is none."""
+    """Return a mesh's table in ``objects.toml``; empty if the file has no such table."""
     table = _table(file)
     entry = _parsed(read_text(table), table).get(file.stem) if table.is_file() else None
     return entry if isinstance(entry, dict) else {}

@@ -1,7 +1,7 @@
-"""Rigid parts and single links of a model, as models of their own for collision checks and simulation clones.
+"""Rigid parts and single links of a model, as separate models for collision checks and simulation clones.
 
-The cost of an engine's step grows with the number of links, even of distant links; the cost of loading, with the
-number of meshes. So simulation clones load furniture as its rigid parts, and collision checks load single links.
+The duration of an engine's step grows with the number of links, even of distant links. The duration of loading grows
+with the number of meshes. So simulation clones load furniture as rigid parts, and collision checks load single links.
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _CACHED_LINKS: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class RigidPart:
-    """Links that fixed joints connect, as one link."""
+    """Links that fixed joints connect, merged into one link."""
 
-    frame: str  # the link whose frame is the part's frame
-    links: tuple[str, ...]  # links with collision shapes
+    frame: str  # name of the link whose frame is the frame of the part
+    links: tuple[str, ...]  # names of the merged links with collision shapes
     path: Path  # canonical URDF of the part
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
 def divided(path: Path) -> tuple[RigidPart, ...]:
-    """Return the rigid parts with collision shapes of the model with a canonical URDF.
+    """Return the rigid parts of a canonical URDF that have collision shapes.
 
-    Links with different friction or stiffness are different parts, because these are properties of a link.
+    Links with different friction or stiffness are different parts, because a link has only one friction.
     """
     elements = {link.get("name", ""): link for link in store.document(path).findall("link")}
     urdf = stored_tree(path)
@@ -66,21 +66,21 @@ def divided(path: Path) -> tuple[RigidPart, ...]:
 @lru_cache(maxsize=_CACHED_LINKS)
 @notable
 def single_link(path: Path, link: str) -> Path:
-    """Return the URDF of a model that consists of one link of the model with a canonical URDF."""
+    """Return the URDF of a model that consists of one link of a canonical URDF."""
     elements = store.document(path).findall("link")
     return _write(link, [(element, geometry.IDENTITY) for element in elements if element.get("name") == link])
 
 
 def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
-    """Store a model of one link with the collision shapes of several.
+    """Store a model of one link that has the collision shapes of several links.
 
     Args:
         name: Name of the new link.
-        links: Elements of links with equal friction and stiffness, and their poses in the new link's frame.
+        links: Elements of links with equal friction and stiffness, and their poses in the frame of the new link.
     """
     root = ET.Element("robot", name=name)
     merged = ET.SubElement(root, "link", name=name)
-    inertial = ET.SubElement(merged, "inertial")  # any inertia: the base of a part is fixed
+    inertial = ET.SubElement(merged, "inertial")  # any inertia will do, because the base of a part is fixed
     ET.SubElement(inertial, "mass", value="1")
     ET.SubElement(inertial, "inertia", attrib=_INERTIA)
     for link, pose in links:
@@ -91,7 +91,7 @@ def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
 
 
 def _moved(collision: ET.Element, pose: Pose) -> ET.Element:
-    """Return a <collision> element in another frame, in which its link has the given pose."""
+    """Return a <collision> element in another frame; ``pose`` is the pose of its link in that frame."""
     if pose == geometry.IDENTITY:
         return collision
     moved = copy.copy(collision)

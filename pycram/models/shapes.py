@@ -1,7 +1,7 @@
-"""Shapes of a model: triangles, colours, bounding boxes, and the convex pieces that the engine collides with.
+"""Shapes of a model: triangles, colours, bounding boxes, and the convex pieces that the engine uses for collisions.
 
-They are read once from the canonical URDF, whose name changes with its content. The engine takes the convex hull of
-each group of a collision mesh. The planes of a hull are half spaces, with which lines can be intersected.
+Each canonical URDF is read once, because its name changes with its content. The engine uses the convex hull of each
+group of a collision mesh. The planes of a hull are half spaces, so lines can be intersected with a hull.
 """
 
 from __future__ import annotations
@@ -32,30 +32,30 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
-"""Lowest and highest corner of a bounding box, m."""
-_SMALL: Final = 300  # numbers in a small array
+"""The lowest and the highest corner of a bounding box, m."""
+_SMALL: Final = 300  # maximum size of a small array
 _SECTIONS: Final = 32  # sides of cylinders and spheres
-_NO_AREA: Final = 1e-12  # m^2, for a solid of 1 m: a triangle with two corners on the axis
+_NO_AREA: Final = 1e-12  # m^2 for a solid of 1 m; smaller triangles have two corners on the axis
 _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners; edges are 1 m long
 _SIDES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 """Indices of the corners of each side of the cube, counter-clockwise as seen from outside."""
 _CUBE_TRIANGLES: Final = np.array([_CUBE[[a, *ends]] for a, b, c, d in _SIDES for ends in ((b, c), (c, d))])
-_PLANE_DECIMALS: Final = 9  # decimals in which planes of triangles on one face agree
-_MAX_CHOSEN: Final = 40  # corners; with more, trying every choice of three takes longer than 3 ms
-_SHARED: Final = 6  # approximate number of triangles at a corner, and of its repetitions in a list of triangles
+_PLANE_DECIMALS: Final = 9  # decimal places that planes of triangles on one face share
+_MAX_CHOSEN: Final = 40  # number of corners; with more, trying every choice of three takes more than 3 ms
+_SHARED: Final = 6  # approximate number of triangles that share a corner
 _FLAT: Final = 1e-9  # m, tolerance for corners in front of a plane, and minimum thickness of a solid
-_IN_LINE: Final = 1e-12  # m^2, maximum of twice the area of three collinear corners
-_NEXT: Final = [1, 2, 0]  # axes of the factors of a cross product
-_OTHER: Final = [2, 0, 1]
+_IN_LINE: Final = 1e-12  # m^2, maximum of twice the area between three collinear corners
+_NEXT: Final = [1, 2, 0]  # axes of the first factors of a cross product
+_OTHER: Final = [2, 0, 1]  # axes of the second factors
 
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Shapes of the k links of a model that have shapes, in the links' frames."""
+    """Shapes of the k links of a model that have shapes, in the frames of the links."""
 
     links: tuple[str, ...]
     triangles: Sequence[Array]  # for each link, (n, 3, 3) corners, m
-    colors: Sequence[Array]  # for each link, (n, 3) RGB 0..1 of its triangles
+    colors: Sequence[Array]  # for each link, (n, 3) RGB 0..1 of the triangles
     low: Array  # (k, 3) lowest corners of bounding boxes, m
     high: Array  # (k, 3) highest corners of bounding boxes, m
 
@@ -63,7 +63,7 @@ class Shapes:
 @lru_cache(maxsize=256)
 @notable
 def shapes_of(path: Path, role: str = "visual") -> Shapes:
-    """Return the "visual" or "collision" shapes of the model with a canonical URDF."""
+    """Return the "visual" or "collision" shapes of a canonical URDF."""
     links = _read(path, role)
     triangles = LazySequence([partial(_corners_of, tuple(parts), path.parent) for parts in links.values()])
     colors = LazySequence([partial(_colors_of, tuple(parts), path.parent) for parts in links.values()])
@@ -73,11 +73,7 @@ def shapes_of(path: Path, role: str = "visual") -> Shapes:
 
 
 class LazySequence(Sequence[T]):
-    """Values that are computed when first read: a camera sees few links of a large model at a time.
-
-    Args:
-        make: Computes each value.
-    """
+    """Values that ``make`` computes at their first reading, because a camera sees few links of a model at a time."""
 
     def __init__(self, make: Sequence[Callable[[], T]]) -> None:
         self._make = make
@@ -116,16 +112,16 @@ def _colors_of(parts: Sequence[Shape], folder: Path) -> Array:
 
 
 def bounds(corners: Array) -> tuple[Array, Array]:
-    """Return the lowest and highest corner of a box around corners (..., 3); each axis alone is many times faster."""
+    """Return the lowest and highest corner of a box around corners (..., 3)."""
     if corners.size <= _SMALL:
         few = corners.reshape(-1, 3)
         return few.min(axis=0), few.max(axis=0)
-    x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))
+    x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))  # each axis alone is much faster
     return np.array([x.min(), y.min(), z.min()]), np.array([x.max(), y.max(), z.max()])
 
 
 def _ends(shape: Shape, folder: Path) -> Ends:
-    """Return lowest and highest corner of a box around a shape, in its link's frame."""
+    """Return the bounding box of a shape in the frame of its link."""
     position, orientation = shape.pose
     if orientation == geometry.IDENTITY[1]:
         if shape.kind == "box":
@@ -140,7 +136,7 @@ def _ends(shape: Shape, folder: Path) -> Ends:
 @lru_cache(maxsize=256)
 @notable
 def piece_bounds(path: Path) -> Sequence[tuple[str, Ends]]:
-    """Return link, lowest and highest corner of each piece of :func:`pieces_of`."""
+    """Return link and bounding box of each piece of :func:`pieces_of`."""
     every: list[tuple[str, Ends]] = []
     for link, parts in _read(path, "collision").items():
         for part in parts:
@@ -152,7 +148,7 @@ def piece_bounds(path: Path) -> Sequence[tuple[str, Ends]]:
 
 
 def pieces_of(path: Path) -> Iterator[tuple[str, Array]]:
-    """Yield link and corners (n, 3), m, of the pieces of collision shapes; the engine takes the convex hull of each."""
+    """Yield link and corners (n, 3), m, of each piece of a collision shape; the engine uses the piece's convex hull."""
     for link, parts in _read(path, "collision").items():
         for part in parts:
             for group in _groups(part, path.parent):
@@ -160,7 +156,7 @@ def pieces_of(path: Path) -> Iterator[tuple[str, Array]]:
 
 
 def _placed(shape: Shape, corners: Array) -> Array:
-    """Transform corners from a shape's frame into its link's."""
+    """Transform corners from the frame of a shape into the frame of its link."""
     position, orientation = shape.pose
     turned = corners if orientation == geometry.IDENTITY[1] else corners @ geometry.to_matrix(orientation).T
     placed: Array = turned + np.array(position)
@@ -168,7 +164,7 @@ def _placed(shape: Shape, corners: Array) -> Array:
 
 
 def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
-    """Yield corners (n, 3) or (n, 3, 3) of the groups of a shape in its own frame; only an OBJ has several groups."""
+    """Yield corners (n, 3) or (n, 3, 3) of each group of a shape, in the shape's frame; an OBJ may have many groups."""
     if shape.kind == "box":
         yield _CUBE * shape.size
         return
@@ -176,7 +172,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
         yield _triangles(shape, folder)
         return
     corners: list[list[str]] = []
-    groups: list[set[str]] = [set()]  # indices as text, which are faster to collect: each is repeated some six times
+    groups: list[set[str]] = [set()]  # indices as text, because each index occurs about six times
     for key, words in _obj_lines(folder / shape.mesh):
         if key == "v":
             corners.append(words)
@@ -191,7 +187,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
 
 
 def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield key and words of the lines of an OBJ: coordinates of vertices; for faces, indices of vertices from 1."""
+    """Yield key and words of each line of an OBJ: coordinates of a vertex, or indices from 1 of a face's vertices."""
     count = 0
     for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split() or [""]
@@ -201,13 +197,13 @@ def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
         elif key == "f":
             if "/" in line:  # indices of normals and texture coordinates follow
                 words = [word.split("/")[0] for word in words]
-            if "-" in line:  # relative to the last vertex
+            if "-" in line:  # negative indices are relative to the last vertex
                 words = [str(count + 1 + int(word)) if word.startswith("-") else word for word in words]
         yield key, words
 
 
 def _triangles(shape: Shape, folder: Path) -> Array:
-    """Return the triangles of a shape in its own frame."""
+    """Return the triangles of a shape, in the shape's frame."""
     if shape.kind == "mesh":
         scaled: Array = _mesh(folder / shape.mesh) * np.array(shape.size)
         return scaled
@@ -223,10 +219,10 @@ def _triangles(shape: Shape, folder: Path) -> Array:
 
 
 def _revolved(profile: Array) -> Array:
-    """Return the triangles of a solid of revolution about the z axis, counter-clockwise as seen from outside.
+    """Return the triangles of a solid of revolution about the z axis; seen from outside, they are counter-clockwise.
 
     Args:
-        profile: (k, 2) points from bottom to top: distance from the axis and height, m.
+        profile: (k, 2) points from bottom to top; their coordinates are the distance from the axis, and the height, m.
     """
     angles = np.arange(_SECTIONS) * 2 * np.pi / _SECTIONS
     distance, height = profile.T
@@ -246,8 +242,8 @@ def _revolved(profile: Array) -> Array:
 @lru_cache(maxsize=1024)
 @notable
 def _mesh_ends(file: Path) -> Array:
-    """Return lowest and highest corner (2, 3) of a mesh."""
-    if file.suffix.lower() == ".stl":  # in its own number format, which is exact too
+    """Return the lowest and the highest corner (2, 3) of a mesh."""
+    if file.suffix.lower() == ".stl":  # the number format of an STL is exact, too
         return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
 
@@ -255,7 +251,7 @@ def _mesh_ends(file: Path) -> Array:
 @lru_cache(maxsize=256)
 @notable
 def _mesh(file: Path) -> Array:
-    if file.suffix.lower() == ".stl":  # binary: the store has no ASCII STL
+    if file.suffix.lower() == ".stl":  # a binary STL, because the store has no ASCII STL
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
     corners: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
@@ -271,7 +267,7 @@ def _mesh(file: Path) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Solids:
-    """The k convex pieces of a model, with m planes sorted by piece, in the links' frames."""
+    """The k convex pieces of a model, and their m planes in the order of the pieces, in the frames of the links."""
 
     links: tuple[str, ...]  # (k,) the link of each piece
     low: Array  # (k, 3) lowest corners of bounding boxes, m
@@ -284,7 +280,7 @@ class Solids:
 @lru_cache(maxsize=256)
 @notable
 def solids_of(path: Path) -> Solids:
-    """Return the convex pieces of the model with a canonical URDF."""
+    """Return the convex pieces of a canonical URDF."""
     found = list(pieces_of(path))
     hulls = convex_hulls([corners for _, corners in found])
     planes = [_planes(corners, hull) for (_, corners), hull in zip(found, hulls, strict=True)]
@@ -300,7 +296,7 @@ def solids_of(path: Path) -> Solids:
 
 
 def _planes(corners: Array, hull: Hull | None) -> Array:
-    """Return planes (n, 4) of a hull and of the bounding box of corners (m, 3); the box blunts sharp edges."""
+    """Return planes (n, 4) of a hull and of its corners' bounding box, which cuts off sharp edges."""
     box = np.column_stack(
         [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
     )
@@ -310,24 +306,23 @@ def _planes(corners: Array, hull: Hull | None) -> Array:
 
 
 def distinct(values: Array, axis: int | None = None) -> Array:
-    """Return the sorted distinct values; without the counts, NumPy would load its masked arrays."""
-    found: Array = np.unique(values, return_counts=True, axis=axis)[0]
+    """Return the sorted distinct values."""
+    found: Array = np.unique(values, return_counts=True, axis=axis)[0]  # without counts, NumPy loads masked arrays
     return found
 
 
 class Hull(NamedTuple):
     """A convex hull."""
 
-    corners: Array  # (n, 3), m; if there are few, inner points are included
+    corners: Array  # (n, 3), m; a small set of corners also contains inner points
     planes: Array
-    """(k, 4) outward unit normals, and offsets in m: inside, ``normal @ point + offset <= 0``. A plane may be repeated
-    with rounding errors."""
+    """(k, 4) outward unit normals, and offsets in m: inside, ``normal @ point + offset <= 0``. Planes may repeat."""
 
 
 def convex_hulls(every: Iterable[Array]) -> Sequence[Hull | None]:
-    """Return the convex hulls of sets of points (n, 3), m; None if the points of a set are coplanar.
+    """Return the convex hulls of sets of points (n, 3), m; None for a set of coplanar points.
 
-    SciPy finds the hulls of many points. It takes a quarter of a second to load, so they are cached.
+    SciPy finds the hulls of many points. A cache keeps these hulls, because SciPy takes 0.25 s to import.
     """
     sets = [
         distinct(corners, axis=0) if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED else corners
@@ -339,7 +334,7 @@ def convex_hulls(every: Iterable[Array]) -> Sequence[Hull | None]:
 
 
 def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
-    """Yield the hulls of sets of many points: from the cache, else by SciPy."""
+    """Yield the hulls of sets of many points from the cache, else by SciPy."""
 
     def find() -> Sequence[tuple[str, bytes, None]]:
         spatial, found = _spatial(), []
@@ -347,7 +342,7 @@ def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
             try:
                 hull = spatial.ConvexHull(corners)
                 parts: tuple[Array, ...] = corners[hull.vertices], hull.equations
-            except spatial.QhullError:  # flat
+            except spatial.QhullError:  # the set is flat
                 parts = np.zeros((0, 3)), np.zeros((0, 4))
             found += [("", np.ascontiguousarray(part).tobytes(), None) for part in parts]
         return found
@@ -359,7 +354,7 @@ def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
 
 
 def _small_hull(corners: Array) -> Hull | None:
-    """Return a hull by trying every choice of three points: they span a side if no point is in front of it."""
+    """Return a hull from all choices of three points: they span a side if no point is in front of their plane."""
     first, second, third = corners[_triples(len(corners))]
     u, v = second - first, third - first
     normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross would take most of the time

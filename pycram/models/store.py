@@ -1,7 +1,7 @@
-"""The store of canonical models: a temporary folder of the process; files are named after the hash of their content.
+"""The store of canonical models: a temporary folder of the process. The hash of a file's content is its name.
 
-The store is removed when the process ends. The store of a killed process is removed by the user's next process that
-creates a store: each process holds a lock in its folder, which the kernel releases when the process ends.
+The process removes its store when it ends. If a process was killed, the user's next process that creates a store
+removes the abandoned store. A lock in the store shows whether its process is alive.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _LOCK: Final = "lock"  # a file in each store
 
 @cache
 def folder() -> Path:
-    """Return the store's folder, which is removed at the end of the process."""
+    """Return the folder of the store; the end of the process removes it."""
     _remove_abandoned(Path(tempfile.gettempdir()))
     made, owner = _make(), os.getpid()
 
     def remove() -> None:
-        if os.getpid() == owner:  # a fork uses its parent's store and leaves it
-            with Uninterrupted():  # no traceback if Ctrl-C is pressed again
+        if os.getpid() == owner:  # a fork uses the store of its parent, and doesn't remove it
+            with Uninterrupted():  # a second Ctrl-C prints no traceback
                 shutil.rmtree(made, ignore_errors=True)
                 drop_pending()
 
@@ -48,18 +48,18 @@ def folder() -> Path:
 
 
 def _make() -> Path:
-    """Create and lock a folder; retry if another process removed it before it was locked."""
+    """Create and lock a folder; retry if another process removes the folder before it is locked."""
     while True:
         made = Path(tempfile.mkdtemp(prefix=_PREFIX))
         with suppress(FileNotFoundError):
             lock = os.open(made / _LOCK, os.O_RDWR | os.O_CREAT | system.OPENED, 0o600)
             if _holds(lock) and (made / _LOCK).exists():
-                return made  # the lock is held until the process ends
+                return made  # the process holds the lock until it ends
             os.close(lock)
 
 
 def _holds(lock: int) -> bool:
-    """Return whether this process got a lock; on a file system without locks, no store counts as abandoned."""
+    """Return whether this process got a lock; True on a file system without locks."""
     try:
         system.lock(lock)
     except BlockingIOError:
@@ -72,7 +72,7 @@ def _holds(lock: int) -> bool:
 def _remove_abandoned(where: Path) -> None:
     """Remove the stores of this user's killed processes."""
     for found in where.glob(f"{_PREFIX}*"):
-        with suppress(OSError):  # another user owns it, or another process was faster
+        with suppress(OSError):  # another user owns the store, or another process was faster
             of = found.lstat()
             if not stat.S_ISDIR(of.st_mode) or of.st_uid != system.user():
                 continue
@@ -85,7 +85,7 @@ def _remove_abandoned(where: Path) -> None:
 
 
 def write(name: str, content: bytes) -> Path:
-    """Store a file atomically, even if other threads or forks store it as well; return its path."""
+    """Store a file and return its path; atomic, even if other threads or forks store the same file."""
     target = folder() / name
     if not target.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +96,7 @@ def write(name: str, content: bytes) -> Path:
 
 
 def document(path: Path) -> ET.Element:
-    """Return the root element of a stored URDF, which must not be modified."""
+    """Return the root element of a stored URDF. The caller must not modify it."""
     known = _known(path)
     if not known:
         known.append(ET.fromstring(path.read_bytes()))  # noqa: S314  written by PyCRAM
@@ -105,7 +105,7 @@ def document(path: Path) -> ET.Element:
 
 @lru_cache(maxsize=_CACHED_DOCUMENTS)
 def _known(_path: Path) -> list[ET.Element]:
-    """Return the cache of a URDF's root element: a list, empty until the element is known."""
+    """Return a cache for the root element of a URDF: a list that is empty or contains the element."""
     return []
 
 
@@ -116,7 +116,7 @@ def stored_tree(path: Path) -> Urdf:
 
 
 def write_mesh(name: str, content: bytes) -> AssetFile:
-    """Store a mesh; stored URDFs refer to it by its key."""
+    """Store a mesh; stored URDFs name the mesh by its key."""
     asset = AssetFile(name, content, MESH_TYPE)
     write(asset.key, content)
     return asset
@@ -126,9 +126,9 @@ def write_urdf(name: str, content: bytes, root: ET.Element | None = None) -> tup
     """Store a URDF next to the folders of its meshes, where PyBullet looks for them.
 
     Args:
-        name: The file's name in recordings.
+        name: Name of the file in recordings.
         content: The text.
-        root: The root element if known; it must not be modified afterwards.
+        root: The root element if known; the caller must not modify it afterwards.
     """
     asset = AssetFile(name, content, URDF_TYPE)
     path = write(f"{asset.sha256}.urdf", content)

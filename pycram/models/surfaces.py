@@ -1,4 +1,4 @@
-"""Furniture as data: surfaces on which objects stand, and containers that can be opened."""
+"""Furniture as data: surfaces on which objects stand, and containers that a robot can open."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ DOOR: Final = "door"
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A surface on which objects can stand: on a counter, in a drawer, on a shelf."""
+    """A surface on which objects can stand, such as a counter, a shelf or the bottom of a drawer."""
 
     name: str  # unique in its furniture
     link: str
-    position: Vector  # middle of the surface in the link's frame, m
-    orientation: Quaternion  # xyzw in the link's frame; z points up when the furniture stands as loaded
-    outline: tuple[tuple[float, float], ...]  # corners x, y of a convex polygon, counter-clockwise, m
-    clearance: float  # m, free height while everything is closed; infinite if the surface is open above
-    container: str = ""  # name of the container around the surface; "" for none
+    position: Vector  # middle of the surface in the frame of the link, m
+    orientation: Quaternion  # xyzw in the frame of the link; z points up if the furniture stands upright
+    outline: tuple[tuple[float, float], ...]  # counter-clockwise corners x, y of a convex polygon, m
+    clearance: float  # m, free height with closed containers; infinite if the surface is open above
+    container: str = ""  # name of the container around the surface; "" without a container
 
     @property
     def pose(self) -> Pose:
-        """Position and orientation in the link's frame."""
+        """Position and orientation in the frame of the link."""
         return self.position, self.orientation
 
     @property
@@ -42,13 +42,13 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """A part of furniture that can be opened to reach the objects inside: a drawer, a fridge, a cupboard."""
+    """A part of furniture that a robot opens to reach the objects inside, such as a drawer, a fridge or a cupboard."""
 
     name: str  # unique in its furniture
-    kind: str  # "drawer" if its contents move with it, "door" if they stay behind it
+    kind: str  # "drawer" if its contents move with it, "door" if its contents stay
     link: str  # the moving part
-    joint: str  # the joint that moves it
-    handle: str  # link of the handle; "" for none
+    joint: str  # the joint that moves the part
+    handle: str  # link of the handle; "" without a handle
     closed: float  # joint position when closed, rad or m
     open: float  # joint position when fully open, rad or m
     surfaces: tuple[str, ...]  # names of the surfaces inside
@@ -56,7 +56,7 @@ class Container:
 
 @dataclass(frozen=True, slots=True)
 class Furniture:
-    """Surfaces and containers of a model by name."""
+    """Surfaces and containers of a model by their names."""
 
     surfaces: Mapping[str, Surface] = field(default_factory=lambda: MappingProxyType({}))
     containers: Mapping[str, Container] = field(default_factory=lambda: MappingProxyType({}))
@@ -67,7 +67,7 @@ NONE: Final = Furniture()
 
 
 def closed_position(joint: UrdfJoint) -> float:
-    """Return the joint position of a closed door or drawer, rad or m: the position within its limits nearest to 0."""
+    """Return the joint position of a closed door or drawer, rad or m: the position nearest to 0 within the limits."""
     return min(max(joint.lower, 0.0), joint.upper)
 
 

@@ -1,8 +1,8 @@
-"""Textures as colours of triangles: the engine and the viewers support one colour per shape.
+"""Textures as colours of triangles, because the engine and the viewers support one colour per shape.
 
-A texture is reduced to a palette. Triangles are divided until each has about one colour of the texture. A box shows the
-texture upright on each face. A cylinder shows it once around its side, and a disc of it on both ends. A sphere shows it
-once around, from pole to pole.
+A texture is reduced to a palette, and triangles are divided until each has about one colour. A box shows the texture
+upright on each face; a cylinder shows it once around its side, and a disc of it on both ends; a sphere shows it once
+around, from pole to pole.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ else:
     with needed("executor"):
         Image = LazyModule("PIL.Image")
 
-_COLORS: Final = 8  # size of the palette; each colour becomes a shape
-_SPOT: Final = 1 / 48  # share of the texture's width that a triangle may span
+_COLORS: Final = 8  # number of colours in the palette; each colour becomes a shape
+_SPOT: Final = 1 / 48  # maximum share of the texture's width that a triangle spans
 _MAX_TRIANGLES: Final = 20_000
 _MAX_SIDE: Final = 256  # pixels; larger images are reduced
 _SECTIONS: Final = 32  # sides of cylinders and spheres
@@ -41,18 +41,18 @@ _AXES: Final = np.eye(3)
 
 
 class MissingTexture(UserWarning):
-    """A model names a texture that doesn't exist: its shapes are shown in the material's colour, or in grey."""
+    """A model names a texture that doesn't exist; its shapes have the colour of the material, or are grey."""
 
 
 @cache
 def warn_of_missing(file: Path, name: str) -> None:
-    """Warn, once per process, that the texture that a file names doesn't exist, as in many published models."""
+    """Warn, once per process, about a missing texture, because many published models name missing textures."""
     text = f"{file}: its texture {name} doesn't exist; shapes are shown without it"
     warnings.warn_explicit(text, MissingTexture, *call_site())
 
 
 def read_image(source: Path | io.BytesIO) -> Image.Image | None:
-    """Return a texture; None if it doesn't exist, as in many published models, or isn't an image."""
+    """Return a texture; None if the file doesn't exist or isn't an image."""
     try:
         image = Image.open(source)
         image.load()
@@ -72,7 +72,7 @@ def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Arra
 
     Args:
         triangles: (n, 3, 3) corners.
-        uv: (n, 3, 2) texture coordinates of the corners, from the lower left; the texture repeats outside of 0..1.
+        uv: (n, 3, 2) texture coordinates of the corners, from the lower left; the texture repeats outside 0..1.
         image: The texture.
     """
     reduced = (
@@ -92,7 +92,7 @@ def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Arra
 
 
 def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
-    """Divide each triangle that spans much of the texture into four, until none does or there are many triangles."""
+    """Divide large triangles into four, until all are small or there are ``_MAX_TRIANGLES``."""
     corners = np.concatenate([triangles, uv], axis=2)
     while True:
         large = np.ptp(corners[:, :, 3:], axis=1).max(axis=1) > _SPOT
@@ -105,7 +105,7 @@ def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
 
 
 def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[Array, Rgba]]:
-    """Return the triangles (m, 3, 3) of each colour of a shape, and the colour; nothing if the image is unreadable.
+    """Return the triangles (m, 3, 3) of each colour of a shape, and the colour; an empty list without a readable image.
 
     Args:
         kind: "box", "cylinder" or "sphere".
@@ -117,7 +117,8 @@ def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[A
         return []
     triangles, uv = {"box": _box, "cylinder": _cylinder, "sphere": _sphere}[kind](size)
     edges = triangles[:, 1:] - triangles[:, :1]
-    solid = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-12 * np.ptp(triangles)  # none at poles
+    # some triangles at poles have no area
+    solid = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) > 1e-12 * np.ptp(triangles)
     return list(bake(triangles[solid], uv[solid], image))
 
 

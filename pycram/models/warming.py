@@ -1,8 +1,8 @@
 """Warming caches: a process repeats the imports and the cached computations of its first fork, once for all forks.
 
-A function that is cached by its arguments notes them when it computes (:func:`notable`, below the cache's decorator).
-A fork sends its notes to its parent as text. The parent calls the same functions, so that later forks find the results
-in the caches. No code of the plan runs in the parent.
+Below the decorator of a cache, :func:`notable` notes the arguments of each computation. A fork sends its notes to its
+parent as text. The parent calls the same functions, so later forks find the results in the caches. No code of the plan
+runs in the parent.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _noted: list[tuple[str, str, Any]] | None = None
 
 @dataclass(slots=True)
 class Notes:
-    """The computations and imports of a run."""
+    """Notes about the computations and imports of a run."""
 
     calls: list[tuple[str, str, Any]] = field(default_factory=list)  # module, name and arguments of functions
     before: frozenset[str] = frozenset()  # modules imported before the run
@@ -39,7 +39,7 @@ class Notes:
         libraries = tuple(sysconfig.get_path(each) for each in ("stdlib", "platstdlib", "purelib", "platlib"))
         imported = [
             name
-            for name, module in sys.modules.copy().items()  # garbage collection may import modules
+            for name, module in sys.modules.copy().items()  # a copy, because garbage collection may import modules
             if name not in self.before
             and (name.partition(".")[0] in _OURS or str(getattr(module, "__file__", "")).startswith(libraries))
         ]
@@ -47,7 +47,7 @@ class Notes:
 
 
 def notable(function: Callable[P, R]) -> Callable[P, R]:
-    """Note each call of a function with positional arguments only; apply below ``lru_cache``."""
+    """Note each call of a function that has only positional arguments; apply this decorator below ``lru_cache``."""
 
     @wraps(function)
     def compute(*arguments: P.args, **keywords: P.kwargs) -> R:
@@ -61,7 +61,7 @@ def notable(function: Callable[P, R]) -> Callable[P, R]:
 @contextmanager
 def noted() -> Iterator[Notes]:
     """Take notes while the block runs."""
-    global _noted  # noqa: PLW0603  caches belong to the process, too
+    global _noted  # noqa: PLW0603  a variable of the process, like the caches
     notes = Notes(before=frozenset(sys.modules.copy()))
     _noted = notes.calls
     try:
@@ -71,11 +71,11 @@ def noted() -> Iterator[Notes]:
 
 
 def warm(text: str) -> None:
-    """Repeat the imports and computations of a fork of this process; its notes come by a pipe and can be trusted."""
-    imported, calls = pickle.loads(base64.b64decode(text))  # noqa: S301  from our own fork
+    """Repeat the imports and computations of a fork of this process, given the text of its notes."""
+    imported, calls = pickle.loads(base64.b64decode(text))  # noqa: S301  the notes come from a fork of this process
     for name in imported:
-        with suppress(Exception):  # an import may raise any error; the next run raises and reports it
+        with suppress(Exception):  # an import may raise any error, which the next run reports
             importlib.import_module(name)
     for module, name, arguments in calls:
-        with suppress(Exception):  # likewise
+        with suppress(Exception):  # the next run raises and reports the error
             getattr(importlib.import_module(module), name)(*arguments)

@@ -1,1 +1,1 @@
-"""Robots as data: one TOML file each, checked against the robot's URDF when it is loaded."""
+"""Robots as data: each robot has a TOML file, which is checked against the robot's URDF."""

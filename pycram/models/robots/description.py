@@ -1,7 +1,7 @@
-"""Descriptions of robots for process modules and queries: TOML files, checked against the robot's URDF.
+"""Descriptions of robots for process modules and queries: TOML files that are checked against the robot's URDF.
 
-Process modules contain no names or numbers of joints: another robot is another TOML file. A description has tables for
-the parts that the robot has: arms, grippers, a head, a camera, a torso (docs/robots.md).
+Process modules contain no names of joints, so another robot needs only another TOML file. A description has tables for
+the parts of the robot: arms, grippers, a head, a camera, a torso (docs/robots.md).
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ _MAX_FOV: Final = 3.1  # rad
 _MAX_PIXELS: Final = 1e5
 
 _SIZES: Final = (0.0, 1.0)  # m
-_STILL: Final = 1e-4  # m, maximum motion of a link that closing doesn't move
-_ALONG: Final = math.cos(math.radians(45))  # minimum share of a side's motion along y
-_ACROSS: Final = 0.4  # share of a finger's motion along y, below which the finger is on neither side
+_STILL: Final = 1e-4  # m, maximum motion of a link that doesn't move when the gripper closes
+_ALONG: Final = math.cos(math.radians(45))  # minimum share of a side's motion that is along y
+_ACROSS: Final = 0.4  # a finger is on no side if a smaller share of its motion is along y
 _EVEN: Final = 0.01  # maximum bias of sides that close evenly
-_AIR: Final = 2e-3  # m, distance from a jaw that stands still: the engine pads shapes by less
+_AIR: Final = 2e-3  # m, distance from a fixed jaw; larger than the engine's padding of shapes
 
 
 class Misfitting(UserWarning):
-    """A robot was loaded without some or all parts of the description of its name, which don't fit its URDF."""
+    """A robot was loaded without parts of its description, because these parts don't match its URDF."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotDescription:
     """The description of a robot."""
 
-    robot: str  # name in the URDF
-    base_link: str  # the link whose pose is the robot's pose
+    robot: str  # name of the robot in the URDF
+    base_link: str  # name of the link whose pose is the pose of the robot
     arms: Mapping[str, Arm]  # by name
     head: Head | None
     camera: CameraDescription | None
@@ -58,7 +58,7 @@ class RobotDescription:
     limits: MotionLimits
     may_touch: frozenset[frozenset[str]]  # pairs of links whose shapes overlap although the real links don't touch
     text: str  # the TOML text of the description
-    source: str  # the TOML file, for errors
+    source: str  # name of the TOML file, for errors
 
     @classmethod
     def load(cls, path: str | Path) -> RobotDescription:
@@ -71,7 +71,7 @@ class RobotDescription:
 
     @classmethod
     def parse(cls, text: str, source: str = "robot description") -> RobotDescription:
-        """Read a description from TOML text; errors name its source.
+        """Read a description from TOML text; errors name the ``source``.
 
         Raises:
             AssetError: The text isn't TOML, or an entry is missing, unknown or impossible.
@@ -101,27 +101,27 @@ class RobotDescription:
             raise AssetError(source, str(error)) from error
 
     def arm(self, name: str) -> Arm:
-        """Return an arm by name; raise UnknownName if there is none."""
+        """Return an arm by name; raise UnknownName if the robot has no such arm."""
         if name not in self.arms:
             raise UnknownName("arm", name, self.robot, self.arms)
         return self.arms[name]
 
     def arm_of(self, tool_frame: str) -> Arm | None:
-        """Return the arm whose tool frame is in a link; None if there is none."""
+        """Return the arm with a certain ``tool_frame``; None if no arm has it."""
         return next((arm for arm in self.arms.values() if arm.tool_frame == tool_frame), None)
 
     def check(self, urdf: Urdf) -> None:
-        """Check that all names and values fit the robot's URDF.
+        """Check the description against the robot's URDF.
 
         Raises:
-            AssetError: A joint or link doesn't exist, an arm's joints aren't a chain, a value is outside limits, or
-                fingers don't close around the tool frame.
+            AssetError: A joint or link doesn't exist, the joints of an arm aren't a chain, a value is outside limits,
+                or fingers don't close around the tool frame.
         """
         for reason in self.misfits(urdf).values():
             raise AssetError(self.source, reason)
 
     def misfits(self, urdf: Urdf) -> dict[str, str]:
-        """Return the parts that don't fit a URDF, such as "torso" or "left arm's pose park", with the reasons."""
+        """Return the parts that don't match a URDF, such as "torso" or "left arm's pose park", with the reasons."""
         parts: list[tuple[str, Iterable[str], Mapping[str, list[float]]]] = [
             ("base_link", [self.base_link], {}),
             *((_pair_name(pair), sorted(pair), {}) for pair in self.may_touch),
@@ -138,17 +138,17 @@ class RobotDescription:
         return found
 
     def fitted(self, urdf: Urdf) -> RobotDescription | None:
-        """Return the description without the parts that don't fit a URDF; None if no part of the robot is left."""
+        """Return the description without the parts that don't match a URDF; None if no part of the robot is left."""
         out = self.misfits(urdf)
         if not out:
             return self
-        text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # TOML's strings are JSON strings
-        rest = self.parse(text, self.source)  # by its text, which recordings contain
+        text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # JSON's strings are TOML's, too
+        rest = self.parse(text, self.source)  # parsed, because recordings contain the text
         is_robot = "base_link" not in out and (rest.arms or rest.head or rest.camera or rest.torso)
         return rest if is_robot else None
 
     def _without(self, parts: Sequence[str]) -> RobotDescription:
-        """Return the description without parts, by the names that :meth:`misfits` gives them."""
+        """Return the description without parts; ``parts`` are names that :meth:`misfits` returns."""
         head = self.head and Head(*("" if part in parts else joint for part, joint in self.head.parts.items()))
         return replace(
             self,
@@ -165,7 +165,7 @@ def _pair_name(pair: Iterable[str]) -> str:
 
 
 def _misfit(urdf: Urdf, links: Iterable[str], joints: Mapping[str, Iterable[float]]) -> str:
-    """Return why links, or joints with the given values, don't fit a URDF; "" if they fit."""
+    """Return why links and joint values don't match a URDF; "" if they match."""
     try:
         for link in links:
             urdf.parent_joint(link)
@@ -187,41 +187,41 @@ class Arm:
     """An arm."""
 
     name: str  # any name: "left", "right", "panda", ...
-    joints: tuple[str, ...]  # from the shoulder to the wrist
+    joints: tuple[str, ...]  # names of the joints from the shoulder to the wrist
     base_link: str  # parent link of the first joint
-    tool_frame: str  # the link with the tool frame: x points out of the gripper, the fingers close along y
-    tool_offset: Pose  # pose of the tool frame in that link
+    tool_frame: str  # link of the tool frame, whose x axis points out of the gripper; fingers close along y
+    tool_offset: Pose  # pose of the tool frame in the link ``tool_frame``
     hand: Gripper | None
-    poses: Mapping[str, tuple[float, ...]]  # named postures, values in the order of the joints
+    poses: Mapping[str, tuple[float, ...]]  # joint values of named postures, in the order of ``joints``
 
     @property
     def gripper(self) -> Gripper:
-        """The gripper; raises MissingPart if the arm has none."""
+        """The gripper; raises MissingPart if the arm has no gripper."""
         if self.hand is None:
             raise MissingPart(f"{self.name} arm", "gripper")
         return self.hand
 
     def tool_pose(self, link_pose: PoseLike) -> Pose:
-        """Return the pose of the tool frame for the pose of its link, both in the same frame."""
+        """Return the pose of the tool frame, given the pose of the link ``tool_frame`` in the same frame."""
         return geometry.multiply(link_pose, self.tool_offset)
 
     def posture(self, name: str) -> dict[str, float]:
-        """Return the joint values of a named posture; raise UnknownName if there is none."""
+        """Return the joint values of a named posture by joint; raise UnknownName for an unknown posture."""
         if name not in self.poses:
             raise UnknownName("named pose", name, f"the {self.name} arm", self.poses)
         return dict(zip(self.joints, self.poses[name], strict=True))
 
     def links(self) -> list[str]:
-        """Return all links in the arm's description."""
+        """Return the names of all links in the description of the arm."""
         hand = [self.hand.palm, *self.hand.fingers] if self.hand else []
         return [self.base_link, self.tool_frame, *hand]
 
     def bias(self, urdf: Urdf) -> float:
-        """Return how unevenly the sides of the gripper close; see :meth:`Gripper.bias`."""
+        """Return the bias of the gripper, as :meth:`Gripper.bias` defines it."""
         return self.gripper.bias(urdf, self.tool_frame, self.tool_offset)
 
     def misfits(self, urdf: Urdf) -> dict[str, str]:
-        """Return the parts that don't fit a URDF ("left arm", "left gripper", "left arm's pose park"), with reasons."""
+        """Return the parts that don't match a URDF, such as "left gripper" or "left arm's pose park", with reasons."""
         arm, hand = f"{self.name} arm", self.hand
         if reason := _misfit(urdf, [self.base_link, self.tool_frame], {joint: [] for joint in self.joints}):
             return {arm: reason}
@@ -243,34 +243,34 @@ class Arm:
         return {part: reason for part, reason in found.items() if reason}
 
     def without(self, parts: Container[str]) -> Arm:
-        """Return the arm without its gripper or poses, if :meth:`misfits` has named them."""
+        """Return the arm without parts; ``parts`` are names that :meth:`misfits` returns."""
         poses = {name: row for name, row in self.poses.items() if f"{self.name} arm's pose {name}" not in parts}
         return replace(self, hand=None if f"{self.name} gripper" in parts else self.hand, poses=poses)
 
 
 @dataclass(frozen=True, slots=True)
 class Torso:
-    """A torso that lifts."""
+    """A torso that moves up and down."""
 
     joint: str
-    default: float  # joint position for work at tables, m
+    default: float  # joint position in m for work at tables
 
 
 @dataclass(frozen=True, slots=True)
 class Head:
     """A head that turns the camera."""
 
-    pan: str = ""  # the joint that turns it left and right; "" for none
-    tilt: str = ""  # the joint that turns it up and down; "" for none
+    pan: str = ""  # name of the joint that turns the head left and right; "" without such a joint
+    tilt: str = ""  # name of the joint that turns the head up and down; "" without such a joint
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The existing joints."""
+        """The names of the existing joints."""
         return tuple(joint for joint in (self.pan, self.tilt) if joint)
 
     @property
     def parts(self) -> dict[str, str]:
-        """Both joints by part, "" for a part that doesn't exist."""
+        """Both joints by the names that :meth:`RobotDescription.misfits` uses; "" for a missing joint."""
         return {"head's pan joint": self.pan, "head's tilt joint": self.tilt}
 
 
@@ -278,8 +278,8 @@ class Head:
 class CameraDescription:
     """A camera."""
 
-    frame: str  # the link with the optical frame: z forward, x right, y down
-    offset: Pose  # pose of the optical frame in that link
+    frame: str  # link of the optical frame, whose axes point right (x), down (y) and forward (z)
+    offset: Pose  # pose of the optical frame in the link ``frame``
     horizontal_fov: float  # rad
     vertical_fov: float  # rad
     width: int  # pixels
@@ -288,7 +288,7 @@ class CameraDescription:
     far: float  # m, maximum distance of visible objects
 
     def pose(self, link_pose: PoseLike) -> Pose:
-        """Return the pose of the optical frame for the pose of its link, both in the same frame."""
+        """Return the pose of the optical frame, given the pose of the link ``frame`` in the same frame."""
         return geometry.multiply(link_pose, self.offset)
 
 
@@ -296,10 +296,10 @@ class CameraDescription:
 class MotionLimits:
     """Largest velocities and accelerations."""
 
-    turning_velocity: float = 1.0  # rad/s, of revolute joints without a velocity limit in the URDF
-    turning_acceleration: float = 4.0  # rad/s^2, of revolute joints
-    sliding_velocity: float = 0.2  # m/s, of prismatic joints without a velocity limit in the URDF
-    sliding_acceleration: float = 0.5  # m/s^2, of prismatic joints
+    turning_velocity: float = 1.0  # rad/s, for revolute joints without a velocity limit in the URDF
+    turning_acceleration: float = 4.0  # rad/s^2, for revolute joints
+    sliding_velocity: float = 0.2  # m/s, for prismatic joints without a velocity limit in the URDF
+    sliding_acceleration: float = 0.5  # m/s^2, for prismatic joints
     base_velocity: float = 0.5  # m/s
     base_acceleration: float = 0.5  # m/s^2
     base_turning_velocity: float = 1.0  # rad/s, about the vertical axis
@@ -307,22 +307,16 @@ class MotionLimits:
 
 
 def find_description(urdf: Urdf) -> tuple[RobotDescription | None, Mapping[str, str]]:
-    """Return the description of the robot with the name in a URDF, and its parts that were left out, with the reasons.
+    """Return the description of a URDF's robot without its misfits, and these misfits with the reasons.
 
-    A part is left out if it doesn't fit the URDF (:meth:`RobotDescription.misfits`). The description is None if there
-    is none of that name, or if no part fits. PyCRAM's own descriptions come first, then those of other packages
+    :meth:`RobotDescription.misfits` returns the misfits. The description is None if no description has the robot's
+    name, or if no part matches. PyCRAM's descriptions precede those of other packages
     (:mod:`pycram.foundation.plugins`).
     """
-    description = _named(urdf.name)
+    description = next((own for own in _own() if own.robot == urdf.name), None)
+    if description is None and (other := plugins.load(plugins.ROBOTS, urdf.name)) is not None:
+        description = other if isinstance(other, RobotDescription) else RobotDescription.load(other)
     return (None, {}) if description is None else (description.fitted(urdf), description.misfits(urdf))
-
-
-def _named(robot: str) -> RobotDescription | None:
-    for own in _own():
-        if own.robot == robot:
-            return own
-    other = plugins.load(plugins.ROBOTS, robot)
-    return other if other is None or isinstance(other, RobotDescription) else RobotDescription.load(other)
 
 
 @cache
@@ -392,19 +386,19 @@ def _pairs(value: object) -> frozenset[frozenset[str]]:
 
 @dataclass(frozen=True, slots=True)
 class Gripper:
-    """A gripper with fingers, or a suction cup, which has no joints and no fingers."""
+    """A gripper with fingers; or a suction cup, which has no joints and no fingers."""
 
-    palm: str  # link of the palm, or of the suction cup
-    joints: tuple[str, ...]  # all joints that move the fingers, including mimic joints
+    palm: str  # link of the palm or of the suction cup
+    joints: tuple[str, ...]  # names of all joints that move the fingers, including mimic joints
     closed: tuple[float, ...]  # position of each joint when closed, rad or m
     open: tuple[float, ...]  # position of each joint when open, rad or m
-    fingers: tuple[str, ...]  # links of the fingers
-    aperture: float  # m between the finger tips when open
-    depth: float  # m from the tool frame back to the palm: the room for an object
-    tips: float  # m from the tool frame forward to the finger tips when closed; open fingers reach less far
-    underside: float  # m from the tool frame down to the gripper's lowest point when it is level
-    gap: float = 0.0  # m between the finger tips when closed; thinner objects slip through
-    suction: float = 0.0  # m, radius of the cup, whose rim is at the tool frame; 0 for fingers
+    fingers: tuple[str, ...]  # names of the fingers' links
+    aperture: float  # m between the open finger tips
+    depth: float  # m from the tool frame back to the palm, where an object fits
+    tips: float  # m from the tool frame forward to the closed finger tips; open fingers reach less far
+    underside: float  # m from the tool frame down to the lowest point of a level gripper
+    gap: float = 0.0  # m between the closed finger tips; thinner objects slip through
+    suction: float = 0.0  # m, radius of the suction cup, whose rim is at the tool frame; 0 for fingers
 
     def positions(self, motion: str) -> dict[str, float]:
         """Return joint values for the motion "open" or "close"."""
@@ -416,16 +410,11 @@ class Gripper:
         return {joint: closed + share * (opened - closed) for joint, closed, opened in ends}
 
     def wrong_ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> Iterator[str]:
-        """Yield reasons why the fingers don't close from both sides along the tool frame's y axis.
+        """Yield reasons why the fingers don't close from both sides along the y axis of the tool frame.
 
-        A jaw that stands still is a side. Several fingers of a side may close at angles to y if their sum is along y,
-        as in hands with three fingers around a centre. Only the kinematics are checked; ``pycram describe --check``
-        also checks shapes.
-
-        Args:
-            urdf: The robot's URDF.
-            tool_frame: The link with the tool frame.
-            tool_offset: Pose of the tool frame in that link.
+        A fixed jaw is a side. Several fingers of a side may close at angles to y if their sum is along y, as in hands
+        with three fingers around a centre. This checks only kinematics; ``pycram describe --check`` also checks shapes.
+        ``tool_frame`` and ``tool_offset`` are those of the arm.
         """
         if self.suction:
             return
@@ -445,14 +434,14 @@ class Gripper:
             yield "its fingers all close from one side"
 
     def jaws(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> list[str]:
-        """Return the fingers on either side; in a hand with four fingers around a centre, some are on neither side."""
+        """Return the fingers on the two sides. With four fingers around a centre, some fingers are on no side."""
         ways = self._ways(urdf, tool_frame, tool_offset)
         return [finger for finger, way in ways.items() if math.hypot(*way) < _STILL or not _is_across(way)]
 
     def bias(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> float:
-        """Return how unevenly the sides close, -1 to 1; arguments as for :meth:`wrong_ways`.
+        """Return how unevenly the sides close, -1 to 1: 0 if both move equally far, 1 if only the +y side moves.
 
-        The bias is 0 if both sides move equally far, and 1 if only fingers on the +y side move.
+        The arguments are those of :meth:`wrong_ways`.
         """
         ways = [0.0, *(y for _, y, _ in self._ways(urdf, tool_frame, tool_offset).values())]
         left, right = -min(ways), max(ways)
@@ -460,11 +449,11 @@ class Gripper:
         return bias if abs(bias) > _EVEN else 0.0
 
     def middle(self, width: float, bias: float) -> float:
-        """Return where the fingers bring the middle of an object of a given width (m): y in the tool frame, m."""
+        """Return y in the tool frame, in m, of the middle of a grasped object with a width in m."""
         return bias * ((width - self.gap) / 2 + _AIR)
 
     def _ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> dict[str, Vector]:
-        """Return the motion of each finger's point that is at the tool frame's origin when closed, in m."""
+        """Return how far each finger moves when the gripper closes, in m, measured at the origin of the tool frame."""
         in_tool: list[dict[str, Pose]] = []  # poses of the fingers, open and closed
         for share in (1.0, 0.0):
             positions = self.at(share)
@@ -520,7 +509,7 @@ def read_gripper(table: checks.Table) -> Gripper:
 
 
 def _values(key: str, value: object, joints: tuple[str, ...]) -> tuple[float, ...]:
-    """Return a value for each joint: given as a list, or as a single value for all joints."""
+    """Return a value for each joint from a list of values, or from a single value for all joints."""
     if not isinstance(value, list):
         return (checks.number(key, value),) * len(joints)
     if len(value) != len(joints):
