@@ -5,18 +5,22 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.packages import require
 from recorder.records import format_error
 from replay.cli.console import print_json, print_message, print_text
 from replay.cli.main import FINE, INCOMPLETE, USAGE
+from replay.cli.retrace import AGAIN
 from replay.errors import Damaged, ReplayError
 from replay.explain import why_report
 from replay.history.steps import HINT
+from replay.report import report
 from replay.report.phrases import percent, plural
 
 if TYPE_CHECKING:
     import argparse
 
     from replay.explain.why import Why
+    from replay.origins.origin import Origins
     from replay.recording import Recording
     from replay.runs.folder import Runs
 
@@ -37,16 +41,28 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="write two pictures of the failure: the robot's view, and a view from the side",
     )
+    parser.add_argument(
+        "--origins",
+        action="store_true",
+        help=f"run the plan again, and follow the values of the failure back to the lines that made them; {AGAIN}",
+    )
+    parser.add_argument(
+        "--recorded-source",
+        action="store_true",
+        help="with --origins: run the recorded source (default: the files on disk)",
+    )
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the explanation."""
     why = log.why(options.step)
+    origins = _origins(log, why, options)
     code, pictures = _pictures(log, why, options.pictures)
     if options.json:
-        print_json(why_report.data(why) | {"pictures": pictures})
+        found = {} if origins is None else {"origins": report.data(origins)}
+        print_json(why_report.data(why) | {"pictures": pictures} | found)
     else:
-        print_text(why.text)
+        print_text("\n".join(why_report.lines(why, str(log.path), () if origins is None else origins.lines())))
         if pictures:
             print_text("\n".join(("", "Pictures of the failure", *(f"  {path}" for path in pictures))))
     return code
@@ -57,8 +73,8 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     from replay.recording import Recording  # noqa: PLC0415  as above
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
-    if options.step or options.pictures:
-        raise ReplayError("a step and --pictures need a single recording, not a folder")
+    if options.step or options.pictures or options.origins:
+        raise ReplayError("a step, --pictures and --origins need a single recording, not a folder")
     stats = statistics(runs)
     failed = sum(cause.count for cause in stats.causes)
     explained, text = (
@@ -81,6 +97,19 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     else:
         print_text("\n".join(text))
     return FINE
+
+
+def _origins(log: Recording, why: Why, options: argparse.Namespace) -> Origins | None:
+    if not options.origins:
+        if options.recorded_source:
+            raise ReplayError("--recorded-source needs --origins")
+        return None
+    if why.failure is None:
+        raise ReplayError("no origins: nothing failed")
+    require("pybullet")
+    from replay.origins.origins import origins  # noqa: PLC0415  needs the executor
+
+    return origins(log, why, recorded_source=options.recorded_source)
 
 
 def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:

@@ -19,7 +19,7 @@ from replay.report.report import section
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.tasks import Node
     from replay.explain.why import ChangesSince, Why
@@ -125,10 +125,14 @@ def _(tried: TriedAction) -> dict[str, object]:
 # --- as text ---------------------------------------------------------------------------------------------------------
 
 
-def lines(why: Why, path: str = "") -> Iterator[str]:
-    """Yield the explanation as text, with commands for the recording at ``path``; without a path, no commands."""
+def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str]:
+    """Yield the explanation as text, with commands for the recording at ``path``; without a path, no commands.
+
+    ``origins`` are lines about the origins of its values; they come first.
+    """
     causes = [line for cause in why.causes for line in cause.lines()]
     yield from _headline(why)
+    yield from section("Where the values come from", origins)
     yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))
     yield from section("Unfinished, or finished in a lost record", _unfinished(why.endless))
     if why.failure is None:

@@ -1,0 +1,543 @@
+"""Follows values back through the notes of a run: to the lines of the plan that made them, and to what they read."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import math
+from bisect import bisect_right
+from collections import defaultdict, deque
+from dataclasses import dataclass, field
+from itertools import chain as joined
+from types import FunctionType, MethodType, ModuleType
+from typing import TYPE_CHECKING, Any, Final
+
+from pycram.world.object import Object
+from recorder.tracing.call_stack import described
+from replay.origins.noting import FUNCTIONS, Held, bound_names
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from typing import TypeAlias
+
+    from replay.origins.noting import Note, Notes
+
+_MAX_FACTS: Final = 400  # largest number of facts of a value
+_MAX_DEPTH: Final = 14
+_MAX_CHANGES: Final = 3  # largest number of listed changes of a container
+_PLAIN: Final = (bool, int, float, str, type(None), list, tuple, dict)
+_COMPREHENSIONS: Final = ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp
+
+
+@dataclass
+class Fact:
+    """A value, where the plan made it, and the facts about what it was made from."""
+
+    kind: str  # "value", "argument", "default", "item", "read", "answer", "returned", "change", "condition" or "call"
+    name: str  # the expression
+    value: str
+    number: Any  # its value as JSON data, if it consists of numbers; otherwise None
+    file: str
+    line: int
+    text: str  # the line's text
+    step: int  # the last step before it
+    body: str = ""  # name of the object that was read
+    parts: list[Fact] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where and when an expression was evaluated."""
+
+    frame: int
+    time: int
+
+
+Facts: TypeAlias = "Iterator[Fact]"
+
+
+class Tracer:
+    """Follows values back, in the notes of a run."""
+
+    def __init__(self, notes: Notes) -> None:
+        self._notes = notes
+        self._numbers = {id(node): number for number, (_, node) in enumerate(notes.nodes)}
+        self._around = {
+            id(part): node for _, node in notes.nodes for part in ast.iter_child_nodes(node) if hasattr(part, "_fields")
+        }
+        self._of_node: dict[int, list[Note]] = defaultdict(list)
+        self._binds: dict[tuple[int, str], list[tuple[int, Note, int]]] = defaultdict(list)
+        self._returns: dict[int, Note] = {}
+        self._modules: dict[str, int] = {}  # number of the module's frame, by file
+        self._changes: dict[int, list[Note]] = defaultdict(list)  # by id of the changed object
+        self._made: dict[int, Note] = {}  # the first call that returned an object, by its id
+        for note in notes.all:
+            self._sort_in(note)
+        self._seen: set[tuple[int, str]] = set()
+        self._count = 0
+
+    def _sort_in(self, note: Note) -> None:
+        self._of_node[note.number].append(note)
+        node = self._node(note)
+        code = self._notes.codes[note.frame]
+        if code.co_name == "<module>":
+            self._modules.setdefault(code.co_filename, note.frame)
+        if note.kind == "bind":
+            for at, name in enumerate(bound_names(node)):
+                self._binds[note.frame, name].append((note.time, note, at))
+        elif note.kind == "return" and note.parent is not None:
+            self._returns[note.parent.time] = note
+        elif note.kind == "store":
+            self._changes[id(note.values[0].ref)].append(note)
+        elif note.kind == "call":
+            if isinstance(self._around.get(id(node)), ast.Expr) and (owner := _receiver(note)) is not None:
+                self._changes[id(owner)].append(note)
+            if note.result is not None:
+                self._made.setdefault(id(note.result.ref), note)
+
+    def _node(self, note: Note) -> Any:
+        return self._notes.nodes[note.number][1]
+
+    def _file(self, node: ast.AST) -> str:
+        return self._notes.nodes[self._numbers[id(node)]][0]
+
+    def _parents(self, node: ast.AST) -> Iterator[ast.AST]:
+        around = self._around.get(id(node))
+        while around is not None:
+            yield around
+            around = self._around.get(id(around))
+
+    def _fact(
+        self, kind: str, node: ast.AST, name: str, value: Held | None, step: int, parts: Facts | None = None
+    ) -> Fact:
+        file, line = self._file(node), getattr(node, "lineno", 0)
+        lines = self._notes.texts[file]
+        text = lines[line - 1].strip() if 0 < line <= len(lines) else ""
+        self._count += 1
+        number = None if value is None else _numbers_in(value.copy)
+        fact = Fact(kind, name, "" if value is None else shown(value.copy), number, file, line, text, step)
+        fact.parts = [] if parts is None else list(parts)
+        return fact
+
+    # --- where a run was ------------------------------------------------------------------------------------------
+
+    def call(self, note: Note) -> Fact:
+        """Return a call of the plan, with its arguments, and the conditions that led to it."""
+        self._seen.clear()
+        self._count = 0
+        node, place = self._node(note), Place(note.frame, note.time)
+        arguments = joined.from_iterable(self._arguments(note))
+        facts = [*arguments, *self._receivers(node, place), *self._conditions(node, place)]
+        outer = note.parent
+        while outer is not None:
+            facts += self._conditions(self._node(outer), Place(outer.frame, outer.time))
+            outer = outer.parent
+        return self._fact("call", node, ast.unparse(node.func), note.result, note.step, iter(facts))
+
+    def line(self, file: str, line: int, frame: int) -> Fact | None:
+        """Return the statement at a line, which raised an error, with the values that it used."""
+        self._seen.clear()
+        self._count = 0
+        tree = self._notes.trees.get(file)
+        found = [
+            node
+            for node in ast.walk(tree or ast.Module([], []))
+            if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or node.lineno)
+        ]
+        if not found:
+            return None
+        statement, place = found[-1], Place(frame, len(self._notes.all))
+        parts: list[ast.AST] = [statement]
+        if hasattr(statement, "body"):
+            parts = [each for each in ast.iter_child_nodes(statement) if not isinstance(each, ast.stmt)]
+        facts = [fact for each in parts for fact in self._inputs(each, place)]
+        facts += self._conditions(statement, place)
+        return self._fact("call", statement, "", None, self._notes.step, iter(facts))
+
+    def _conditions(self, node: ast.AST, place: Place) -> Facts:
+        """Yield the conditions of the branches and loops around a node, innermost first."""
+        inner: ast.AST = node
+        for around in self._parents(node):
+            if isinstance(around, FUNCTIONS | ast.ClassDef):
+                return
+            if isinstance(around, ast.If | ast.While | ast.IfExp) and inner is not around.test:
+                yield from self._condition(around.test, place)
+            inner = around
+
+    def _condition(self, test: ast.expr, place: Place) -> Facts:
+        held = self.value(test, place)
+        if held is not None and not self._is_known(self._numbers[id(test)], str(place.frame)):
+            parts = self._inputs(test, place)
+            yield self._fact("condition", test, ast.unparse(test), held, self._notes.step, parts)
+
+    def _is_known(self, number: int, name: str) -> bool:
+        known = (number, name) in self._seen or self._count >= _MAX_FACTS
+        self._seen.add((number, name))
+        return known
+
+    # --- values ---------------------------------------------------------------------------------------------------
+
+    def _noted(self, node: ast.AST, place: Place) -> Note | None:
+        """Return the last note of a node at a place, or else in any frame, as in comprehensions."""
+        notes = self._of_node.get(self._numbers[id(node)], [])
+        until = bisect_right(notes, place.time, key=lambda note: note.time)
+        own = [note for note in notes[:until][-64:] if note.frame == place.frame]
+        return own[-1] if own else notes[until - 1] if until else None
+
+    def value(self, node: ast.AST, place: Place) -> Held | None:
+        """Return the value of an expression at a place; None if it is unknown."""
+        held = None
+        if isinstance(node, ast.Constant):
+            held = Held(node.value)
+        elif isinstance(node, ast.Name):
+            bound = self._bind(node, place)
+            held = None if bound is None else bound[0].values[bound[1]]
+        elif isinstance(node, ast.List | ast.Tuple):
+            parts = [self.value(each, place) for each in node.elts]
+            held = None if None in parts else Held([each.copy for each in parts if each is not None])
+        elif (note := self._noted(node, place)) is not None:
+            held = note.result if note.kind != "bind" else note.values[0]
+        return held
+
+    def _bind(self, node: ast.Name, place: Place) -> tuple[Note, int] | None:
+        """Return the note that gave a name its value, and the index of its value."""
+        functions = 0
+        for around in self._parents(node):
+            if isinstance(around, _COMPREHENSIONS):
+                for each in around.generators:
+                    if node.id in bound_names(each) and (note := self._noted(each, place)) is not None:
+                        return note, bound_names(each).index(node.id)
+            if isinstance(around, FUNCTIONS):
+                functions += 1
+                if functions == 1 and (found := self._last(place.frame, node.id, place.time)) is not None:
+                    return found
+                entered = self._noted(around, place) if functions > 1 or isinstance(around, ast.Lambda) else None
+                if entered is not None and (found := self._last(entered.frame, node.id, place.time)) is not None:
+                    return found
+        if not functions and (found := self._last(place.frame, node.id, place.time)) is not None:
+            return found
+        return self._in_module(self._file(node), node.id, place.time)
+
+    def _last(self, frame: int, name: str, time: int) -> tuple[Note, int] | None:
+        binds = self._binds.get((frame, name), [])
+        until = bisect_right(binds, time, key=lambda bind: bind[0])
+        return (binds[until - 1][1], binds[until - 1][2]) if until else None
+
+    def _in_module(self, file: str, name: str, time: int) -> tuple[Note, int] | None:
+        found = self._last(self._modules.get(file, -1), name, time)
+        tree = self._notes.trees.get(file)
+        for node in ast.walk(tree) if tree is not None and found is None else ():
+            if isinstance(node, ast.ImportFrom) and node.module:
+                original = next((each.name for each in node.names if (each.asname or each.name) == name), "")
+                stem = node.module.rpartition(".")[2]
+                other = next((each for each in self._notes.trees if each.endswith(f"{stem}.py")), "")
+                if original and other and other != file:
+                    return self._in_module(other, original, time)
+        return found
+
+    # --- what a value was made from ----------------------------------------------------------------------------------
+
+    def _inputs(self, node: ast.AST, place: Place) -> Facts:
+        """Yield the facts about the parts of an expression."""
+        if self._count >= _MAX_FACTS or (isinstance(node, ast.Lambda | ast.stmt) and hasattr(node, "body")):
+            return
+        following: dict[type, Callable[[Any, Place], Facts]] = {
+            ast.Name: self._name, ast.Attribute: self._attribute, ast.Subscript: self._item, ast.Call: self._called,
+        }  # fmt: skip
+        if type(node) in following and isinstance(getattr(node, "ctx", None), ast.Load | None):
+            yield from following[type(node)](node, place)
+        elif isinstance(node, ast.IfExp):
+            test = self.value(node.test, place)
+            yield from self._condition(node.test, place)
+            yield from self._inputs(node.body if test is None or test.copy else node.orelse, place)
+        else:
+            for each in ast.iter_child_nodes(node):
+                yield from self._inputs(each.iter if isinstance(each, ast.comprehension) else each, place)
+
+    def _name(self, node: ast.Name, place: Place) -> Facts:
+        bound = self._bind(node, place)
+        yield from self._bound(node.id, *bound, place) if bound is not None else ()
+
+    def _bound(self, name: str, note: Note, at: int, place: Place) -> Facts:
+        """Yield how a name got its value, and later changes of this value."""
+        node, held = self._node(note), note.values[at]
+        if isinstance(held.ref, ModuleType | type | FunctionType) or self._is_known(note.time, name):
+            return
+        before, parts = Place(note.frame, note.time), list(self._changed(held.ref, note.time, place.time))
+        if isinstance(node, FUNCTIONS):
+            yield from self._argument(name, note, held, parts)
+            return
+        kind, source = "value", getattr(node, "value", None)
+        if isinstance(node, ast.For | ast.AsyncFor | ast.comprehension):
+            kind, source = "item", node.iter
+            element = self._element(node.iter, held, before)
+            if element is not None:
+                yield self._fact(kind, element, name, held, note.step, joined(parts, self._inputs(element, before)))
+                return
+        elif isinstance(node, ast.With | ast.AsyncWith):
+            source = node.items[0].context_expr
+        elif isinstance(node, ast.AugAssign):
+            earlier = self._last(note.frame, name, note.time - 1)
+            parts += self._bound(name, *earlier, before) if earlier is not None else ()
+        elif isinstance(node, ast.Assign):
+            source = _matching(node.targets[0], node.value, name)
+        located = node.target if isinstance(node, ast.comprehension) else node
+        made = () if source is None else self._inputs(source, before)
+        yield self._fact(kind, located, name, held, note.step, joined(parts, made))
+
+    def _argument(self, name: str, note: Note, held: Held, changes: list[Fact]) -> Facts:
+        """Yield how a function got an argument."""
+        node, call = self._node(note), note.parent
+        if call is None or not _runs(call.function, self._notes.codes[note.frame]):
+            if call is not None:
+                yield self._fact("argument", self._node(call), name, held, note.step, iter(changes))
+            return
+        passed = self._node(call)
+        before = Place(call.frame, call.time)
+        names = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
+        shift = 1 if isinstance(call.function, MethodType | type) else 0
+        given = next((each.value for each in passed.keywords if each.arg == name), None)
+        if given is None and name in names:
+            index = names.index(name) - shift
+            starred = any(isinstance(each, ast.Starred) for each in passed.args)
+            given = passed.args[index] if 0 <= index < len(passed.args) and not starred else None
+        packed = [each for each in passed.keywords if each.arg is None]
+        if node.args.kwarg is not None and node.args.kwarg.arg == name:
+            rest: Iterable[ast.AST] = [each for each in passed.keywords if each.arg not in names]
+        elif given is not None:
+            rest = [given]
+        elif node.args.vararg is not None and node.args.vararg.arg == name:
+            rest = passed.args
+        else:
+            rest = [*packed, *(each for each in passed.args if isinstance(each, ast.Starred))]
+        default = _default(node, name)
+        if given is None and default is not None and not rest:
+            made = self._inputs(default, Place(note.frame, note.time))
+            yield self._fact("default", default, name, held, note.step, joined(changes, made))
+            return
+        inner = joined.from_iterable(self._inputs(each, before) for each in rest)
+        if isinstance(given, ast.Name) and given.id == name:
+            yield from joined(changes, inner)  # the caller has the same name for it
+        else:
+            yield self._fact("argument", given or passed, name, held, note.step, joined(changes, inner))
+
+    def _changed(self, ref: Any, since: int, until: int, key: Any = None) -> Facts:
+        """Yield the last changes of a container or object between two moments."""
+        if isinstance(ref, bool | int | float | str | tuple | type(None) | ModuleType):
+            return
+        notes = [note for note in self._changes.get(id(ref), ()) if since < note.time and note.time < until]
+        if key is not None:
+            notes = [note for note in notes if note.kind == "call" or _same(note.values[1].copy, key)]
+        for note in notes[: -_MAX_CHANGES - 1 : -1]:
+            node = self._node(note)
+            if self._is_known(note.time, "change"):
+                continue
+            before = Place(note.frame, note.time)
+            parts = self._arguments(note) if note.kind == "call" else [self._inputs(node.value, before)]
+            target = node.func.value if note.kind == "call" else getattr(node, "target", None) or node.targets[0]
+            inner = joined.from_iterable(parts)
+            yield self._fact("change", node, ast.unparse(target), None, note.step, inner)
+
+    def _arguments(self, note: Note) -> Iterator[Facts]:
+        node, place = self._node(note), Place(note.frame, note.time)
+        for each in (*node.args, *(keyword.value for keyword in node.keywords)):
+            yield self._inputs(each, place)
+
+    def _receivers(self, node: ast.Call, place: Place) -> Facts:
+        if isinstance(node.func, ast.Attribute):
+            yield from self._inputs(node.func.value, place)
+
+    def _called(self, node: ast.Call, place: Place) -> Facts:
+        """Yield what a call returned, or what was made from its arguments."""
+        note = self._noted(node, place)
+        if note is None:
+            for each in (*node.args, *node.keywords):
+                yield from self._inputs(each, place)
+            return
+        function, owner = note.function, _receiver(note)
+        module = str(getattr(function, "__module__", "") or type(owner).__module__)
+        name = ast.unparse(node)
+        if (returned := self._returns.get(note.time)) is not None:
+            if not self._is_known(returned.time, "return"):
+                place = Place(returned.frame, returned.time)
+                parts = joined(
+                    self._inputs(self._node(returned).value, place), self._conditions(self._node(returned), place)
+                )
+                yield self._fact("returned", self._node(returned), name, note.result, note.last_step, parts)
+            return
+        inner = joined(joined.from_iterable(self._arguments(note)), self._receivers(node, place))
+        if isinstance(owner, Object) and note.result is not None and _numbers_in(note.result.copy) is not None:
+            yield self._read(node, name, owner, note.result, note.last_step, inner)
+        elif module.startswith(("pycram.reasoning", "pycram.bullet_world_reasoning")) or name.startswith("perform("):
+            yield self._fact("answer", node, name, note.result, note.last_step, inner)
+        else:
+            yield from inner
+
+    def _read(self, node: ast.AST, name: str, owner: Object, value: Held, step: int, parts: Facts) -> Fact:
+        fact = self._fact("read", node, name, value, step, parts)
+        fact.body = owner.name
+        return fact
+
+    def _attribute(self, node: ast.Attribute, place: Place) -> Facts:
+        note, owner = self._noted(node, place), self.value(node.value, place)
+        held = None if note is None else note.result
+        if owner is None or held is None or note is None:
+            yield from self._inputs(node.value, place)
+            return
+        name = ast.unparse(node)
+        if isinstance(owner.ref, ModuleType):
+            bound = self._in_module(str(owner.ref.__file__), node.attr, place.time)
+            yield from self._bound(name, *bound, place) if bound is not None else ()
+            return
+        if isinstance(owner.ref, Object):
+            if _numbers_in(held.copy) is not None:
+                yield self._read(node, name, owner.ref, held, note.step, self._inputs(node.value, place))
+            return
+        stores = [each for each in self._changed(owner.ref, -1, place.time, node.attr) if each.kind == "change"]
+        yield from stores[:1] or self._field(node, name, owner.ref, held, place)
+        yield from self._inputs(node.value, place)
+
+    def _field(self, node: ast.Attribute, name: str, owner: Any, held: Held, place: Place) -> Facts:
+        """Yield how an attribute of the plan's own object, or a class's attribute, got its value."""
+        made = self._made.get(id(owner))
+        fields: list[str] = [*getattr(owner, "__dataclass_fields__", getattr(owner, "_fields", ()))]
+        if made is not None and node.attr in fields:
+            call, before = self._node(made), Place(made.frame, made.time)
+            index = fields.index(node.attr)
+            given = next((each.value for each in call.keywords if each.arg == node.attr), None)
+            given = given or (call.args[index] if index < len(call.args) else None)
+            if given is not None:
+                yield self._fact("value", given, name, held, made.step, self._inputs(given, before))
+                return
+        names = {each.__name__ for each in (owner if isinstance(owner, type) else type(owner)).__mro__}
+        for file, each in self._notes.nodes:
+            if isinstance(each, ast.ClassDef) and each.name in names and file:
+                for statement in each.body:
+                    if node.attr in bound_names(statement) and getattr(statement, "value", None) is not None:
+                        parts = self._inputs(statement, Place(-1, place.time))
+                        yield self._fact("default" if made else "value", statement, name, held, -1, parts)
+                        return
+
+    def _item(self, node: ast.Subscript, place: Place) -> Facts:
+        note, owner, key = self._noted(node, place), self.value(node.value, place), self.value(node.slice, place)
+        held = None if note is None else note.result
+        if owner is not None and key is not None and held is not None:
+            changed = [*self._changed(owner.ref, -1, place.time, key.copy)][:1]
+            if changed:
+                yield from changed
+                yield from self._inputs(node.slice, place)
+                return
+            element = self._literal(node.value, key.copy, place)
+            if element is not None and not self._is_known(self._numbers[id(element[0])], ast.unparse(node)):
+                found, at = element
+                name = ast.unparse(node)
+                if not isinstance(node.slice, ast.Constant):
+                    name += f", {ast.unparse(node.slice)} = {shown(key.copy)}"
+                parts = joined(self._inputs(node.slice, place), self._inputs(found, at))
+                yield self._fact("item", found, name, held, -1 if note is None else note.step, parts)
+                return
+        yield from self._inputs(node.value, place)
+        yield from self._inputs(node.slice, place)
+
+    def _definition(self, node: ast.AST, place: Place) -> tuple[ast.AST, Place]:
+        """Return the expression that a name was set to, and where."""
+        while isinstance(node, ast.Name):
+            bound = self._bind(node, place)
+            source = None if bound is None else getattr(self._node(bound[0]), "value", None)
+            if bound is None or source is None:
+                break
+            place, node = Place(bound[0].frame, bound[0].time), source
+        return node, place
+
+    def _literal(self, node: ast.AST, key: Any, place: Place) -> tuple[ast.expr, Place] | None:
+        """Return the written element of a container that has a key or an index."""
+        found, at = self._definition(node, place)
+        if (
+            isinstance(found, ast.List | ast.Tuple)
+            and isinstance(key, int)
+            and -len(found.elts) <= key < len(found.elts)
+        ):
+            return found.elts[key], at
+        if isinstance(found, ast.Dict):
+            keys = [None if each is None else self.value(each, at) for each in found.keys]
+            matching = [value for held, value in zip(keys, found.values, strict=True) if held and _same(held.copy, key)]
+            return (matching[-1], at) if matching else None
+        return None
+
+    def _element(self, node: ast.AST, held: Held, place: Place) -> ast.expr | None:
+        """Return the written element of a container that an iteration took."""
+        found, at = self._definition(node, place)
+        elements = found.elts if isinstance(found, ast.List | ast.Tuple) else []
+        values = [self.value(each, at) for each in elements]
+        fitting = [each for each, value in zip(elements, values, strict=True) if value and _same(value.copy, held.copy)]
+        return fitting[0] if len(fitting) == 1 else None
+
+
+def nearest(fact: Fact, count: int) -> set[int]:
+    """Return the ids of the facts that are nearest to a fact."""
+    chosen: list[int] = []
+    waiting = deque([(fact, 0)])
+    while waiting and len(chosen) < count:
+        each, depth = waiting.popleft()
+        chosen.append(id(each))
+        if depth < _MAX_DEPTH:
+            waiting.extend((part, depth + 1) for part in each.parts)
+    return set(chosen)
+
+
+def shown(value: Any) -> str:
+    """Return a short text of a value: numbers have 4 digits."""
+    if type(value) is float:
+        return f"{value:.4g}" if math.isfinite(value) and abs(value) < 1e4 else repr(value)
+    if type(value) in (list, tuple) and len(value) <= 8:
+        return f"[{', '.join(map(shown, value))}]" if type(value) is list else f"({', '.join(map(shown, value))})"
+    text = described(value)
+    name = getattr(value, "name", None) if text.startswith("<Object ") else None
+    return str(name or (text if len(text) <= 60 else f"{text[:57]}..."))
+
+
+def _numbers_in(value: Any) -> Any:
+    """Return a number, or a list of numbers; None for other values."""
+    if type(value) in (int, float):
+        return value if math.isfinite(value) else None
+    if type(value) in (list, tuple) and value:
+        numbers = [_numbers_in(each) for each in value]
+        return None if None in numbers else numbers
+    return None
+
+
+def _same(one: Any, other: Any) -> bool:
+    try:
+        return one is other or (isinstance(one, _PLAIN) and bool(one == other))
+    except Exception:  # noqa: BLE001  an element's own method may raise any error
+        return False
+
+
+def _receiver(note: Note) -> Any:
+    owner = getattr(note.function, "__self__", None)
+    return None if isinstance(owner, ModuleType) else owner
+
+
+def _runs(function: Any, code: Any) -> bool:
+    """Return whether a call of a function directly runs some code."""
+    if isinstance(function, type):
+        function = function.__init__  # type: ignore[misc]  # of the class that is called
+    function = inspect.unwrap(getattr(function, "__func__", function))
+    return getattr(function, "__code__", None) is code
+
+
+def _default(node: Any, name: str) -> ast.expr | None:
+    given = node.args
+    names = [each.arg for each in (*given.posonlyargs, *given.args)]
+    defaults = dict(zip(reversed(names), reversed(given.defaults), strict=False))
+    defaults |= {each.arg: value for each, value in zip(given.kwonlyargs, given.kw_defaults, strict=True) if value}
+    return defaults.get(name)
+
+
+def _matching(target: ast.AST, value: ast.AST, name: str) -> ast.AST:
+    """Return the part of an assigned tuple that a name gets."""
+    if isinstance(target, ast.Tuple | ast.List) and isinstance(value, ast.Tuple | ast.List):
+        names = [each.id if isinstance(each, ast.Name) else "" for each in target.elts]
+        if name in names and len(names) == len(value.elts):
+            return value.elts[names.index(name)]
+    return value

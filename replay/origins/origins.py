@@ -1,0 +1,93 @@
+"""Where the values of a failure come from: ``pycram-replay why --origins``.
+
+The plan runs again, guided by its recording, with notes of its values (:mod:`.noting`). From the call that failed, and
+from the calls that made its causes, each value is followed back to the lines that made it (:mod:`.chain`).
+"""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from replay.explain.causes.case import CausingChange
+from replay.origins.origin import Origin, Origins
+from replay.origins.relating import with_moves
+from replay.retrace.plan_process import CantRetrace, PlanProcess
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from replay.explain.why import Why
+    from replay.file.record_reader import RecordReader
+
+_MAX_CAUSES: Final = 3  # largest number of causes whose calls are explained
+_SHOWN: Final = 2000
+
+
+def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Origins:
+    """Run the plan again, and follow the values of its failure back.
+
+    Raises:
+        CantRetrace: the plan can't be run again.
+    """
+    first, steps = _steps(log, why)
+    process = PlanProcess(log, recorded_source=recorded_source)
+    with tempfile.TemporaryDirectory(prefix="pycram-origins-") as folder, tempfile.TemporaryFile() as errors:
+        result = Path(folder) / "origins.json"
+        running = process.start(
+            "replay.origins.tracing", process.guidance(), folder, errors, steps=[first, *steps], result=str(result)
+        )
+        try:
+            running.wait()
+        finally:
+            running.kill()
+            running.wait()
+        if not result.exists():
+            errors.seek(0)
+            printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
+            raise CantRetrace(f"the plan's process ended without a result: {printed}")
+        answer = json.loads(result.read_text(encoding="utf-8"))
+    if "error" in answer:
+        raise CantRetrace(answer["error"])
+    moved = tuple(answer["folder"] or ("", ""))
+    found = {int(step): None if fact is None else Origin.of(fact, moved) for step, fact in answer["facts"].items()}
+    failed = found.pop(first, None)
+    known = set() if failed is None else {(failed.file, failed.line)}
+    earlier: list[Origin] = []
+    for step in steps:
+        each = found.get(step)
+        if each is not None and (each.file, each.line) not in known:
+            known.add((each.file, each.line))
+            earlier.append(each)
+    notes = list(process.notes()) if recorded_source else [each for each in process.notes() if "source" in each]
+    if str(first) not in answer["facts"] and answer["difference"] is None:
+        notes.append(f"the plan didn't reach step {first}, where the failed call began")
+    if answer["difference"] is not None:
+        notes.append("the plan differs from its recording at step {step}: {text}".format(**answer["difference"]))
+    failed, earlier = (
+        (None if failed is None else with_moves(log, failed, why)),
+        [with_moves(log, each, why) for each in earlier],
+    )
+    return Origins(failed, tuple(earlier), (), tuple(notes))
+
+
+def _steps(log: RecordReader, why: Why) -> tuple[int, list[int]]:
+    """Return the step at which the failed call began or the plan ended, and the steps of its causes."""
+    first = why.step if why.thread else len(log) - 1
+    if why.task is not None:
+        motion = why.task.motion
+        first = (motion.asked or motion.started).seq
+    steps = [step for cause in why.causes[:_MAX_CAUSES] for step in _made_by(cause) if step < why.step]
+    return first, list(dict.fromkeys(steps))
+
+
+def _made_by(cause: Any) -> Iterator[int]:
+    for each in fields(cause):
+        value = getattr(cause, each.name)
+        for item in value if isinstance(value, tuple) else (value,):
+            if isinstance(item, CausingChange):
+                yield item.step
+    yield from cause.steps

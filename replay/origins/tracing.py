@@ -1,0 +1,119 @@
+"""The process in which a plan runs again with notes of its values; :mod:`.origins` starts it."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from pycram.projection.child import die_with
+from recorder.records import Run, Task
+from recorder.tracing.journal import NullSink
+from replay.origins.chain import Tracer, nearest
+from replay.origins.noting import Notes
+from replay.retrace.guided_run import GuidedRun
+from replay.retrace.plan_process import Guidance
+
+if TYPE_CHECKING:
+    from recorder.records import Record
+    from replay.origins.chain import Fact
+    from replay.origins.noting import Note
+    from replay.retrace.plan_process import FirstDifference
+
+_MAX_FACTS = 40  # largest number of facts about a step
+
+
+class _NotingSink(NullSink):
+    """Notes which calls of the plan run at certain steps, and ends the process after the last of these steps."""
+
+    def __init__(self, guidance: Guidance, folder: Path, steps: list[int], result: str) -> None:
+        own = str(Path(json.loads(sys.argv[1])["plan"]).parent)
+        packages = tuple(
+            str(Path(sys.modules[name].__file__ or "").parent) + os.sep for name in ("pycram", "recorder", "replay")
+        )
+        self.notes = Notes(
+            lambda file: file.startswith(own) and "site-packages" not in file and not file.startswith(packages)
+        )
+        self.guided = GuidedRun(guidance, folder, self._report, self._refuse)
+        self._steps, self._result = set(steps), result
+        self._tasks: dict[int, Note | None] = {}
+        self._calls: dict[int, Note | None] = {}
+        self._raised: dict[int, tuple[str, int, int]] = {}
+        self._difference: FirstDifference | None = None
+
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
+        """Note the plan's call that made a record."""
+        step = self.notes.step = record.seq
+        call = self.notes.current
+        if isinstance(record, Task) and record.phase != Task.FINISHED:
+            call = self._tasks.setdefault(record.task, call or self._tasks.get(record.parent))
+        if step in self._steps:
+            self._calls[step] = call or self._tasks.get(record.task)
+            error = sys.exception()
+            if isinstance(record, Run) and error is not None:
+                files = self.notes.trees
+                frames = [
+                    (each, line)
+                    for each, line in traceback.walk_tb(error.__traceback__)
+                    if each.f_code.co_filename in files
+                ]
+                if frames:
+                    frame, line = frames[-1]
+                    self._raised[step] = frame.f_code.co_filename, line, self.notes.frame_of(frame)
+        if self._difference is not None or step >= max(self._steps):
+            self.finish()
+
+    def _report(self, _: int, difference: FirstDifference | None) -> None:
+        self._difference = difference
+
+    def _refuse(self, error: Exception) -> NoReturn:
+        self._difference = None
+        self._write({"error": str(error)})
+
+    def finish(self) -> NoReturn:
+        """Send the facts about the steps, and end the process."""
+        tracer = Tracer(self.notes)
+        facts: dict[int, Fact | None] = {}
+        for step, call in self._calls.items():
+            facts[step] = (
+                tracer.line(*self._raised[step])
+                if step in self._raised
+                else None
+                if call is None
+                else tracer.call(call)
+            )
+        found = self._difference
+        self._write(
+            {
+                "facts": {
+                    step: None if fact is None else _data(fact, nearest(fact, _MAX_FACTS))
+                    for step, fact in facts.items()
+                },
+                "difference": None if found is None else {"step": found.step, "text": found.text},
+                "folder": self.guided.guidance.moved,
+            }
+        )
+
+    def _write(self, answer: dict[str, object]) -> NoReturn:
+        Path(self._result).write_text(json.dumps(answer), encoding="utf-8")
+        os._exit(0)
+
+
+def _data(fact: Fact, chosen: set[int]) -> dict[str, Any]:
+    parts = [_data(each, chosen) for each in fact.parts if id(each) in chosen]
+    return {**{name: value for name, value in vars(fact).items() if name != "parts"}, "parts": parts}
+
+
+def main() -> None:
+    """Run a plan with notes, as requested in JSON by :func:`replay.origins.origins.origins`."""
+    request = json.loads(sys.argv[1])
+    die_with(request["parent"])
+    sink = _NotingSink(
+        Guidance.of_json(request["guidance"]), Path(request["folder"]), request["steps"], request["result"]
+    )
+    sink.notes.install()
+    sink.guided.run(request["plan"], request["arguments"], lambda _: sink.guided.sink(sink))
+    sink.finish()
