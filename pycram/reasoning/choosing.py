@@ -1,7 +1,7 @@
-"""Recorded questions to a world, with their answers and, for choices, the rejected candidates.
+"""Questions to a world and their answers, as records. A choice also has the rejected candidates.
 
-Queries are questions (:mod:`pycram.reasoning.queries`), and so are the choices of process modules: of a grasp, of a
-posture, of a place for an object. While a question is answered, its world is locked and refuses changes.
+Reasoning queries are questions, and so are the choices of process modules, for example of a grasp or a place. While a
+question is answered, its world is locked and refuses changes.
 """
 
 from __future__ import annotations
@@ -24,35 +24,34 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.tracing.journal import Journal
 
-_MAX_GROUPS: Final = 8  # groups of candidates in a record; the other candidates are only counted
-_MAX_NAMES: Final = 4  # names of candidates in a group
+_MAX_GROUPS: Final = 8  # groups of candidates in a record; candidates of other groups are only counted
+_MAX_NAMES: Final = 4  # names of candidates in a group of a record
 
 
 @dataclass(slots=True)
 class Question:
-    """A question while it is answered."""
+    """A question to a world, with its answer."""
 
-    name: str  # name of the query or of the choice
+    name: str  # name of the query or the choice
     arguments: Mapping[str, object]  # arguments by name
     answer: object = None
     evidence: Mapping[str, object] = field(default_factory=dict)  # facts behind the answer
-    picture: records.Picture | None = None  # the picture of the camera, if the query renders one
+    picture: records.Picture | None = None  # the camera's picture, if the query renders one
     considered: Choice | None = None  # the candidates, if the question is a choice
-    steps: Mapping[Journal, int] = field(default_factory=dict)  # step of the record in each recording
+    steps: Mapping[Journal, int] = field(default_factory=dict)  # step of the question's record in each recording
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
-        """Answer the question in the block, with the world locked. Then the question is recorded, even after a failure.
+        """Answer the question in the ``with`` block, with the world locked; record it at the end, also after an error.
 
-        Args:
-            trace: whether the record has a failure's traceback.
+        ``trace`` decides whether the record contains an error's traceback.
 
         Raises:
             WorldClosed: The world has ended.
         """
         with world.lock, self.recorded(lambda: (world.name, world.sim_step), trace=trace):
             transactions = world.transactions
-            outer, transactions.query = transactions.query, ""  # a question inside another question is allowed
+            outer, transactions.query = transactions.query, ""  # a question may ask another question
             try:
                 transactions.check(f"ask {self.name}")
                 transactions.query = self.name
@@ -62,17 +61,17 @@ class Question:
 
     @contextmanager
     def recorded(self, where: Callable[[], tuple[str, int]], *, trace: bool = True) -> Iterator[None]:
-        """Answer the question in the block. Then it is recorded, even after a failure, except after a UsageError.
+        """Answer the question in the ``with`` block; record it at the end, also after errors other than UsageError.
 
         Args:
             where: returns the world's name and its simulated steps for the record.
-            trace: whether the record has a failure's traceback.
+            trace: whether the record contains an error's traceback.
         """
         start = time.perf_counter_ns()
         error: BaseException | None = None
         try:
             yield
-        except BaseException as raised:  # every reason is recorded, also Ctrl-C
+        except BaseException as raised:  # any error is recorded, also Ctrl-C
             error = raised
             raise
         finally:
@@ -98,13 +97,13 @@ class Question:
 
 
 class Choice(Question):
-    """A choice among candidates. For each candidate the latest result counts."""
+    """A choice among candidates. Only the latest result of each candidate counts."""
 
     __slots__ = ("_met", "_rejected", "chosen", "forced", "wanted")
 
     def __init__(self, name: str, arguments: Mapping[str, object], *, wanted: bool = True) -> None:
         super().__init__(name, arguments, considered=self)
-        self.wanted = wanted  # whether the candidates are recorded; if not, no time is needed for reasons
+        self.wanted = wanted  # whether the candidates are recorded; if not, callers needn't compute reasons
         self._rejected: dict[str, tuple[Rejection, int]] = {}
         self.chosen = ""  # name of the chosen candidate
         self.forced = ""  # name of the only candidate that a fork admits; "" if all are admitted
@@ -134,8 +133,8 @@ class Choice(Question):
         """Reject a candidate.
 
         Args:
-            candidate: its name, such as "front".
-            count: number of similar candidates that it stands for, such as postures for one grasp.
+            candidate: name of the candidate, such as "front".
+            count: number of similar candidates with this name, such as postures for one grasp.
         """
         self._met |= candidate == self.forced
         if self.wanted:
@@ -143,15 +142,15 @@ class Choice(Question):
             self.chosen = "" if candidate == self.chosen else self.chosen
 
     def reasons(self) -> list[Rejection]:
-        """Return the reasons against candidates in the order of the rejections."""
+        """Return the reasons against the rejected candidates, in the order of rejections."""
         return [reason for reason, _ in self._rejected.values()]
 
     def take(self, candidate: str, answer: object = None, **evidence: object) -> None:
         """Choose a candidate.
 
         Args:
-            answer: the candidate's name by default.
-            evidence: further facts about the candidate.
+            answer: answer of the question; None for the candidate's name.
+            evidence: more facts about the candidate.
         """
         self._met |= candidate == self.forced
         self._rejected.pop(candidate, None)
@@ -160,10 +159,10 @@ class Choice(Question):
         self.evidence = evidence
 
     def add_candidates(self, record: records.Query) -> Mapping[str, int]:
-        """Add the candidates to a record: rejected candidates grouped by reason, then the chosen candidate.
+        """Add the candidates to a record: groups of rejected candidates with a common reason, then the chosen one.
 
         Returns:
-            For each candidate in the record, the number of its group.
+            The index of the group of each candidate in the record.
         """
         numbers: dict[str, int] = {}
         groups: dict[object, list[tuple[Rejection, str, int]]] = {}
@@ -190,17 +189,17 @@ class Choice(Question):
 
 
 def considering() -> Choice:
-    """Return a choice that collects the candidates for a query's answer; the query returns it with the answer."""
+    """Return a choice that collects candidates for a query, which returns it with the answer."""
     return Choice("", {}, wanted=journal.recording())
 
 
 UNRECORDED: Final = Choice("", {}, wanted=False)
-"""A choice for reasoning without a record of candidates."""
+"""A choice that isn't recorded, for reasoning without a question."""
 
 
 @contextmanager
 def choosing(name: str, world: BulletWorld, /, **arguments: object) -> Iterator[Choice]:
-    """Choose a candidate in the block, before the world is changed. The choice is one record, even after a failure.
+    """Choose a candidate in the ``with`` block; the choice becomes one record, also after an error.
 
     For example::
 
@@ -210,13 +209,8 @@ def choosing(name: str, world: BulletWorld, /, **arguments: object) -> Iterator[
                     choice.reject(side, Misfit(width, opening))
             choice.take("front", position=position)
 
-    The traceback of a failure is in the record of the surrounding task, not in this record. Arguments that are None
-    are left out.
-
-    Args:
-        name: name of the choice.
-        world: the world, which is locked and refuses changes.
-        arguments: arguments of the choice.
+    The world is locked and refuses changes. Arguments that are None are omitted. The record of the surrounding task has
+    an error's traceback.
     """
     given = {key: value for key, value in arguments.items() if value is not None}
     choice = Choice(name, given, wanted=journal.recording())

@@ -1,4 +1,4 @@
-"""Reasons for rejecting candidates, as types with fields. A record has the type's name and the fields."""
+"""Reasons for rejecting candidates. A record of a reason has the name of its type, and its fields."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from pycram.foundation.failures import CollisionPair
 if TYPE_CHECKING:
     from collections.abc import Hashable, Mapping, Sequence
 
-_DIGITS: Final = 6  # decimals; these numbers are only read, not used in computations
+_DIGITS: Final = 6  # decimals of recorded numbers, which are only read
 _MAX_PAIRS: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """The reason for a rejection. Subclasses, also in users' code, have the known facts as fields."""
+    """The reason for a rejection; its fields are facts. Plans may define subclasses."""
 
     def data(self) -> Mapping[str, object]:
         """Return the fields for a record."""
         return {each.name: short(getattr(self, each.name)) for each in fields(self)}
 
     def alike(self) -> Hashable:
-        """Return the property that candidates of one group share, besides the type of their reason."""
+        """Return the property that all candidates of a group share, besides the type of their reason."""
         return ()
 
     def group(self) -> Hashable:
-        """Return the group of the reason: equal for reasons that are counted together."""
+        """Return the group of the reason; a record counts the reasons of a group together."""
         return type(self), self.alike()
 
     def miss(self) -> float:
-        """Return the size of the miss; a group's record has the reason with the smallest miss."""
+        """Return how far the candidate is from acceptance; a record has the reason with the smallest value."""
         return 0.0
 
 
@@ -49,15 +49,15 @@ class OutOfReach(Rejection):
     turn: float = 0.0  # rad between the nearest posture and the target
 
     def miss(self) -> float:
-        """Return the distance plus the angle, for a tool of 1 m."""
+        """Return the distance plus the rotation of a tool of 1 m."""
         return math.inf if self.distance is None else self.distance + self.turn
 
 
 @dataclass(frozen=True, slots=True)
 class Touching(Rejection):
-    """A collision."""
+    """The robot would touch something."""
 
-    pairs: Sequence[CollisionPair]  # the first few pairs of links that would touch
+    pairs: Sequence[CollisionPair]  # the first pairs of links that would touch
     more: int = field(init=False)  # number of other pairs
 
     def __post_init__(self) -> None:
@@ -77,12 +77,12 @@ class Touching(Rejection):
 class Misfit(Rejection):
     """The object doesn't fit between the fingers."""
 
-    width: float | None  # width of the object between the fingers, m; None if there is nothing to grasp
-    least: float  # width of the narrowest object that the fingers hold, m
-    most: float  # width of the widest object that the fingers hold, m
+    width: float | None  # m, width of the object between the fingers; None if there is nothing to grasp
+    least: float  # m, width of the narrowest object that the fingers hold
+    most: float  # m, width of the widest object that the fingers hold
 
     def miss(self) -> float:
-        """Return the difference between the width and the limits, m."""
+        """Return by how much the width exceeds a limit, m."""
         return 0.0 if self.width is None else max(self.width - self.most, self.least - self.width)
 
 
@@ -90,7 +90,7 @@ class Misfit(Rejection):
 class Uneven(Rejection):
     """The suction cup doesn't close on the object."""
 
-    height: float | None  # m between the highest and the lowest point below the cup; None if there is nothing to grasp
+    height: float | None  # m between the highest and the lowest point below the cup; None without an object there
 
     def miss(self) -> float:
         """Return the height."""
@@ -98,14 +98,14 @@ class Uneven(Rejection):
 
 
 TAKEN: Final = "the place is taken, or leaves no room for a finger"
-"""Reason of a :class:`NoRoom` that disappears if objects are taken off the surface."""
+"""Reason of a :class:`NoRoom` that may disappear if objects are removed from the surface."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoRoom(Rejection):
     """The place is taken, or has no support."""
 
-    reason: str  # in words
+    reason: str  # the reason as text
 
     def alike(self) -> Hashable:
         """Return the reason."""
@@ -116,7 +116,7 @@ class NoRoom(Rejection):
 class Slips(Rejection):
     """The closed fingers don't hold the object."""
 
-    sides: int  # sides of the object that the fingers would touch
+    sides: int  # number of sides of the object that the fingers would touch
 
     def alike(self) -> Hashable:
         """Return the number of sides."""
@@ -127,7 +127,7 @@ class Slips(Rejection):
 class Contorted(Rejection):
     """The arm would have to change its posture during the motion."""
 
-    value: float  # value of the moving joint at which the posture would change, rad or m
+    value: float  # position of the moving joint at which the posture would change, rad or m
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +135,8 @@ class Unreached(Rejection):
     """The search for a path didn't reach the goal."""
 
     checks: int  # number of checked configurations
-    distance: float  # between the goal and the nearest reached configuration: rad, or m for a base
-    pairs: Sequence[CollisionPair] = ()  # links that would touch most often
+    distance: float  # distance between the goal and the nearest reached configuration: rad, or m for a base
+    pairs: Sequence[CollisionPair] = ()  # links that were in the way most often
 
     def miss(self) -> float:
         """Return the distance."""
@@ -145,24 +145,23 @@ class Unreached(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Unseen(Rejection):
-    """Too little of the object is seen."""
+    """The camera would see too little of the object."""
 
     share: float  # share of the object that is seen
-    hidden_by: Sequence[str] = ()  # names of the objects before it
+    hidden_by: Sequence[str] = ()  # names of objects that hide it
     outside: float = 0.0  # share of the object outside of the picture
-    hiding_links: Mapping[str, str] = field(
-        default_factory=dict, hash=False
-    )  # the link of an object before it that hides most
+    #: The link that hides most, for each object with several links that hides it.
+    hiding_links: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def data(self) -> Mapping[str, object]:
-        """Return the fields for a record, without those that add nothing."""
+        """Return the fields for a record, without empty optional fields."""
         optional = {"outside": self.outside, "hiding_links": self.hiding_links}
         return {"share": short(self.share), "hidden_by": short(self.hidden_by)} | {
             key: short(value) for key, value in optional.items() if value
         }
 
     def alike(self) -> Hashable:
-        """Return the objects before it."""
+        """Return the objects that hide the candidate."""
         return tuple(self.hidden_by)
 
     def miss(self) -> float:
@@ -172,7 +171,7 @@ class Unseen(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Inferior(Rejection):
-    """The candidate is good, but another one is better."""
+    """Another candidate is better."""
 
     by: str  # name of the quantity
     value: float  # value of the quantity
@@ -184,14 +183,14 @@ class Inferior(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Untried(Rejection):
-    """The candidate wasn't checked: another one is good, or all similar ones fail."""
+    """The candidate wasn't checked, because another candidate is good or all similar candidates fail."""
 
 
 @dataclass(frozen=True, slots=True)
 class Unfit(Rejection):
-    """Any other reason."""
+    """Any other reason for a rejection."""
 
-    reason: str  # in words
+    reason: str  # the reason as text
 
     def alike(self) -> Hashable:
         """Return the reason."""
@@ -199,7 +198,7 @@ class Unfit(Rejection):
 
 
 def short(value: Any) -> object:
-    """Return a value for a record with rounded numbers, and without empty fields."""
+    """Return a value for a record, with rounded numbers and without empty fields."""
     if isinstance(value, float):
         return round(value, _DIGITS)
     if isinstance(value, CollisionPair):

@@ -1,8 +1,7 @@
 """Oriented bounding boxes around the convex pieces of bodies, and their overlaps: the broad phase of collision checks.
 
-Boxes have the orientation of their links. An overlap test compares first the boxes' bounds along the world's axes,
-then the boxes by separating axes (Gottschalk, Lin, Manocha: OBBTree, SIGGRAPH 1996). Each box is a little wider than
-its piece, because the engine pads shapes: if two boxes don't overlap, their pieces don't touch.
+An overlap test first compares the boxes' bounds along the world's axes, then uses separating axes (Gottschalk, Lin,
+Manocha: OBBTree, SIGGRAPH 1996). If two boxes don't overlap, their pieces don't touch.
 """
 
 from __future__ import annotations
@@ -38,31 +37,31 @@ if TYPE_CHECKING:
     Owner = tuple[str, str]
 
 
-_MARGIN: Final = 1.5e-3  # m to each side: the engine's millimetre, and rounding
-_PARALLEL: Final = 1e-5  # added to cosines: the cross product of parallel edges is zero, up to rounding
-_MAX_BOXES: Final = 8  # boxes of a link; a link with more pieces, as a bowl's wall, gets a single box
-_CORNERS: Final = np.array(list(itertools.product((0.0, 1.0), repeat=3)))  # corners of a box in shares of its edges
+_MARGIN: Final = 1.5e-3  # m on each side of a box, because the engine pads shapes by 1 mm
+_PARALLEL: Final = 1e-5  # added to cosines, because cross products of parallel edges are zero, up to rounding
+_MAX_BOXES: Final = 8  # boxes of a link; a link with more pieces, such as a bowl, has a single box
+_CORNERS: Final = np.array(list(itertools.product((0.0, 1.0), repeat=3)))  # corners of a box as shares of its edges
 
-# For the cross product of edge i of a box and edge j of another, with number 3 * i + j. k and l are the axes after i,
-# m and n the axes after j: k, l, (k, j), (l, j). Then the edges and cosines of the four terms of both boxes' sizes
-# along it.
+# Indices for the cross products of edge i of a box and edge j of another box; the product has the number 3 * i + j.
+# k and l are the axes after i, m and n the axes after j. _SIZES and _COSINES select the sizes and cosines of the four
+# terms of the boxes' extents along a product.
 _I, _J = np.divmod(np.arange(9), 3)
 _K, _L, _M, _N = (_I + 1) % 3, (_I + 2) % 3, (_J + 1) % 3, (_J + 2) % 3
 _KJ, _LJ = 3 * _K + _J, 3 * _L + _J
 _SIZES: Final = np.concatenate([_K, _L, 3 + _M, 3 + _N])
 _COSINES: Final = np.concatenate([_LJ, _KJ, 3 * _I + _N, 3 * _I + _M])
 _CACHED: Final = 64
-_NEIGHBOURS: Final = 3  # joints between links whose limits keep them apart, although their hulls overlap
+_NEIGHBOURS: Final = 3  # links with up to this number of joints between them may have hulls that always overlap
 
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """k oriented boxes. Two sets of boxes are equal only if they are the same object."""
+    """k oriented boxes. Two sets of boxes are equal only if they are the same Python object."""
 
     links: tuple[str, ...]  # (k,) names of the links in the boxes
-    centers: Array  # (k, 3) in the world, m
-    axes: Array  # (k, 3, 3) in the world, with the unit axes as columns
-    half_extents: Array  # (k, 3), m
+    centers: Array  # (k, 3) centers in the world, m
+    axes: Array  # (k, 3, 3) unit axes in the world, as columns
+    half_extents: Array  # (k, 3) half extents along the axes, m
 
     @classmethod
     def around(cls, engine: Engine, body: LoadedBody, model: Object) -> Boxes:
@@ -80,21 +79,21 @@ class Boxes:
         return self.centers - extents, self.centers + extents
 
     def subset(self, which: NDArray[np.bool_]) -> Boxes:
-        """Return the boxes with a true flag, of (k,) flags."""
+        """Return the boxes whose flags (k,) are true."""
         links = tuple(link for link, wanted in zip(self.links, which, strict=True) if wanted)
         return Boxes(links, self.centers[which], self.axes[which], self.half_extents[which])
 
     def widened(self, margin: float) -> Boxes:
-        """Return the boxes, wider by a margin in m to each side."""
+        """Return boxes that are wider on each side by a margin in m."""
         return Boxes(self.links, self.centers, self.axes, self.half_extents + margin)
 
     @classmethod
     def swept(cls, path: Path, poses: Mapping[str, Sequence[Pose]]) -> Boxes:
-        """Return boxes along the axes of a frame around the space that the pieces of some links sweep.
+        """Return boxes, along the axes of a frame, around the space that the pieces of links sweep.
 
         Args:
-            path: the model's canonical URDF.
-            poses: poses of each link in the frame; between two poses the link must stay within a millimetre.
+            path: the model's checked URDF.
+            poses: poses of each link in the frame; between two poses, the link moves at most a millimetre off.
         """
         names, low, high = _bounds(path)
         kept = [number for number, name in enumerate(names) if name in poses]
@@ -109,12 +108,12 @@ class Boxes:
         return cls(links, ends.mean(axis=1), axes, (ends[:, 1] - ends[:, 0]) / 2 + _MARGIN)
 
     def placed(self, pose: Pose) -> Boxes:
-        """Return the boxes with their frame at a pose."""
+        """Return the boxes after a motion of their frame to a pose."""
         centers, axes = self.moved(geometry.pose_matrix(pose)[None])
         return Boxes(self.links, centers, axes, self.half_extents)
 
     def raised(self, up: float) -> Boxes:
-        """Return one box along the world's axes around the space that all boxes sweep on a way up, m."""
+        """Return one box, along the world's axes, around the space that all boxes sweep on a way up, in m."""
         if not self.links:
             return self
         lows, highs = self.ends
@@ -123,7 +122,7 @@ class Boxes:
         return Boxes(self.links[:1], ((low + high) / 2)[None], np.eye(3)[None], ((high - low) / 2)[None])
 
     def moved(self, transforms: Array) -> tuple[Array, Array]:
-        """Return centers (n, k, 3) in m and axes (n, k, 3, 3) of the boxes, moved by transforms (n, k, 4, 4)."""
+        """Return centers (n, k, 3) in m and axes (n, k, 3, 3) of the boxes after transforms (n, k, 4, 4)."""
         turns = transforms[..., :3, :3]
         return (turns @ self.centers[:, :, None])[..., 0] + transforms[..., :3, 3], turns @ self.axes
 
@@ -131,7 +130,7 @@ class Boxes:
 @lru_cache(maxsize=256)
 @notable
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
-    """Return the links, and the lowest and highest corners (k, 3) in the links' frames, of their pieces."""
+    """Return the links of pieces, and their lowest and highest corners (k, 3) in the links' frames."""
     pieces: dict[str, list[shapes.Ends]] = {}
     for link, ends in shapes.piece_bounds(path):
         pieces.setdefault(link, []).append(ends)
@@ -145,7 +144,7 @@ def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
 
 
 def concatenate(parts: Sequence[Boxes]) -> Boxes:
-    """Return the boxes of all parts, one after the other."""
+    """Return the boxes of all parts in order."""
     if not parts:
         return Boxes((), np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)))
     return Boxes(
@@ -157,22 +156,21 @@ def concatenate(parts: Sequence[Boxes]) -> Boxes:
 
 
 def _world_extents(axes: Array, half_extents: Array) -> Array:
-    """Return half extents (..., 3) in m along the world's axes for boxes with axes (..., 3, 3)."""
+    """Return half extents (..., 3) along the world's axes in m for boxes with axes (..., 3, 3)."""
     along: Array = np.einsum("...ij,...j->...i", np.abs(axes), half_extents)
     return along
 
 
 def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) -> tuple[Indices, Indices, Indices]:
-    """Return the overlaps between two sets of boxes, for many postures together.
+    """Return the overlaps between moving boxes and other boxes, for many postures together.
 
     Args:
         centers: (n, k, 3) centers of the moving boxes in each posture, in the world, m.
         axes: (n, k, 3, 3) axes of the moving boxes.
         half_extents: (k, 3) half extents of the moving boxes, m.
-        others: the boxes that don't move.
 
     Returns:
-        Numbers of postures, moving boxes and other boxes that overlap, in order.
+        Indices of postures, moving boxes and other boxes for each overlap, in order.
     """
     extents = _world_extents(axes, half_extents)
     lows, highs = centers - extents, centers + extents
@@ -204,11 +202,11 @@ def overlapping_pairs(
         centers: (n, k, 3) centers of the boxes in each posture, in the world, m.
         axes: (n, k, 3, 3) axes of the boxes.
         half_extents: (k, 3) half extents of the boxes, m.
-        a: (m,) numbers of the first boxes of pairs.
+        a: (m,) index of the first box of each pair.
         b: (m,) index of the second box of each pair.
 
     Returns:
-        Numbers of postures, and of the pairs that overlap in them, in order.
+        Indices of postures and of pairs for each overlap, in order.
     """
     sizes = _world_extents(axes, half_extents)
     close = np.ones((len(centers), len(a)), dtype=bool)
@@ -227,20 +225,20 @@ def overlapping_pairs(
 
 
 def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> NDArray[np.bool_]:
-    """Return for pairs (n,) of boxes (centers, axes, half extents) whether they overlap, by 15 separating axes."""
+    """Return whether pairs (n,) of boxes (centers, axes, half extents) overlap, by 15 separating axes."""
     (centers, axes, halves), (other_centers, other_axes, other_halves) = a, b
     back = axes.transpose(0, 2, 1)
-    turn = back @ other_axes  # the other boxes' axes in the boxes' frames
+    turn = back @ other_axes  # axes of the other boxes in the frames of the boxes
     offset = (back @ (other_centers - centers)[:, :, None])[:, :, 0]
     cosines = np.abs(turn) + _PARALLEL
     overlap: NDArray[np.bool_] = np.all(
         np.abs(offset) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0], axis=1
     )
-    left = np.flatnonzero(overlap)  # the few pairs that the boxes' own axes don't separate
+    left = np.flatnonzero(overlap)  # few pairs: the axes of the first boxes separate most pairs
     turn, offset, cosines, halves, other_halves = (part[left] for part in (turn, offset, cosines, halves, other_halves))
     along = (turn.transpose(0, 2, 1) @ offset[:, :, None])[:, :, 0]
     apart = (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
-    # cross products of edge i of a and edge j of b (n, 3 * i + j)
+    # cross products of edge i of box a and edge j of box b, in column 3 * i + j
     turn, cosines = turn.reshape(-1, 9), cosines.reshape(-1, 9)
     distance = offset.take(_L, axis=1) * turn.take(_KJ, axis=1)
     distance -= offset.take(_K, axis=1) * turn.take(_LJ, axis=1)
@@ -252,16 +250,15 @@ def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> ND
 
 
 class MovingLinks:
-    """Links that joints move, with the objects that they hold, and the other links of the same robot.
+    """The links of a robot that joints move, with the objects that they hold.
 
     Args:
         engine: the engine with the robot.
         body: the robot in the engine.
         boxes: boxes around all pieces of the robot in the engine.
-        held: for each held object: the object, the robot's link, and the boxes around the object's pieces.
-        joints: names of the joints that will be moved.
-        all_links: whether to check all links, not only the moved links.
-
+        held: each held object, the robot's link, and the boxes around the object's pieces.
+        joints: names of the moving joints.
+        all_links: whether to check all links of the robot, not only links that move.
     """
 
     def __init__(
@@ -279,30 +276,28 @@ class MovingLinks:
         may_touch = robot.description.may_touch if robot.description else frozenset()
         fixed = _structure(robot.model.path, robot.name, boxes.links, joints, all_links, held_links, may_touch)
         self.moving, self.owners, self.drivers = fixed.moving, fixed.owners, fixed.drivers
-        self.joint_counts = joint_counts(robot.model.path, joints)  # moving joints above each link
+        self.joint_counts = joint_counts(robot.model.path, joints)  # number of moving joints above each link
         positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
-        self.positions = {name: positions[name] for name in joints}  # present values of the joints, rad or m
-        self.base_pose = engine.pose(body)  # pose of the robot's base
-        # transforms of the links by the joints
+        self.positions = {name: positions[name] for name in joints}  # present positions of the joints, rad or m
+        self.base_pose = engine.pose(body)
+        # computes the transforms of the links by the joints
         self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))
         swung = [each for other, link, each in held if link in fixed.moving]
-        # names of the held objects
+        # names of the objects that moving links hold
         self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)
         self._all_boxes = concatenate([boxes, *swung])
-        self.boxes = self._all_boxes.subset(fixed.checked)  # around the checked links and the objects that they hold
+        self.boxes = self._all_boxes.subset(fixed.checked)  # boxes of the checked links and the objects that they hold
         self._robot, self._structure = robot.name, fixed
         self._swung = fixed.all_drivers >= 0
         self._swung_boxes = self._all_boxes.subset(self._swung)
 
     def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
-        """Return for each posture the pairs of links with overlapping boxes; the first link of a pair moves.
+        """Return, for each posture, the pairs of links with overlapping boxes, except neighbours.
 
-        Neighbours, which are less than a shoulder apart, are left out.
-
-        A held object has the same neighbours as its link. If one of a pair is held, it comes first.
+        A held object has the same neighbours as its link. The first link of a pair moves; a held object comes first.
 
         Args:
-            transforms: (n, joints + 1, 4, 4) of the joints in each posture, as from the articulation.
+            transforms: (n, joints + 1, 4, 4) transforms by the joints in each posture, from the articulation.
         """
         a, b = self._structure.pairs
         found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]
@@ -328,18 +323,18 @@ class MovingLinks:
 
 @dataclass(frozen=True, slots=True)
 class _Structure:
-    """Data of moving links that doesn't depend on the pose of the robot."""
+    """Data of moving links that don't depend on the robot's pose."""
 
-    moving: frozenset[str]  # links that are checked
-    owners: Sequence[Owner]  # (k,) the owner of each checked box
-    drivers: NDArray[np.intp]  # (k,) number of the joint that moves each checked box, -1 for none
-    all_owners: Sequence[Owner]  # the owner of each box: of the robot, and of the objects that moving links hold
-    all_drivers: NDArray[np.intp]  # number of the joint that moves each box, -1 for none
+    moving: frozenset[str]  # checked links
+    owners: Sequence[Owner]  # (k,) owner of each checked box
+    drivers: NDArray[np.intp]  # (k,) index of the joint that moves each checked box; -1 for none
+    all_owners: Sequence[Owner]  # owner of each box of the robot and of objects that moving links hold
+    all_drivers: NDArray[np.intp]  # index of the joint that moves each box; -1 for none
     checked: NDArray[np.bool_]  # whether each box is checked
-    # numbers of boxes that could touch, in pairs in ascending order; neighbours are left out
+    # indices of the first and second boxes of pairs that may touch, in ascending order, without neighbours
     pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
     own: NDArray[np.intp]  # (n, n) number of joints above the first box's link that aren't above the second box's link
-    numbers: Mapping[str, int]  # number of a box of each link
+    numbers: Mapping[str, int]  # index of a box of each link
 
 
 @lru_cache(maxsize=_CACHED)
@@ -353,13 +348,13 @@ def _structure(
     held: tuple[tuple[str, str, tuple[str, ...]], ...],
     may_touch: frozenset[frozenset[str]],
 ) -> _Structure:
-    """Return the structure for a model with a canonical URDF.
+    """Return the structure for a model with a checked URDF.
 
     Args:
-        robot_links: links of the boxes.
-        joints: names of the joints that will be moved.
-        all_links: whether to check all links, not only the moved links.
-        held: for each held object its name, the robot's link, and the links of its boxes.
+        robot_links: links of the robot's boxes.
+        joints: names of the moving joints.
+        all_links: whether to check all links, not only links that move.
+        held: name of each held object, the robot's link, and the links of the object's boxes.
         may_touch: pairs of the robot's links that may overlap.
     """
     urdf = stored_tree(path)
@@ -374,7 +369,7 @@ def _structure(
     names, own_links = np.array(links), np.arange(len(links)) < len(robot_links)
     own = _own_joints(urdf, links, joints)
     every = _own_joints(urdf, links, urdf.movable)
-    still = np.where(checked, 0, every.T)  # another arm's links, for example
+    still = np.where(checked, 0, every.T)  # links that aren't checked, such as another arm's
     apart = checked[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
     for link, other in map(sorted, may_touch):
         pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
@@ -397,7 +392,7 @@ def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> 
     """Return the number (n, n) of joints above the first link that aren't above the second link, for n links."""
     columns = {name: number for number, name in enumerate(joints)}
     above: dict[str, NDArray[np.intp]] = {}
-    for link in urdf.links:  # parents come before their children
+    for link in urdf.links:  # a parent comes before its children
         joint = urdf.parent_joint(link)
         above[link] = np.zeros(len(columns), dtype=np.intp) if joint is None else above[joint.parent].copy()
         if joint is not None and joint.name in columns:
@@ -410,10 +405,10 @@ def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> 
 @lru_cache(maxsize=_CACHED)
 @notable
 def joint_counts(path: Path, joints: tuple[str, ...]) -> Mapping[str, int]:
-    """Return the number of moving joints above each link, for a model with a canonical URDF."""
+    """Return the number of moving joints above each link, for a model with a checked URDF."""
     urdf = stored_tree(path)
     counts: dict[str, int] = {}
-    for link in urdf.links:  # parents come before their children
+    for link in urdf.links:  # a parent comes before its children
         joint = urdf.parent_joint(link)
         counts[link] = 0 if joint is None else counts[joint.parent] + (joint.name in joints)
     return counts

@@ -1,7 +1,7 @@
-"""The collision checker: what a robot would touch in other postures or at another pose (thesis 4.4.6).
+"""The collision checker: finds the objects that a robot would touch in other postures or poses (thesis 4.4.6).
 
-Boxes give the links that could touch in many postures (:mod:`pycram.reasoning.collision.boxes`, the broad phase). The
-engine checks only these pairs in a simulation clone, one by one when they are needed (the narrow phase).
+The broad phase finds pairs of links whose boxes overlap (:mod:`pycram.reasoning.collision.boxes`). The narrow phase
+checks these pairs with the engine in a simulation clone, one after the other when they are needed.
 """
 
 from __future__ import annotations
@@ -28,47 +28,47 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
-    #: A moving object and its link, and another object and its link.
+    #: A moving object and its link, then another object and its link.
     Pair = tuple[Object, str, Object, str]
 
-DEPTH: Final = 2e-3  # m of overlap, below which shapes don't collide, because the engine pads them
-_SELF_DEPTH: Final = 0.02  # m; the robot's own shapes are hulls, which overlap where the robot doesn't
-_STANDING: Final = 0.9  # vertical component of a normal where a robot stands
-_FEET: Final = 0.02  # m above the ground that count as the feet
+DEPTH: Final = 2e-3  # m; shapes with a smaller overlap don't collide, because the engine pads shapes
+_SELF_DEPTH: Final = 0.02  # m, as above for the robot's own shapes; they are hulls, which overlap more than the links
+_STANDING: Final = 0.9  # minimum vertical component of a contact's normal below a robot's wheels
+_FEET: Final = 0.02  # m, maximum height of a contact below a robot's wheels
 
 
 class Collision(TypedDict):
-    """A collision of a robot with an object, as in records."""
+    """A collision of a robot with an object, in the form of records."""
 
-    links: list[str]  # links of the robot, or of held objects, that touch the object
-    by: list[str]  # links of the object that are touched
-    depth: float  # depth of the deepest touch, m
-    pair: CollisionPair  # the links of the deepest touch
+    links: list[str]  # touching links of the robot or of held objects
+    by: list[str]  # touched links of the object
+    depth: float  # greatest overlap, m
+    pair: CollisionPair  # the links with the greatest overlap
 
 
 @dataclass(frozen=True, slots=True)
 class PostureCandidate:
-    """A posture, and the links that could touch in it."""
+    """A posture, with the pairs of links that may touch in it."""
 
-    positions: Mapping[str, float]  # joint values in rad or m by name; other joints keep their values
+    positions: Mapping[str, float]  # joint positions in rad or m by name; other joints don't move
     base: Pose | None  # pose of the robot's base; None for its present pose
-    # (n,) numbers of moving boxes, and of the other boxes that overlap them
+    # (n,) indices of moving boxes, and of the other boxes that overlap them
     overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
     transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by the joints
-    # the links in these boxes in the order of the checks; empty until they are needed
+    # pairs of links in these boxes in the order of checks; empty until they are needed
     pairs: list[Pair] = field(default_factory=list)
-    touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # by checked pair
+    touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # contact points of the checked pairs
 
 
 class CollisionChecker:
-    """Checks postures of a robot for collisions. Use it as a context manager, with the world locked.
+    """Checks postures of a robot for collisions. It is a context manager; the caller holds the world's lock.
 
     Args:
-        joints: names of the moving joints; links that they don't move aren't checked.
-        ignored: objects that may be touched.
-        all_links: whether to check all links of the robot, not only the moved links.
-        ignored_links: objects with links that may be touched, such as links that move along.
-        margin: distance in m up to which other objects are checked as well.
+        joints: names of the moving joints; other links of the robot aren't checked.
+        ignored: objects that the robot may touch.
+        all_links: whether to check all links of the robot, not only links that move.
+        ignored_links: links that the robot may touch, with their objects; for example, links that move along.
+        margin: m; objects up to this distance are checked, too.
     """
 
     def __init__(
@@ -101,9 +101,9 @@ class CollisionChecker:
                 all_links=all_links,
             ),
         )
-        self.moving = links.moving  # links of the robot that are checked
+        self.moving = links.moving  # checked links of the robot
         self._link_of = {body: link for body, link, _ in self._held}
-        # held objects, each with an object that it overlapped when it was taken, and passes through
+        # pairs of a held object and an object through which it passes, because they overlapped at the grasp
         self._passed = {
             (body, left) for body in self._link_of for each in body.attachments.values() for left in each.left
         }
@@ -117,7 +117,7 @@ class CollisionChecker:
         self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
         self._copies: dict[tuple[Object, str], LoadedBody] = {}  # checked bodies by object and link
-        self._base = links.base_pose  # the latest pose of the clone's robot
+        self._base = links.base_pose  # present pose of the clone's robot
         self._placed: PostureCandidate | None = None
 
     def __enter__(self) -> Self:
@@ -130,25 +130,25 @@ class CollisionChecker:
             self._clone.invalidate(self.robot.name, *(body.name for body in self._link_of))
 
     def predict(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[PostureCandidate]:
-        """Return candidates for postures, all together.
+        """Return candidates for postures, computed together.
 
         Args:
-            postures: joint values in rad or m by name; other joints keep their values.
-            base: pose of the robot's base; its present pose by default.
+            postures: joint positions in rad or m by name; other joints don't move.
+            base: pose of the robot's base; None for its present pose.
         """
         transforms = self._links.articulation.transforms(postures)
         moved = transforms if base is None else self._carried([base]) @ transforms
         return self._overlapping(postures, [base] * len(postures), transforms, moved)
 
     def predict_at(self, bases: Sequence[Pose]) -> list[PostureCandidate]:
-        """Return candidates for the present posture with the robot's base at poses, all together."""
+        """Return candidates for the present posture with the robot's base at other poses, computed together."""
         if not bases:
             return []
         transforms = self._links.articulation.transforms([{}] * len(bases))
         return self._overlapping([{}] * len(bases), bases, transforms, self._carried(bases)[:, None] @ transforms)
 
     def _carried(self, bases: Sequence[Pose]) -> NDArray[np.float64]:
-        """Return transforms (n, 4, 4) of the robot from its present pose to poses of its base."""
+        """Return the transforms (n, 4, 4) of the robot from its present pose to other poses of its base."""
         placed = np.zeros((len(bases), 4, 4))
         placed[:, :3, :3] = geometry.to_matrices(np.array([orientation for _, orientation in bases]))
         placed[:, :3, 3] = [position for position, _ in bases]
@@ -156,10 +156,7 @@ class CollisionChecker:
         return placed @ geometry.pose_matrix(geometry.invert(self._links.base_pose))
 
     def boxes(self, candidate: PostureCandidate) -> Boxes:
-        """Return the boxes around the robot's checked links in a candidate, with the base at its present pose.
-
-        Held objects are left out.
-        """
+        """Return the boxes around the robot's checked links in a candidate, with the base at its present pose."""
         boxes, links = self._links.boxes, self._links
         centers, axes = boxes.moved(candidate.transforms[None, links.drivers])
         own = np.array([name == self.robot.name for name, _ in links.owners], dtype=bool)
@@ -172,7 +169,7 @@ class CollisionChecker:
         transforms: NDArray[np.float64],
         moved: NDArray[np.float64],
     ) -> list[PostureCandidate]:
-        """Return candidates for postures: for the transforms by joints, and the transforms that include the base."""
+        """Return candidates for postures; ``moved`` has their transforms with the motion of the base."""
         centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])
         posture, box, other = overlaps(centers, axes, self._links.boxes.half_extents, self._other_boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
@@ -182,10 +179,10 @@ class CollisionChecker:
         ]
 
     def pairs(self, candidate: PostureCandidate) -> Sequence[Pair]:
-        """Return the pairs of links in overlapping boxes, each pair once, without pairs of the robot's own links.
+        """Return the pairs of links with overlapping boxes, each pair once, without pairs of the robot's own links.
 
-        The first pair of each object comes first, then the second pairs, and so on: it is more important which objects
-        are touched than how. Furniture comes after other objects, because its boxes are wide.
+        The first pair of each object comes first, then the second pairs, and so on, because it matters most which
+        objects are touched. Furniture comes after other objects, because its boxes are wide.
         """
         if not candidate.pairs:
             boxes, others = candidate.overlaps
@@ -210,14 +207,13 @@ class CollisionChecker:
     def collisions(
         self, candidate: PostureCandidate, links: Collection[str] | None = None
     ) -> Iterator[tuple[Pair, list[ClosestPoint]]]:
-        """Check the pairs of a candidate one after the other; results are cached.
+        """Yield the pairs of a candidate that touch, with their contact points; results are cached.
+
+        Wheels of the robot don't collide with the floor. Held objects don't collide with the robot, nor with objects
+        that they overlapped at the grasp.
 
         Args:
-            links: links of the robot to check, with the objects that they hold; all moved links by default.
-
-        Yields:
-            Two links that touch, with their contact points. The wheels of a robot don't collide with its floor, and
-            held objects don't collide with the robot, nor with what they overlapped when they were taken.
+            links: links of the robot to check, with the objects that they hold; None for all moving links.
         """
         for pair in self.pairs(candidate):
             mover, link, body, _ = pair
@@ -230,7 +226,7 @@ class CollisionChecker:
                 yield pair, touches
 
     def touched(self, candidate: PostureCandidate) -> dict[Object, Collision]:
-        """Return the collisions of a robot in a candidate, deepest first."""
+        """Return the collisions of the robot in a candidate; the deepest collision is first."""
         found: dict[Object, list[tuple[Pair, float]]] = {}
         for pair, touches in self.collisions(candidate):
             found.setdefault(pair[2], []).append((pair, max(-touch.distance for touch in touches)))
@@ -246,16 +242,15 @@ class CollisionChecker:
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
     def in_the_way(self, candidate: PostureCandidate, own_pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
-        """Return the collisions in a candidate: the deepest for each object, and pairs of the robot's own links.
+        """Return the deepest pair for each collision in a candidate, then colliding pairs of the robot's own links.
 
-        Args:
-            own_pairs: the candidate's :meth:`self_pairs`, if they are known.
+        ``own_pairs`` are the candidate's :meth:`self_pairs`, if they are known.
         """
         touched = [collision["pair"] for collision in self.touched(candidate).values()]
         return touched + self.self_collisions(candidate, own_pairs)
 
     def known(self, candidate: PostureCandidate) -> list[CollisionPair]:
-        """Return the pairs that have been checked and collide, deepest first."""
+        """Return the checked pairs that collide; the deepest pair is first."""
         depths = {
             pair: max((-touch.distance for touch in touches), default=0.0)
             for pair, touches in candidate.touches.items()
@@ -264,10 +259,9 @@ class CollisionChecker:
         return sorted(found, key=lambda pair: -pair.depth)
 
     def self_collisions(self, candidate: PostureCandidate, pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
-        """Return the colliding pairs of the robot's own links, or of held objects; neighbours are left out.
+        """Return the colliding pairs of the robot's own links and held objects, except neighbours.
 
-        Args:
-            pairs: the candidate's :meth:`self_pairs`, if they are known.
+        ``pairs`` are the candidate's :meth:`self_pairs`, if they are known.
         """
         if pairs is None:
             (pairs,) = self.self_pairs([candidate])
@@ -275,16 +269,16 @@ class CollisionChecker:
         return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 
     def self_pairs(self, candidates: Sequence[PostureCandidate]) -> list[list[Pair]]:
-        """Return for each candidate the pairs of own links and held objects, not neighbours, with overlapping boxes."""
+        """Return, for each candidate, the pairs of own links and held objects with overlapping boxes, no neighbours."""
         if not candidates:
             return []
         found = self._links.self_overlaps(np.array([candidate.transforms for candidate in candidates]))
         return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
 
     def depth(self, candidate: PostureCandidate, pair: Pair) -> float:
-        """Return the overlap in m of two links in a candidate; wheels don't overlap their floor.
+        """Return the overlap in m of two links in a candidate; wheels don't overlap the floor.
 
-        It is negative for links with a distance, down to the margin.
+        The overlap is negative for links that don't touch, down to the margin.
         """
         touches = self._touches(candidate, pair)
         if touches and pair[0].is_robot and pair[2].is_environment:
@@ -292,9 +286,9 @@ class CollisionChecker:
         return max((-touch.distance for touch in touches), default=-self._margin)
 
     def least(self, pair: Pair) -> float:
-        """Return the least overlap in m at which two links collide; it is greater for the robot's own links.
+        """Return the least overlap in m at which two links collide; it is larger for the robot's own links.
 
-        Held objects come near the trunk and the arm's own shoulder, whose hulls are wide.
+        Held objects may come near the links that carry them, such as the shoulder, because the hulls are wide.
         """
         mover, _, body, other = pair
         if body is not self.robot:
@@ -312,7 +306,7 @@ class CollisionChecker:
         return CollisionPair(mover.name, link_name(mover, link), body.name, link_name(body, other), depth, gripper)
 
     def _touches(self, candidate: PostureCandidate, pair: Pair) -> list[ClosestPoint]:
-        """Return the contact points of two links; only this moves the clone's robot."""
+        """Return the contact points of two links; this moves the clone's robot."""
         touches = candidate.touches.get(pair)
         if touches is None:
             self._place(candidate)
@@ -323,7 +317,7 @@ class CollisionChecker:
         return touches
 
     def _copy(self, body: Object, link: str) -> LoadedBody:
-        """Return the body in the clone with a link of an object; furniture has a body for each link."""
+        """Return the clone's body with a link of an object; furniture has a body for each link."""
         copy = self._copies.get((body, link))
         if copy is None:
             copy = self._clone.link(body, link) if body.is_environment else self._clone.body(body.name)
@@ -331,12 +325,12 @@ class CollisionChecker:
         return copy
 
     def closest_points(self, candidate: PostureCandidate, other: LoadedBody) -> list[ClosestPoint]:
-        """Return the contact points of the whole robot in a candidate with a body in the clone."""
+        """Return the contact points between the whole robot in a candidate and a body in the clone."""
         self._place(candidate)
         return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)
 
     def _place(self, candidate: PostureCandidate) -> None:
-        """Move the clone's robot and its held objects into the posture of a candidate."""
+        """Move the clone's robot and its held objects to a candidate."""
         if candidate is self._placed:
             return
         self._placed = candidate
@@ -350,11 +344,7 @@ class CollisionChecker:
             engine.set_pose(self._clone.body(body.name), geometry.multiply(engine.link_pose(robot, link), pose))
 
     def links_beyond(self, joints: Collection[str]) -> set[str]:
-        """Return the robot's links below the last of some joints: for an arm's joints, the hand.
-
-        Args:
-            joints: names of moving joints in a chain.
-        """
+        """Return the robot's links below the last joint of a chain of joints, such as the links of an arm's hand."""
         names = tuple(joints)
         counts = joint_counts(self.robot.model.path, names)
         return {link for link, count in counts.items() if count == len(names)}
@@ -362,8 +352,7 @@ class CollisionChecker:
     def constant_links(self, link: str | None) -> set[str]:
         """Return the robot's links that the moving joints don't move.
 
-        Args:
-            link: a further link that counts as fixed, such as the hand in all postures for a grasp.
+        ``link`` is another link whose pose is constant, such as the hand in all postures for a grasp.
         """
         counts = self._links.joint_counts
         constant = {0} if link is None else {0, counts[link]}
@@ -371,20 +360,20 @@ class CollisionChecker:
 
 
 def link_name(body: Object, link: str) -> str:
-    """Return the link's name in a collision pair: "" if the object has only one link."""
+    """Return the name of a link for a collision pair; "" if the object has only one link."""
     return link if len(body.links) > 1 else ""
 
 
 def touched(
     robot: Object, positions: Mapping[str, float], base: Pose | None = None, *, all_links: bool = False
 ) -> dict[Object, Collision]:
-    """Return the collisions of a robot in another posture or at another pose, deepest first.
+    """Return the collisions of a robot in another posture or at another pose; the deepest collision is first.
 
     Args:
-        robot: its world is locked.
-        positions: joint values in rad or m by name; other joints keep their values.
-        base: pose of the robot's base; the present one by default.
-        all_links: whether to check all links of the robot, not only the moved links.
+        robot: the robot; the caller holds the world's lock.
+        positions: joint positions in rad or m by name; other joints don't move.
+        base: pose of the robot's base; None for its present pose.
+        all_links: whether to check all links of the robot, not only links that move.
     """
     with CollisionChecker(robot, positions, all_links=all_links) as checker:
         (candidate,) = checker.predict([positions], base)
@@ -392,12 +381,9 @@ def touched(
 
 
 def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
-    """Return the collisions in a posture: the deepest for each object, and pairs of the robot's own links.
+    """Return the deepest pair for each collision in a posture, then colliding pairs of the robot's own links.
 
-    Args:
-        robot: its world is locked.
-        positions: joint values in rad or m by name; other joints keep their values.
-        base: pose of the robot's base; the present one by default.
+    :func:`touched` describes the arguments.
     """
     with CollisionChecker(robot, positions) as checker:
         (candidate,) = checker.predict([positions], base)
@@ -405,15 +391,9 @@ def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None 
 
 
 def newly_touched(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
-    """Return the collisions of a robot in a posture, without its present collisions, which may be intended.
+    """Return the pairs of :func:`in_the_way`, ordered by object, without collisions of the present posture.
 
-    Args:
-        robot: its world is locked.
-        positions: joint values in rad or m by name; other joints keep their values.
-        base: pose of the robot's base; the present one by default.
-
-    Returns:
-        For each object, ordered by name, the links that overlap most; then all pairs of the robot's own links.
+    :func:`touched` describes the arguments.
     """
     now = robot.get_joint_positions()
     with CollisionChecker(robot, positions) as checker:
@@ -434,7 +414,7 @@ def _ends(pair: CollisionPair) -> tuple[str, ...]:
 
 
 def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
-    """Return the objects that a robot carries, also indirectly: object, the robot's link, and the pose in that link."""
+    """Return the objects that a robot carries, also indirectly, with the robot's link and the pose in that link."""
     held: list[tuple[Object, str, Pose]] = []
     queue = [(attachment.body, attachment.carrier_link) for attachment in robot.carried]
     while queue:
@@ -446,5 +426,5 @@ def _held(robot: Object) -> list[tuple[Object, str, Pose]]:
 
 
 def _carries_wheels(touch: ClosestPoint) -> bool:
-    """Return whether the robot stands at a touch: a contact from below, at the height of its feet."""
+    """Return whether a contact is below the robot's wheels."""
     return touch.normal[2] > _STANDING and touch.position[2] < _FEET

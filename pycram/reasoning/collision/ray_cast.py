@@ -1,7 +1,7 @@
-"""Ray casts: the points at which straight lines enter and leave an object's collision shapes.
+"""Ray casts: where straight lines enter and leave an object's collision shapes.
 
-A gripper must know the width of an object between its fingers. The object's bounds don't give it: they grow with
-a rotation, and ignore hollows. All lines are intersected with the model's convex pieces together, without the engine.
+A gripper needs the width of an object between its fingers. The object's bounds are larger than this width, because they
+grow with rotations and include hollows. All lines are intersected with the model's convex pieces together.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _PADDING: Final = 1e-3  # m by which the engine pads hulls
-_PARALLEL: Final = 1e-9  # component of a plane's unit normal along a line, below which the line never meets the plane
+_PARALLEL: Final = 1e-9  # a line with a smaller component along a plane's unit normal is parallel to the plane
 
 
 def center(body: Object) -> Vector:
@@ -39,39 +39,30 @@ def _center(low: Sequence[float], high: Sequence[float]) -> Vector:
 
 
 def half_extent(low: Sequence[float], high: Sequence[float], direction: Sequence[float]) -> float:
-    """Return half of the size of a box along a direction, m.
-
-    Args:
-        low: lowest corner of the box.
-        high: highest corner of the box.
-        direction: a unit vector.
-    """
+    """Return half of the size of a box (lowest and highest corner) along a unit vector, m."""
     (x0, y0, z0), (x1, y1, z1), (x, y, z) = low, high, direction
     return (abs(x) * (x1 - x0) + abs(y) * (y1 - y0) + abs(z) * (z1 - z0)) / 2
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
-    """Parallel lines at equal distances."""
+    """Parallel lines at regular distances."""
 
-    frame: Pose  # a frame in the world; the lines are along one of its axes
-    first: float  # first coordinate of a line along another axis, m
+    frame: Pose  # a frame in the world; the lines are parallel to one of its axes
+    first: float  # coordinate of the first line along another axis, m
     step: float  # m between lines
 
 
 class RayCaster:
-    """Casts rays at one object as it stands.
+    """Casts rays at an object at its present pose; the caller holds the world's lock.
 
     Args:
-        body: its world is locked.
-        lean: rotation xyzw about the center of the object's bounds that is undone first, so that a leaning object is
-            treated as upright.
-
+        lean: rotation xyzw of a leaning object about the center of its bounds; the object is treated as upright.
     """
 
     def __init__(self, body: Object, lean: Quaternion | None = None) -> None:
         self.low, self.high = body.get_AABB()
-        self.center = _center(self.low, self.high)  # center of its bounds in the world, m
+        self.center = _center(self.low, self.high)  # center of the bounds in the world, m
         solids = solids_of(body.model.path)
         positions, orientations = body.world.engine.link_frames(body.handle, solids.links)
         turns = geometry.to_matrices(orientations)
@@ -94,13 +85,13 @@ class RayCaster:
         """Return the extents of the object along the y axes of frames.
 
         Args:
-            scans: lines along the y axes, at coordinates along the x axes.
-            count: number of lines in each scan.
-            zs: z of the lines, m; the extreme points of all z are returned.
+            scans: lines parallel to the y axes, at coordinates along the x axes.
+            count: number of lines of each scan.
+            zs: z of the lines, m; the extreme points at all z are returned.
 
         Returns:
-            (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x; nan outside of the object.
-            Values beyond a scan's own count are undefined.
+            (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x, nan outside of the object.
+            Rows beyond the count of their scan are undefined.
         """
         hits = self._intersect(scans, (0, 2, 1), count, zs)
         ends = hits.nearest(np.stack([hits.enter.min(axis=1), -hits.leave.max(axis=1)], axis=1))
@@ -108,16 +99,16 @@ class RayCaster:
         return np.where(found[:, :, :1] <= found[:, :, 1:], found, np.nan)
 
     def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
-        """Return the walls of a hollow object along the x axes of frames, seen from the z axes.
+        """Return the walls of a hollow object along the x axes of frames.
 
         Args:
-            scans: lines along the x axes, at coordinates along the z axes; these points are in the hollow.
-            count: number of lines in each scan.
-            ys: y of the lines, m; the extreme points of all y are returned.
+            scans: lines parallel to the x axes, at coordinates along the z axes; the lines start in the hollow.
+            count: number of lines of each scan.
+            ys: y of the lines, m; the extreme points at all y are returned.
 
         Returns:
-            (len(scans), count, 2), m: x of the inside and the outside of the wall at each z. The inside is nan if a
-            line enters no piece, as if it begins in a wall; both are nan if there is no wall.
+            (len(scans), count, 2), m: x of the inner and the outer surface of the wall at each z. The inner surface is
+            nan if a line starts in a wall; both are nan without a wall.
         """
         hits = self._intersect(scans, (2, 1, 0), count, ys)
         first = hits.nearest(np.where(hits.enter > 0.0, hits.enter, np.inf))
@@ -128,12 +119,12 @@ class RayCaster:
     def _intersect(
         self, scans: Sequence[Scan], order: tuple[int, int, int], count: int | Sequence[int], vs: Sequence[float]
     ) -> _Intersections:
-        """Intersect parallel lines with the object's pieces, all together, because each call of numpy takes its time.
+        """Intersect parallel lines with the object's pieces, all together, because each call of numpy takes time.
 
         Args:
-            order: order of the frames' axes: u and v across the lines, w along the lines.
+            order: indices of the frames' axes: u and v across the lines, w along the lines.
             count: number of lines along u in each scan.
-            vs: coordinates of lines along v, lowest first, m.
+            vs: coordinates of lines along v in ascending order, m.
         """
         last = np.broadcast_to(count, len(scans)) - 1
         most = int(last.max(initial=0)) + 1
@@ -144,25 +135,25 @@ class RayCaster:
         frames[:, :3, :3] = axes = geometry.to_matrices(numbers[:, 5:])[:, :, order]
         frames[:, :3, 3] = -origins
         across = axes[:, :, :2]
-        middle, half = np.empty((2, len(scans), 1, 2))  # of the lines along u and v
+        middle, half = np.empty((2, len(scans), 1, 2))  # middle and half extent of the lines along u and v
         half[:, 0, 0], half[:, 0, 1] = last / 2 * steps, (vs[-1] - vs[0]) / 2
         middle[:, 0, 0], middle[:, 0, 1] = firsts + half[:, 0, 0], (vs[-1] + vs[0]) / 2
         away = (self._centers - origins[:, None]) @ across - middle
         reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
         near = (np.abs(away) <= reach + np.abs(half)).all(axis=2)
         where, which = np.nonzero(near)
-        # the coordinates along u at which lines can meet a piece
+        # the range of lines along u that may meet each piece
         middles, spread = away[where, which, 0], reach[where, which, 0]
         paces = np.where(steps == 0.0, _PARALLEL, steps)[where]
         middles, spread = middles / paces + last[where] / 2, np.abs(spread / paces)
         begins = np.maximum(np.ceil(middles - spread), 0.0).astype(np.intp)
         width = int((np.minimum(np.floor(middles + spread), last[where]).astype(np.intp) - begins).max(initial=0)) + 1
         begins = np.minimum(begins, most - width)
-        # each plane meets the lines of its pair
+        # intersect each plane with the lines of its pair of a scan and a piece
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
         u, v, along, room = planes.T
-        # a line along a plane leaves it far ahead if it is inside, and left it far behind if it is outside
+        # a line along a plane leaves it far ahead if the line is inside, and far behind if the line is outside
         along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
         factors = np.empty((len(planes), 3))
         factors[:, 0] = room - u * (firsts[where] + begins * steps[where])[number]
@@ -172,7 +163,7 @@ class RayCaster:
         lines = np.empty((3, len(vs), width))
         lines[0], lines[1], lines[2] = 1.0, np.arange(width), np.reshape(vs, (-1, 1))
         found = []
-        for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes of both kinds
+        for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes on both sides
             mine = np.flatnonzero(side)
             counts = np.bincount(number[mine], minlength=len(where))
             each = np.arange(counts.max(initial=1))[:, None]
@@ -186,16 +177,16 @@ class RayCaster:
 
 @dataclass(frozen=True, slots=True)
 class _Intersections:
-    """The intersections of the lines of scans with n nearby pieces."""
+    """The intersections of scans with pieces; there are n pairs of a scan and a piece near it."""
 
-    pieces: NDArray[np.intp]  # (scans,) number of pieces near each scan, in the order of the pieces
-    count: int  # greatest count of lines in a scan
-    begins: NDArray[np.intp]  # (n,) the first line that can meet the piece
-    enter: Array  # (n, beside, width), m: where each line enters the piece; inf if it misses
-    leave: Array  # (n, beside, width), m: where each line leaves the piece; -inf if it misses
+    pieces: NDArray[np.intp]  # (scans,) number of pieces near each scan; the pairs have the order of scans and pieces
+    count: int  # greatest number of lines in a scan
+    begins: NDArray[np.intp]  # (n,) index of the first line that may meet the piece
+    enter: Array  # (n, beside, width), m: where each line enters the piece; inf if it misses the piece
+    leave: Array  # (n, beside, width), m: where each line leaves the piece; -inf if it misses the piece
 
     def nearest(self, values: Array) -> Array:
-        """Return the lowest of the values (n, beside, width) of pieces: (scans, beside, count); inf for no piece."""
+        """Return the lowest value (scans, beside, count) of pieces with values (n, beside, width); inf for none."""
         pieces, beside, width = values.shape
         cells = np.full((pieces, beside, self.count), np.inf)
         across = np.arange(pieces)[:, None, None], np.arange(beside)[:, None]

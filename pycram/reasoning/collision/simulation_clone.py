@@ -1,9 +1,7 @@
-"""Simulation clones: copies of a world in other physics clients, for experiments.
+"""Simulation clones: copies of a world in other physics clients, for experiments that don't change the world.
 
-An experiment in a clone doesn't change a bit of the world. There are two kinds. In a :class:`PosingClone`, bodies are
-put into poses and postures, and pass through each other. Each body is loaded when it is needed; furniture has a body
-for each link. In a :class:`PhysicsClone`, bodies collide, and time is simulated. Each query first brings its clone to
-the world's state; for an unchanged body this is only a comparison.
+In a :class:`PosingClone`, bodies pass through each other, and are set to poses and postures. In a
+:class:`PhysicsClone`, bodies collide, and time is simulated. Each query first updates its clone.
 """
 
 from __future__ import annotations
@@ -29,44 +27,44 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-    #: An object and its link; "" for the whole object.
+    #: An object and the name of its link; "" for the whole object.
     Part: TypeAlias = tuple[Object, str]
 
 T = TypeVar("T")
 
-_MAX_CACHED: Final = 8  # cached values of an object
-_MAX_JOINED: Final = 8  # cached sets of objects with their boxes
+_MAX_CACHED: Final = 8  # maximum number of cached values of an object
+_MAX_JOINED: Final = 8  # maximum number of cached sets of objects with their boxes
 _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 
 @dataclass(slots=True)
 class _Copy:
-    """A body of the clone."""
+    """A body in the clone."""
 
-    original: LoadedBody  # the object's body in the world; a later body may get the same id
-    body: LoadedBody  # the copy
-    state: Snapshot | None = None  # the object's state that the copy has; None if the copy was changed
+    original: LoadedBody  # the object's body in the world; it identifies the object, because ids are used again
+    body: LoadedBody  # the body in the clone
+    state: Snapshot | None = None  # the object's state when the copy was updated; None if the copy was changed
 
 
 class SimulationClone:
-    """Copies of a world's objects, or of their parts, in a physics client. Use it with the world locked."""
+    """Copies of a world's objects or of their parts in a physics client; callers hold the world's lock."""
 
     def __init__(self, world: BulletWorld) -> None:
         self.world = weakref.proxy(world)
         self._engine: Engine | None = None
-        self._copies: dict[tuple[str, str], _Copy] = {}  # copies by object and link; "" for the whole object
+        self._copies: dict[tuple[str, str], _Copy] = {}  # by object and link; "" for the whole object
         self._values: weakref.WeakKeyDictionary[Object, dict[Hashable, tuple[Snapshot, object]]]
         self._values = weakref.WeakKeyDictionary()
 
     @property
     def engine(self) -> Engine:
-        """The physics client, which starts at its first use."""
+        """The physics client, which starts with its first use."""
         if self._engine is None:
             self._engine = Engine()
         return self._engine
 
     def _forget_removed(self) -> None:
-        """Remove the copies of objects that are no longer in the world."""
+        """Remove the copies of objects that aren't in the world any more."""
         living = {body.name: body.handle for body in self.world.objects}
         for key, copy in list(self._copies.items()):
             if living.get(key[0]) is not copy.original:
@@ -74,7 +72,7 @@ class SimulationClone:
                 del self._copies[key]
 
     def _load(self, body: Object, link: str, path: Path) -> _Copy:
-        """Load a model as an object, or as a part with a link's frame, at any pose."""
+        """Load a copy of an object from a model; with ``link``, a copy of a part whose frame is the link's frame."""
         robot = body.is_robot and not link
         loading = body.model.loading
         loaded = self.engine.load(path, geometry.IDENTITY, fixed=body.fixed, robot=robot, loading=loading)
@@ -82,20 +80,15 @@ class SimulationClone:
         return copy
 
     def invalidate(self, *names: str) -> None:
-        """Mark copies as changed: they are restored before their next use.
-
-        Args:
-            names: names of the objects; all by default.
-        """
+        """Mark the copies of objects, or of all objects, as changed; they are updated before their next use."""
         for (name, _), copy in self._copies.items():
             if not names or name in names:
                 copy.state = None
 
     def cached(self, body: Object, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return a computed value of an object in the world; it is computed again after the object has moved.
+        """Return a computed value of an object, which the clone computes again after the object has moved.
 
-        Args:
-            key: identifies the value.
+        ``key`` identifies the value.
         """
         now = self.state(body)
         values = self._values.setdefault(body, {})
@@ -118,7 +111,7 @@ class SimulationClone:
 
 
 class PosingClone(SimulationClone):
-    """A clone whose bodies pass through each other, for closest points in poses and postures."""
+    """A clone whose bodies pass through each other, for closest points at other poses and postures."""
 
     def __init__(self, world: BulletWorld) -> None:
         super().__init__(world)
@@ -126,14 +119,14 @@ class PosingClone(SimulationClone):
         self._joined: dict[tuple[Boxes, ...], Boxes] = {}
 
     def sync(self) -> None:
-        """Bring the clone to the world's state; each body follows when it is needed."""
+        """Read the world's state; each body is updated when it is needed."""
         self._forget_removed()
         self._states = {body.name: take_snapshot(body) for body in self.world.objects}
 
     def body(self, name: str) -> LoadedBody:
-        """Return the copy of an object in its synced state, unless the caller has moved it since."""
+        """Return the copy of an object at its state in the world, unless the caller has moved the copy."""
         copy = self._copies.get((name, ""))
-        if copy is not None and copy.state is self._states[name]:  # the usual case: a query needs a body many times
+        if copy is not None and copy.state is self._states[name]:  # usual, because a query uses a body many times
             return copy.body
         body: Object = self.world.get_object(name)
         if copy is None:
@@ -148,11 +141,11 @@ class PosingClone(SimulationClone):
         return copy.body
 
     def state(self, body: Object) -> Snapshot:
-        """Return the synced state of an object in the world."""
+        """Return the state of an object in the world at the latest :meth:`sync`."""
         return self._states[body.name]
 
     def link(self, body: Object, link: str) -> LoadedBody:
-        """Return a copy of one link of an object, as synced; the link must have collision shapes."""
+        """Return a copy of one link of an object at its state in the world; the link must have collision shapes."""
         copy = self._copies.get((body.name, link))
         if copy is None:
             copy = self._load(body, link, rigid_parts.single_link(body.model.path, link))
@@ -164,11 +157,11 @@ class PosingClone(SimulationClone):
         return copy.body
 
     def boxes(self, body: Object) -> Boxes:
-        """Return the boxes around an object's pieces, as synced."""
+        """Return the boxes around an object's pieces in the world."""
         return self.cached(body, "boxes", lambda: Boxes.around(body.world.engine, body.handle, body))
 
     def all_boxes(self, bodies: Iterable[Object]) -> tuple[Boxes, Sequence[Object]]:
-        """Return the boxes around the pieces of objects, as synced, and the owner of each box."""
+        """Return the boxes around the pieces of objects in the world, and the owner of each box."""
         parts = [(body, self.boxes(body)) for body in bodies]
         key = tuple(boxes for _, boxes in parts)
         if key not in self._joined:
@@ -178,7 +171,7 @@ class PosingClone(SimulationClone):
         return self._joined[key], [body for body, boxes in parts for _ in boxes.links]
 
     def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, LoadedBody]:
-        """Return copies of everything in some boxes, in order: the links of furniture, and other objects as a whole."""
+        """Return copies of the parts that overlap some boxes: links of furniture, and other objects as a whole."""
         every, owners = self.all_boxes(bodies)
         *_, found = overlaps(boxes.centers[None], boxes.axes[None], boxes.half_extents, every)
         near = [(owners[number], every.links[number]) for number in sorted(set(found.tolist()))]
@@ -187,7 +180,7 @@ class PosingClone(SimulationClone):
 
 
 class PlacedPart(NamedTuple):
-    """A rigid part of furniture, with its body in a clone."""
+    """A rigid part of furniture and its body in a clone."""
 
     part: RigidPart
     body: LoadedBody
@@ -202,12 +195,12 @@ class PhysicsClone(SimulationClone):
         self._held: list[tuple[int, LoadedBody, str, LoadedBody, bool]] = []
 
     def sync(self, bodies: Iterable[Object]) -> tuple[dict[str, LoadedBody], dict[str, list[PlacedPart]]]:
-        """Bring some objects to the world's state, with the attachments among them; other objects are moved away.
+        """Update the clone to the world's state of some objects and their attachments; other copies are moved away.
 
-        Furniture is divided into its rigid parts, which take less time to simulate, unless it carries something.
+        Furniture without attached objects is divided into rigid parts, which take less time to simulate.
 
         Returns:
-            The bodies of undivided objects, and the parts of the others, both by the objects' names.
+            The bodies of undivided objects, and the parts of divided objects, both by object name.
         """
         wanted = list(bodies)
         for constraint, carrier, link, carried, robot in self._held:
@@ -264,7 +257,7 @@ class PhysicsClone(SimulationClone):
         return found
 
     def _forget_contacts(self, copy: LoadedBody, body: Object) -> None:
-        """Forget the contacts of earlier queries, which would change the last bits of the result."""
+        """Forget the contacts of earlier queries, which would affect the last bits of results."""
         self.engine.reset_collision_filter(copy, fixed=body.fixed, robot=body.is_robot)
 
     def _hold(self, held: BodyAttachment, copies: Mapping[str, LoadedBody]) -> None:
@@ -280,7 +273,7 @@ class PhysicsClone(SimulationClone):
 
 
 def _divides(body: Object) -> bool:
-    """Return whether an object can be simulated as rigid parts: it is fixed, and its joints are held."""
+    """Return whether an object can be simulated as rigid parts, because its base is fixed and its joints are held."""
     return body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
 
 
@@ -297,11 +290,9 @@ def clone_of(world: BulletWorld, purpose: Literal["physics", "physics with robot
 
 
 def clone_of(world: BulletWorld, purpose: str) -> SimulationClone:
-    """Return the world's clone for a purpose, made at its first use and ended with the world.
+    """Return a world's clone for a purpose. The clone starts with its first use, and ends with the world.
 
-    Args:
-        world: the world, which is locked.
-        purpose: "reach" for postures; "physics" and "physics with robots" for simulated time.
+    ``purpose`` is "reach" for postures, and "physics" or "physics with robots" for simulated time.
     """
     with _registry:
         clones = _clones.setdefault(world, {})
