@@ -62,25 +62,28 @@ def text(lines: Iterable[str]) -> str:
     return f"{_PRE}{escape(chr(10).join(shown))}</pre>" if shown else ""
 
 
-def report(lines: Iterable[str], unfolded: int = 2) -> str:
-    """Return the HTML of a report, with the first ``unfolded`` sections open.
-
-    In the lines, a section is an empty line, a title and indented lines.
-    """
+def sections(lines: Iterable[str]) -> tuple[list[str], list[tuple[str, list[str]]]]:
+    """Return the first lines of a report, and its sections: an empty line, a title and indented lines each."""
     headlines: list[str] = []
-    sections: list[tuple[str, list[str]]] = []
+    found: list[tuple[str, list[str]]] = []
     begins = False
     for line in lines:
         if not line:
             begins = True
         elif begins:
-            sections.append((line, []))
+            found.append((line, []))
             begins = False
         else:
-            (sections[-1][1] if sections else headlines).append(line.removeprefix("  ") if sections else line)
+            (found[-1][1] if found else headlines).append(line.removeprefix("  ") if found else line)
+    return headlines, found
+
+
+def report(lines: Iterable[str], unfolded: int = 2) -> str:
+    """Return the HTML of a report, with the first ``unfolded`` sections open."""
+    headlines, found = sections(lines)
     folds = (
         f"<details{' open' if number < unfolded else ''}><summary>{escape(title)}</summary>{text(body)}</details>"
-        for number, (title, body) in enumerate(sections)
+        for number, (title, body) in enumerate(found)
     )
     first, *more = headlines or [""]
     return page(first, text(more), *folds)

@@ -42,6 +42,10 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap", "why the plan failed"),
             ("run.mcap task:pick-up@end", "why this task failed"),
         ),
+        "report": (
+            ("run.mcap -o run.html", "a page to send: why, pictures, timeline, film"),
+            ("run.mcap --good good.mcap", "with the difference from a good run"),
+        ),
         "check": (
             ("run.mcap 'never contact(pr2, kitchen)'", "whether a property holds; if not, where"),
             ("runs/ -f table.properties", "in how many runs each property holds"),

@@ -17,6 +17,7 @@ from replay.report.phrases import plural
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Sequence
 
     from recorder.properties import Property
     from replay.explain.check import CheckedProperty
@@ -63,16 +64,28 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> list[Property]:
+    found = _parsed(options.properties, options.file)
+    if not found:
+        raise ReplayError("give a property, such as 'always milk.z > 0.5', or a file with -f")
+    return found
+
+
+def checked(log: Recording, texts: Sequence[str], files: Sequence[str]) -> list[CheckedProperty]:
+    """Check the properties in texts and files.
+
+    Raises:
+        ReplayError: a text isn't in the language, or a file can't be read.
+    """
+    return _check(log, _parsed(texts, files))
+
+
+def _parsed(texts: Sequence[str], files: Sequence[str]) -> list[Property]:
     try:
-        found = [parse(text) for text in options.properties]
-        found += [each for file in options.file for each in parse_file(file)]
+        return [*map(parse, texts), *(each for file in files for each in parse_file(file))]
     except BadProperty as error:
         raise ReplayError(f"{error}{_as_query(error.text, options.log)}") from None
     except OSError as error:
         raise ReplayError(f"{error.filename}: {error.strerror}") from None
-    if not found:
-        raise ReplayError("give a property, such as 'always milk.z > 0.5', or a file with -f")
-    return found
 
 
 def _as_query(text: str, path: str) -> str:

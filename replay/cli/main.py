@@ -45,6 +45,7 @@ VERBS: Final = {
     "check": "check properties, such as 'never contact(pr2, kitchen)', and find the first violation",
     "ask": "answer a reasoning query at a step, optionally after moving objects",
     "render": "draw a picture of the scene at a step, without a viewer",
+    "report": "write a page to send: the failure, why, pictures, a timeline, a film",
     "view": "show the recording in the Rerun viewer: scene, tasks, queries, curves",
     "verify": "check that a recording is consistent, and that repeating its changes has the recorded effects",
     "retrace": "run the plan again, and report the first difference from the recording",

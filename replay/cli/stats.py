@@ -1,17 +1,14 @@
 """``stats``: success rates of the runs of a folder, causes of failures, and slow queries, motions and tasks.
 
-``--html`` writes a report as a single file: pictures are embedded, plots are SVG, and a short script sorts the tables.
-A picture shows the scene at the step at which a failure began.
+``--html`` writes a report as a single file. A picture shows the scene at the step at which a failure began.
 """
 
 from __future__ import annotations
 
-import base64
 import dataclasses
 import io
 import os
 import shlex
-from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
@@ -20,12 +17,13 @@ from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE
 from replay.errors import ReplayError
 from replay.recording import Recording
+from replay.report.page import embedded, page, write
 from replay.report.phrases import one_line, percent, plural, short
 from replay.runs.statistics import plan_of, statistics
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterator, Sequence
 
     from PIL import Image
 
@@ -42,40 +40,7 @@ _MAX_PICTURES: Final = 12
 _CAPTION: Final = 34  # height in pixels below a picture
 _LETTERS: Final = 52  # largest number of letters in a line of a caption
 _PICTURES: Final = 8  # largest number of causes with a picture
-_LABEL: Final = 22  # largest number of characters of a label next to a bar
 _CLAIMS: Final = 10
-_WIDE, _BAR = 420, 22  # sizes of a bar in pixels
-
-_STYLE: Final = """
-body { font: 15px/1.45 system-ui, sans-serif; margin: 2rem auto; max-width: 72rem; padding: 0 1rem; color: #1c2430; }
-h1 { font-size: 1.5rem; }
-h2 { font-size: 1.15rem; margin-top: 2.2rem; border-bottom: 1px solid #d5dbe3; }
-table { border-collapse: collapse; margin: .6rem 0; width: 100%; }
-td, th { padding: .25rem .6rem; text-align: left; vertical-align: top; }
-tr:nth-child(even) td { background: #f5f7fa; }
-th { cursor: pointer; background: #e8edf3; user-select: none; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
-code { font-size: .85em; overflow-wrap: anywhere; }
-.big { font-size: 2rem; font-weight: 600; }
-.gray { color: #66707f; }
-figure { display: inline-block; margin: .4rem .6rem .4rem 0; width: 320px; vertical-align: top; }
-figure img { width: 320px; border: 1px solid #d5dbe3; }
-figcaption { font-size: .8rem; overflow-wrap: anywhere; }
-"""
-_SCRIPT: Final = """
-document.querySelectorAll("th").forEach(head => head.addEventListener("click", () => {
-  const table = head.closest("table"), at = [...head.parentNode.children].indexOf(head);
-  const down = head.dataset.sorted !== "down";
-  const key = row => row.children[at].dataset.value ?? row.children[at].textContent;
-  const rows = [...table.tBodies[0].rows].sort((a, b) => {
-    const x = key(a), y = key(b), n = Number(x) - Number(y);
-    return (Number.isNaN(n) ? x.localeCompare(y) : n) * (down ? -1 : 1);
-  });
-  table.querySelectorAll("th").forEach(each => delete each.dataset.sorted);
-  head.dataset.sorted = down ? "down" : "up";
-  table.tBodies[0].append(...rows);
-}));
-"""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -93,26 +58,19 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     stats = statistics(runs, chosen)
     facts, text = data(stats), list(lines(stats))
     if options.picture:
-        _write(options.picture, contact_sheet(runs.path, stats))
+        write(options.picture, contact_sheet(runs.path, stats))
         facts["picture"] = options.picture
         text += ["", options.picture]
     if options.html:
         from replay.runs.separation import separate  # noqa: PLC0415
 
-        _write(options.html, html_report(runs.path, stats, separate(runs, stats.runs), Path(options.html)).encode())
+        write(options.html, html_report(runs.path, stats, separate(runs, stats.runs), Path(options.html)).encode())
         facts["html"] = options.html
         text += ["", options.html]
     for plan, count in others:
         print_message(f"left out: {count} runs of another plan, {plan}; see stats --plan {plan}")
     print_result(lambda: facts, text, as_json=options.json)
     return FINE
-
-
-def _write(file: str, content: bytes) -> None:
-    try:
-        Path(file).write_bytes(content)
-    except OSError as error:
-        raise ReplayError(f"{file}: can't be written: {error}") from error
 
 
 def data(stats: Statistics) -> dict[str, object]:
@@ -178,167 +136,100 @@ def _slow(title: str, slow: Sequence[Slow]) -> Iterator[str]:
 def html_report(folder: Path, stats: Statistics, found: Separation, file: Path) -> str:
     """Return the page; its links are relative to ``file``, where the page will be written."""
     links = quote(os.path.relpath(folder.resolve(), file.resolve().parent))
-    parts = [
-        f"<h1>{escape(stats.plan)}: {len(stats.runs)} runs</h1>",
-        _summary(stats),
-        *(f"<h2>Success by {escape(name)}</h2>{_shares(shares)}" for name, shares in stats.parameters),
-        "<h2>What separates failures from successes</h2>",
-        _claims(folder, found),
-        "<h2>Failures by cause</h2>",
-        _cause_table(folder, stats.causes, links),
-        "<h2>Pictures of failures</h2>",
-        "".join(_figure(folder, cause, links) for cause in stats.causes[:_PICTURES]) or "<p>No run failed.</p>",
-        *(
-            f"<h2>Slowest {title}</h2>{_slow_table(folder, slow)}"
-            for title, slow in (("queries", stats.queries), ("motions", stats.motions), ("other tasks", stats.tasks))
-            if slow
-        ),
-    ]
-    title = escape(f"{stats.plan}: {len(stats.runs)} runs")
-    return (
-        f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
-        f"<style>{_STYLE}</style></head>"
-        f"<body>{''.join(parts)}<script>{_SCRIPT}</script></body></html>\n"
-    )
-
-
-def _summary(stats: Statistics) -> str:
-    low, high = stats.success.interval
-    rate = f"{stats.success.succeeded / stats.success.of:.1%}" if stats.success.of else "no run ended"
-    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in stats.outcomes)
-    left_out = [f"{count} of plan {plan}" for plan, count in stats.others]
+    success, left_out = stats.success, [f"{count} of plan {plan}" for plan, count in stats.others]
     left_out += [f"{each.name} ({each.reason})" for each in stats.skipped]
-    count = f"{stats.success.succeeded} of {stats.success.of}"
-    size = f"{stats.size / 1e6:.1f} MB, {stats.records} records"
+    low, high = success.interval
+    outcomes = ", ".join(f"{count} {outcome}" for outcome, count in stats.outcomes)
     took = f"a run took {stats.seconds[0]:.2f} s (median), at most {stats.seconds[1]:.2f} s"
-    lines = [
-        f'<p><span class="big">{rate}</span> succeeded, {count} (95 %: {low:.1%} to {high:.1%})</p>',
-        f'<p class="gray">{escape(stats.folder)}: {escape(outcomes)}; {size}; {took}</p>',
-    ]
-    if left_out:
-        lines.append(f'<p class="gray">Left out: {escape(", ".join(left_out))}</p>')
-    return "".join(lines)
-
-
-def _shares(shares: Sequence[Share]) -> str:
-    """Return a plot with a bar and an interval for each share of successes."""
-    rows = []
-    for at, share in enumerate(shares):
-        low, high = share.interval
-        y, rate = at * (_BAR + 8), share.succeeded / share.of if share.of else 0.0
-        middle = y + _BAR / 2
-        rows.append(
-            f'<text x="150" y="{middle + 5}" text-anchor="end">{_short(share.what)}</text>'
-            f'<rect x="160" y="{y}" width="{_WIDE}" height="{_BAR}" fill="#e8edf3"/>'
-            f'<rect x="160" y="{y}" width="{rate * _WIDE:.1f}" height="{_BAR}" fill="#4f8f6b"/>'
-            f'<line x1="{160 + low * _WIDE:.1f}" x2="{160 + high * _WIDE:.1f}" y1="{middle}" y2="{middle}" '
-            'stroke="#1c2430" stroke-width="2"/>'
-            f'<text x="{170 + _WIDE}" y="{middle + 5}">{rate:.0%}, {share.succeeded} of {share.of}</text>'
-        )
-    height = len(shares) * (_BAR + 8)
-    # the scale of the bars, and the meaning of the lines
-    rows.append(f'<text x="160" y="{height + 10}" fill="#667" font-size="11">0 to 100 %; lines: 95 % intervals</text>')
-    height += 14
-    return (
-        f'<svg viewBox="0 0 780 {height}" width="780" height="{height}" font-size="13" role="img">{"".join(rows)}</svg>'
+    return page(
+        "runs.html",
+        title=f"{stats.plan}: {len(stats.runs)} runs",
+        rate=f"{success.succeeded / success.of:.1%}" if success.of else "no run ended",
+        success=f"succeeded, {success.succeeded} of {success.of} (95 %: {low:.1%} to {high:.1%})",
+        facts=f"{stats.folder}: {outcomes}; {stats.size / 1e6:.1f} MB, {stats.records} records; {took}",
+        left_out=", ".join(left_out),
+        parameters=[(name, [*map(_bar, shares)]) for name, shares in stats.parameters],
+        claims=[*_claims(folder, found)],
+        causes=[
+            (cause.cause, _cell(cause.count), _cell(f"{cause.share:.0%}", cause.share), _first(folder, cause, links))
+            for cause in stats.causes
+        ],
+        figures=[figure for cause in stats.causes[:_PICTURES] for figure in _figures(folder, cause, links)],
+        slow=[
+            (name, [*_slow_rows(folder, slow)])
+            for name, slow in (("queries", stats.queries), ("motions", stats.motions), ("other tasks", stats.tasks))
+            if slow
+        ],
     )
 
 
-def _short(text: str) -> str:
-    """Return a text, shortened to the label's width; the whole text is its tooltip."""
-    if len(text) <= _LABEL:
-        return escape(text)
-    return f"{escape(text[: _LABEL - 1])}…<title>{escape(text)}</title>"
+def _bar(share: Share) -> dict[str, object]:
+    low, high = share.interval
+    rate = share.succeeded / share.of if share.of else 0.0
+    text = f"{rate:.0%}, {share.succeeded} of {share.of}"
+    return {"what": share.what, "rate": 100 * rate, "low": 100 * low, "high": 100 * high, "text": text}
 
 
-def _claims(folder: Path, found: Separation) -> str:
+def _claims(folder: Path, found: Separation) -> Iterator[Sequence[object]]:
     from replay.cli.separate import HOW_FAR  # noqa: PLC0415
 
-    if not found.claims:
-        return "<p>No recorded fact separates them.</p>"
-    rows = []
     for claim in found.claims[:_CLAIMS]:
         fact = claim.fact
         low, high = fact.interval
         remarks = [HOW_FAR] if fact.how_far else []
         remarks += [f"true of the same runs: {'; '.join(claim.also)}"] if claim.also else []
-        also = "".join(f'<br><span class="gray">{escape(each)}</span>' for each in remarks)
-        compare = _command("diff", folder / claim.failure, folder / claim.success) if claim.success else ""
-        rows.append(
-            (
-                f"{escape(fact.text)}{also}",
-                (fact.failed, f"{fact.failed} of {found.failures}"),
-                (fact.succeeded, f"{fact.succeeded} of {found.successes}"),
-                (fact.effect, f"+{fact.effect:.0%} ({low:.0%} to {high:.0%})"),
-                (claim.ochiai, f"{claim.ochiai:.2f}"),
-                (fact.tarantula, f"{fact.tarantula:.2f}"),
-                compare,
-            )
+        yield (
+            f"{fact.text} ({'; '.join(remarks)})" if remarks else fact.text,
+            _cell(f"{fact.failed} of {found.failures}", fact.failed),
+            _cell(f"{fact.succeeded} of {found.successes}", fact.succeeded),
+            _cell(f"+{fact.effect:.0%} ({low:.0%} to {high:.0%})", fact.effect),
+            _cell(f"{claim.ochiai:.2f}", claim.ochiai),
+            _cell(f"{fact.tarantula:.2f}", fact.tarantula),
+            _command("diff", folder / claim.failure, folder / claim.success) if claim.success else "",
         )
-    heads = ("fact", "#failures", "#successes", "#effect (95 %)", "#Ochiai", "#Tarantula", "compare")
-    return _table(heads, rows)
 
 
-def _cause_table(folder: Path, causes: Sequence[FailureCause], links: str) -> str:
-    if not causes:
-        return "<p>No run failed.</p>"
-    most = causes[0].count
-    rows: list[Sequence[str | tuple[float, str]]] = []
-    for cause in causes:
-        commands = (_command(verb, folder / cause.first) for verb in ("why", "view"))
-        first = "<br>".join((_link(links, cause.first), escape(cause.message[:300]), *commands))
-        bar = f'<rect width="{cause.count / most * _WIDE:.1f}" height="8" fill="#b5534a"/>'
-        what = f'{escape(cause.cause)}<br><svg width="{_WIDE}" height="8">{bar}</svg>'
-        rows.append((what, (cause.count, str(cause.count)), (cause.share, f"{cause.share:.0%}"), first))
-    return _table(("cause", "#runs", "#share", "first"), rows)
+def _first(folder: Path, cause: FailureCause, links: str) -> dict[str, object]:
+    return {
+        "link": f"{links}/{quote(cause.first)}",
+        "text": cause.first,
+        "more": cause.message[:300],
+        "commands": [_command(verb, folder / cause.first) for verb in ("why", "view")],
+    }
 
 
-def _figure(folder: Path, cause: FailureCause, links: str) -> str:
+def _figures(folder: Path, cause: FailureCause, links: str) -> Iterator[dict[str, str]]:
     drawn = picture(folder, cause.first, cause.step)
-    if drawn is None:
-        return ""
-    data = base64.b64encode(png(drawn)).decode()
-    step = f" --at {cause.step}" if cause.step is not None else ""
-    return (
-        f'<figure><img src="data:image/png;base64,{data}" alt="{escape(cause.cause)}">'
-        f"<figcaption>{_link(links, cause.first)}: "
-        f"{escape(cause.cause)}<br>{_command('view', folder / cause.first, step)}</figcaption></figure>"
-    )
+    if drawn is not None:
+        at = f" --at {cause.step}" if cause.step is not None else ""
+        yield {
+            "picture": embedded(drawn),
+            "cause": cause.cause,
+            "run": cause.first,
+            "link": f"{links}/{quote(cause.first)}",
+            "command": _command("view", folder / cause.first) + at,
+        }
 
 
-def _slow_table(folder: Path, slow: Sequence[Slow]) -> str:
-    rows = [
-        (
-            escape(each.what),
-            (each.count, str(each.count)),
-            (each.total, f"{each.total:.3f}"),
-            (each.median, f"{each.median * 1e3:.1f}"),
-            (each.longest, f"{each.longest * 1e3:.1f}"),
-            _command("view", folder / each.run, f" --at {each.step}"),
+def _slow_rows(folder: Path, slow: Sequence[Slow]) -> Iterator[Sequence[object]]:
+    for each in slow:
+        yield (
+            each.what,
+            _cell(each.count),
+            _cell(f"{each.total:.3f}", each.total),
+            _cell(f"{each.median * 1e3:.1f}", each.median),
+            _cell(f"{each.longest * 1e3:.1f}", each.longest),
+            _command("view", folder / each.run) + f" --at {each.step}",
         )
-        for each in slow
-    ]
-    return _table(("task", "#calls", "#total, s", "#median, ms", "#maximum, ms", "slowest call"), rows)
 
 
-def _table(heads: Iterable[str], rows: Iterable[Sequence[str | tuple[float, str]]]) -> str:
-    """Return a table. If a column's head begins with #, the column contains numbers, by which it is sorted."""
-    head = "".join(f'<th class="n">{name[1:]}</th>' if name.startswith("#") else f"<th>{name}</th>" for name in heads)
-    body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+def _cell(text: object, value: float | None = None) -> dict[str, object]:
+    """Return a cell of a column that is sorted by numbers."""
+    return {"text": text, "value": text if value is None else value}
 
 
-def _cell(cell: str | tuple[float, str]) -> str:
-    return f"<td>{cell}</td>" if isinstance(cell, str) else f'<td class="n" data-value="{cell[0]!r}">{cell[1]}</td>'
-
-
-def _link(links: str, run: str) -> str:
-    return f'<a href="{links}/{quote(run)}">{escape(run)}</a>'
-
-
-def _command(verb: str, *rest: Path | str) -> str:
-    words = "".join(f" {shlex.quote(str(each))}" if not isinstance(each, str) else each for each in rest)
-    return f"<code>pycram-replay {verb}{escape(words)}</code>"
+def _command(verb: str, *files: Path) -> str:
+    return " ".join(("pycram-replay", verb, *(shlex.quote(str(file)) for file in files)))
 
 
 def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:

@@ -165,7 +165,7 @@ class DrawnWorld:
         """Return a view that shows a target in all given worlds; walls may be cut away as this world needs it."""
         subject, point = self.subject(target)
         scenes = []
-        for world in worlds:
+        for world in [world for world in worlds if world.movable] or worlds:
             with suppress(NoSuchName):  # the target isn't loaded yet
                 scenes.append((world.parts, world.subject(target)[0]))
         corners = [bounds(*scene) for scene in scenes]
@@ -229,6 +229,11 @@ class DrawnWorld:
             for link in drawn.parts
         }
 
+    @property
+    def movable(self) -> list[_DrawnBody]:
+        """The robots and the objects that robots handle."""
+        return [drawn for drawn in self._bodies.values() if drawn.body.type != "environment"]
+
     def subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[PictureSubject, Vector | None]:
         """Return the subject of a picture of a target, and the target if it is a point.
 
@@ -238,8 +243,7 @@ class DrawnWorld:
         names = [target] if isinstance(target, str) else list(target or ())
         if names and all(isinstance(name, str) for name in names):
             return PictureSubject(tuple(self._parts_of(str(name)) for name in names), every=True), None
-        movable = [drawn for drawn in self._bodies.values() if drawn.body.type != "environment"]
-        groups = (tuple(drawn.parts.values()) for drawn in movable or self._bodies.values())
+        groups = (tuple(drawn.parts.values()) for drawn in self.movable or self._bodies.values())
         point = _point("target", target) if target is not None else None  # type: ignore[arg-type]
         return PictureSubject(tuple(group for group in groups if group), every=False), point
 
