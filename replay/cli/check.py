@@ -64,7 +64,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _given(options: argparse.Namespace) -> list[Property]:
-    found = _parsed(options.properties, options.file)
+    found = _parsed(options.properties, options.file, options.log)
     if not found:
         raise ReplayError("give a property, such as 'always milk.z > 0.5', or a file with -f")
     return found
@@ -76,14 +76,14 @@ def checked(log: Recording, texts: Sequence[str], files: Sequence[str]) -> list[
     Raises:
         ReplayError: a text isn't in the language, or a file can't be read.
     """
-    return _check(log, _parsed(texts, files))
+    return _check(log, _parsed(texts, files, str(log.path)))
 
 
-def _parsed(texts: Sequence[str], files: Sequence[str]) -> list[Property]:
+def _parsed(texts: Sequence[str], files: Sequence[str], log: str) -> list[Property]:
     try:
         return [*map(parse, texts), *(each for file in files for each in parse_file(file))]
     except BadProperty as error:
-        raise ReplayError(f"{error}{_as_query(error.text, options.log)}") from None
+        raise ReplayError(f"{error}{_as_query(error.text, log)}") from None
     except OSError as error:
         raise ReplayError(f"{error.filename}: {error.strerror}") from None
 
