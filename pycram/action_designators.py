@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from pycram.actions import LocationDesignator, ObjectDesignator
     from pycram.models.surfaces import Container, Surface
+    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.world.object import Object
 
 
@@ -60,7 +61,7 @@ def closing(
 def delivering(
     *,
     object: Object | ObjectDesignator | str,
-    target: LocationDesignator | Surface | str | Sequence[float],
+    target: LocationDesignator | Surface | Object | str | Sequence[float],
     put: LocationDesignator | None = None,
     place: LocationDesignator | None = None,
     budget: int | None = None,
@@ -70,7 +71,7 @@ def delivering(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
-        target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         put: The exact place, a LocationDesignator with a position; by default the places of the target.
         place: Place of the robot, a LocationDesignator; by default places from which it reaches the target.
         budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
@@ -94,7 +95,7 @@ def fetching(
     *,
     object: Object | ObjectDesignator | str,
     arm: str | None = None,
-    grasp: str | None = None,
+    grasp: GraspSide | None = None,
     place: LocationDesignator | None = None,
     clear: bool | None = None,
     budget: int | None = None,
@@ -130,7 +131,7 @@ def handing_over(
     *,
     object: Object | ObjectDesignator | str,
     arm: str | None = None,
-    target: Sequence[float] | None = None,
+    target: Sequence[float] | Object | None = None,
     orientation: Sequence[float] | None = None,
     place: LocationDesignator | None = None,
     budget: int | None = None,
@@ -144,7 +145,8 @@ def handing_over(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         arm: Name of the arm that takes it; by default any other arm.
-        target: Place of the giving hand's tool, [x, y, z] in m; by default a place that both arms reach.
+        target: Place of the giving hand's tool, [x, y, z] in m, or an Object (its middle); by default a place that both
+            arms reach.
         orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
         place: Place of the robot, a LocationDesignator; by default its present place; if necessary, it turns away from
             obstacles.
@@ -179,7 +181,7 @@ def looking(
 @overload
 def looking(
     *,
-    target: LocationDesignator | Surface | str | Sequence[float],
+    target: LocationDesignator | Surface | Object | str | Sequence[float],
     object: None = None,
     budget: int | None = None,
     projected: bool | None = None,
@@ -189,7 +191,7 @@ def looking(
 def looking(
     *,
     object: Object | ObjectDesignator | str | None = None,
-    target: LocationDesignator | Surface | str | Sequence[float] | None = None,
+    target: LocationDesignator | Surface | Object | str | Sequence[float] | None = None,
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
@@ -199,7 +201,7 @@ def looking(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        target: A LocationDesignator, the name of a surface (to its middle), or [x, y, z] in m, world frame.
+        target: A LocationDesignator, the name of a surface (to its middle), an Object, or [x, y, z] in m, world frame.
         budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
             of the action around it.
         projected: Whether the best choices are imagined first; False by default.
@@ -318,7 +320,7 @@ def picking_up(
     *,
     object: Object | ObjectDesignator | str,
     arm: str | None = None,
-    grasp: str | None = None,
+    grasp: GraspSide | None = None,
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
@@ -347,7 +349,7 @@ def picking_up(
 def placing(
     *,
     object: Object | ObjectDesignator | str,
-    target: LocationDesignator | Surface | str | Sequence[float],
+    target: LocationDesignator | Surface | Object | str | Sequence[float],
     orientation: Sequence[float] | None = None,
     budget: int | None = None,
     projected: bool | None = None,
@@ -356,7 +358,7 @@ def placing(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
-        target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         orientation: A quaternion [x, y, z, w] of the object there, world frame; upright by default.
         budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
             of the action around it.
@@ -399,9 +401,9 @@ def searching(
 def transporting(
     *,
     object: Object | ObjectDesignator | str,
-    target: LocationDesignator | Surface | str | Sequence[float],
+    target: LocationDesignator | Surface | Object | str | Sequence[float],
     arm: str | None = None,
-    grasp: str | None = None,
+    grasp: GraspSide | None = None,
     place: LocationDesignator | None = None,
     clear: bool | None = None,
     close: bool | None = None,
@@ -412,7 +414,8 @@ def transporting(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        target: Its new place: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        target: Its new place: a LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m,
+            world frame.
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
         place: Place of the robot when it takes the object, a LocationDesignator; by default places within reach.

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pycram.actions import LocationDesignator, ObjectDesignator
+    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.world.object import Object
 
 
@@ -35,7 +36,7 @@ def pick_up(
     *,
     object: Object | ObjectDesignator,
     arm: str | None = None,
-    grasp: str | None = None,
+    grasp: GraspSide | None = None,
     from_: str | None = None,
 ) -> MotionDesignator:
     """Moves the gripper to an object, closes it and takes the object, with a finger on each side and no other contact.
@@ -100,7 +101,7 @@ def accessing(
 @overload
 def looking(
     *,
-    target: Sequence[float] | LocationDesignator,
+    target: Sequence[float] | Object | LocationDesignator | ObjectDesignator,
     object: None = None,
 ) -> MotionDesignator: ...
 
@@ -115,7 +116,7 @@ def looking(
 
 def looking(
     *,
-    target: Sequence[float] | LocationDesignator | None = None,
+    target: Sequence[float] | Object | LocationDesignator | ObjectDesignator | None = None,
     object: Object | ObjectDesignator | None = None,
 ) -> MotionDesignator:
     """Points the camera's axis at a point or at the center of an object.
@@ -123,7 +124,7 @@ def looking(
     Exactly one of ``target`` or ``object`` is required.
 
     Args:
-        target: [x, y, z] in m, world frame.
+        target: [x, y, z] in m, world frame, or an Object: the middle of its bounds now.
         object: An Object of a world.
     """
     return MotionDesignator(filled("looking", target=target, object=object))
@@ -169,7 +170,7 @@ def detecting(
 
 def move_tcp(
     *,
-    target: Sequence[float] | LocationDesignator,
+    target: Sequence[float] | Object | LocationDesignator | ObjectDesignator,
     orientation: Sequence[float] | None = None,
     arm: str | None = None,
     level: bool | None = None,
@@ -177,7 +178,7 @@ def move_tcp(
     """Moves the tool frame of an arm to a position, and to an orientation if one is given.
 
     Args:
-        target: [x, y, z] in m, world frame.
+        target: [x, y, z] in m, world frame, or an Object: the middle of its bounds now.
         orientation: A quaternion [x, y, z, w], world frame; by default any.
         arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
         level: Whether what the hand holds stays level, within 15 degrees; by default false.

@@ -25,6 +25,7 @@ from pycram.motions.slots import (
     ARM,
     GRASP,
     ORIENTATION,
+    POINT,
     POSITION,
     DesignatorError,
     Slot,
@@ -34,6 +35,7 @@ from pycram.motions.slots import (
     given_slots,
     slot_name,
 )
+from pycram.world.object import Object
 from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
@@ -59,8 +61,12 @@ def _anything(name: str, value: Any) -> Any:  # noqa: ARG001  a check
     return value
 
 
+def _is_surface(value: Any) -> bool:
+    return isinstance(value, str | Object) or hasattr(value, "outline")
+
+
 def _place(name: str, value: Any) -> Any:
-    if isinstance(value, str) or hasattr(value, "outline"):
+    if _is_surface(value):
         value = LocationDesignator(on=value)
     if not isinstance(value, LocationDesignator):
         try:
@@ -82,7 +88,7 @@ def _place_for_an_object(name: str, value: Any) -> Any:
 
 
 def _place_for_the_robot(name: str, value: Any) -> Any:
-    wanted = _place(name, value)
+    wanted = LocationDesignator(on=value) if _is_surface(value) else _place(name, value)
     if isinstance(wanted, LocationDesignator) and wanted.for_objects:
         known = "a place where the robot can stand, such as LocationDesignator(near=...) or (reachable_for=...)"
         raise BadArgument(name, value, f"{known}; the given place is for an object")
@@ -120,7 +126,7 @@ _LOCATION: Final = ValueKind("A LocationDesignator", _location, "LocationDesigna
 _FLAG: Final = ValueKind("True or False", _flag, "bool")
 _BUDGET: Final = ValueKind("A whole number from 0 up", _budget, "int")
 _THING: Final = "Object | ObjectDesignator | str"
-_PLACE: Final = "LocationDesignator | Surface | str | Sequence[float]"
+_PLACE: Final = "LocationDesignator | Surface | Object | str | Sequence[float]"
 
 #: An object that a gripper can take: neither a robot nor furniture.
 portable: Final = ValueKind("An object that can be taken", _portable, _THING)
@@ -131,10 +137,17 @@ place_for_the_robot: Final = ValueKind(
     "A place where the robot can stand", _place_for_the_robot, "LocationDesignator | Sequence[float]"
 )
 
+#: What the robot can look at: an Object itself, or a place.
+looked_at: Final = ValueKind(
+    "An Object, a LocationDesignator, a surface, or [x, y, z] in m, world frame",
+    lambda name, value: POINT(name, value) if isinstance(value, Object) else _place(name, value),
+    _PLACE,
+)
+
 #: The checks of the slots of PyCRAM's own actions, by name.
 _BY_SLOT: Final[Mapping[str, Check]] = {
     "object": ValueKind("An Object of a world, an ObjectDesignator, or a type of objects", thing, _THING),
-    "target": ValueKind("A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame", _place, _PLACE),
+    "target": ValueKind("A LocationDesignator, a surface, an Object, or [x, y, z] in m, world frame", _place, _PLACE),
     "place": _LOCATION,
     "put": _LOCATION,
     "clear": _FLAG,

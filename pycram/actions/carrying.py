@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from pycram.actions.containers import Access
     from pycram.models.surfaces import Surface
+    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.reasoning.places import FoundPlace
     from pycram.reasoning.places.goals import Target
     from pycram.world.object import Object
@@ -130,7 +131,7 @@ def _stance(place: FoundPlace) -> LocationDesignator:
 def fetching(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,
-    grasp: str | None = None,
+    grasp: GraspSide | None = None,
     place: Any = None,
     clear: bool = False,
 ) -> Any:
@@ -246,7 +247,7 @@ def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> 
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
-        target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         put: The exact place, a LocationDesignator with a position; by default the places of the target.
         place: Place of the robot, a LocationDesignator; by default places from which it reaches the target.
     """
@@ -290,7 +291,7 @@ def transporting(
     object: Any,  # noqa: A002  the slot's name
     target: Any,
     arm: str | None = None,
-    grasp: str | None = None,
+    grasp: GraspSide | None = None,
     place: Any = None,
     clear: bool = False,
     close: bool = True,  # noqa: ARG001  used by _prepare_transporting
@@ -299,7 +300,8 @@ def transporting(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        target: Its new place: a LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        target: Its new place: a LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m,
+            world frame.
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
         place: Place of the robot when it takes the object, a LocationDesignator; by default places within reach.

@@ -14,7 +14,7 @@ from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
 from pycram.foundation.failures import Blocked, MissingPart, NoPlace, PlaceFailed, ReasoningError
 from pycram.motions.designator import MotionDesignator
-from pycram.motions.slots import POSITION
+from pycram.motions.slots import POINT
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing as settling
 from pycram.reasoning.kinematics.inverse import postures
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
     from pycram.foundation.failures import CollisionPair
     from pycram.models.robots.description import Arm
+    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike, Vector
 
@@ -121,11 +122,11 @@ def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]
         raise blocked[0]
 
 
-@action("handing-over", choices=_choices, checked={"target": POSITION})
+@action("handing-over", choices=_choices, checked={"target": POINT})
 def handing_over(
     object: Any,  # noqa: A002  the slot's name
     arm: str | None = None,
-    target: Sequence[float] | None = None,
+    target: Sequence[float] | Object | None = None,
     orientation: Sequence[float] | None = None,
     place: Any = None,
 ) -> Object:
@@ -137,7 +138,8 @@ def handing_over(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         arm: Name of the arm that takes it; by default any other arm.
-        target: Place of the giving hand's tool, [x, y, z] in m; by default a place that both arms reach.
+        target: Place of the giving hand's tool, [x, y, z] in m, or an Object (its middle); by default a place that both
+            arms reach.
         orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
         place: Place of the robot, a LocationDesignator; by default its present place; if necessary, it turns away from
             obstacles.
@@ -213,7 +215,7 @@ def _arms(arm: str | None = None) -> Iterator[Mapping[str, Any]]:
 
 
 @action("picking-up", choices=_arms, checked={"object": portable})
-def picking_up(object: Any, arm: str | None = None, grasp: str | None = None) -> Any:  # noqa: A002  the slot's name
+def picking_up(object: Any, arm: str | None = None, grasp: GraspSide | None = None) -> Any:  # noqa: A002  the slot's name
     """Takes an object with a gripper, without driving.
 
     Args:
@@ -302,7 +304,7 @@ def placing(object: Any, target: Any, orientation: Sequence[float] | None = None
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
-        target: A LocationDesignator, the name of a surface, or [x, y, z] in m, world frame.
+        target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         orientation: A quaternion [x, y, z, w] of the object there, world frame; upright by default.
     """
     body = object_of(object)

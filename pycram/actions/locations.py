@@ -9,7 +9,7 @@ from pycram.actions.objects import ObjectDesignator, object_of, thing
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoPlace, UnknownName
 from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.slots import ARM, ORIENTATION, POSITION, Slot, SlotTable
+from pycram.motions.slots import ARM, ORIENTATION, POSITION, Slot, SlotTable, ValueKind, slot_name
 from pycram.reasoning.places import PutDown, free_places, standing_places
 from pycram.reasoning.places.free import SIDES
 from pycram.scheduling.future import unwrap
@@ -19,13 +19,18 @@ from recorder.errors import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
+    from typing import Unpack
 
+    from pycram.actions.designator_slots import LocationSlots
     from pycram.models.surfaces import Surface
-    from pycram.motions.designator import Resolver, Solution
+    from pycram.motions.designator import Designator, Resolver, Solution
+    from pycram.motions.slots import Description
     from pycram.reasoning.places import FoundPlace
 
 #: Surfaces with their furniture.
 Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
+_THING: Final = "Object | ObjectDesignator | str"
+_ON: Final = "Surface | Object | str"
 
 
 def _surfaces(name: str, value: Any) -> Surfaces:
@@ -99,26 +104,42 @@ _SLOTS: Final = SlotTable(
         Slot("orientation", ORIENTATION, text="Orientation at the place: a quaternion [x, y, z, w], world frame"),
         Slot(
             "on",
-            _surfaces,
+            ValueKind("", _surfaces, f"{_ON} | Sequence[{_ON}]"),
             text="A surface, its name, furniture (all of its surfaces that are in no container), an object such as a "
             "plate (its top), or a list of these",
         ),
-        Slot("in", _inside, text="A container, its name, or an object with containers"),
-        Slot("for", thing, text="the object to put there; by default the object of the action"),
-        Slot("near", _near, text="[x, y] or [x, y, z] in m, world frame, or an object"),
+        Slot(
+            "in",
+            ValueKind("", _inside, "Container | Object | str"),
+            text="A container, its name, or an object with containers",
+        ),
+        Slot("for", ValueKind("", thing, _THING), text="the object to put there; by default the object of the action"),
+        Slot(
+            "near",
+            ValueKind("", _near, f"{_THING} | Sequence[float]"),
+            text="[x, y] or [x, y, z] in m, world frame, or an object",
+        ),
         Slot(
             "side",
-            _side,
+            ValueKind("", _side, f"Side | tuple[Side, {_THING}]"),
             text='Side of the surface, or (side, object), as the robot sees it: "front", "back", "left" or "right"',
         ),
         Slot(
             "reachable-for",
-            _reachable,
+            ValueKind("", _reachable, f"{_THING} | Sequence[float] | PutDown"),
             text="For a place of the robot, the target that it must reach: an object, or [x, y, z] in m; for a place "
             "of an object, the robot that must reach it",
         ),
-        Slot("visible-for", thing, text="the object that the robot's camera must see from the place"),
-        Slot("away-from", _near, text="an object or a point; the place is at least 0.4 m away from it"),
+        Slot(
+            "visible-for",
+            ValueKind("", thing, _THING),
+            text="the object that the robot's camera must see from the place",
+        ),
+        Slot(
+            "away-from",
+            ValueKind("", _near, f"{_THING} | Sequence[float]"),
+            text="an object or a point; the place is at least 0.4 m away from it",
+        ),
         Slot("arm", ARM, text="the arm that must reach the target; by default any arm"),
     ),
     one_of=("position", "on", "in", "near", "reachable-for", "visible-for"),
@@ -139,6 +160,12 @@ class LocationDesignator(ResolvedDesignator):
 
     takes: ClassVar[SlotTable] = _SLOTS
 
+    if TYPE_CHECKING:
+
+        def __init__(
+            self, description: Description = (), parent: Designator | None = None, **slots: Unpack[LocationSlots]
+        ) -> None: ...
+
     @staticmethod
     def _own_resolver() -> Resolver:
         return resolve
@@ -150,7 +177,7 @@ class LocationDesignator(ResolvedDesignator):
     @property
     def for_objects(self) -> bool:
         """Whether it is a place where an object can be put down."""
-        return any(name in ("on", "in") for name, _ in self._slots)
+        return any(slot_name(name) in ("on", "in") for name, _ in self._slots)
 
     def middle(self) -> list[float]:
         """Return the middle of the largest surface of a place for objects, xyz in m in the world."""

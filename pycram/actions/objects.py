@@ -15,8 +15,11 @@ from recorder.errors import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
+    from typing import Unpack
 
-    from pycram.motions.designator import Resolver, Solution
+    from pycram.actions.designator_slots import ObjectSlots
+    from pycram.motions.designator import Designator, Resolver, Solution
+    from pycram.motions.slots import Description
 
 
 _SLOTS: Final = SlotTable(
@@ -34,6 +37,12 @@ class ObjectDesignator(ResolvedDesignator):
     """
 
     takes: ClassVar[SlotTable] = _SLOTS
+
+    if TYPE_CHECKING:
+
+        def __init__(
+            self, description: Description = (), parent: Designator | None = None, **slots: Unpack[ObjectSlots]
+        ) -> None: ...
 
     @staticmethod
     def _own_resolver() -> Resolver:

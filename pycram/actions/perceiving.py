@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.actions.action import ActionDesignator, action
+from pycram.actions.action import ActionDesignator, action, looked_at
 from pycram.actions.containers import Access, containers
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, object_of
@@ -81,13 +81,13 @@ def detected(bodies: Sequence[Object]) -> Object:
     raise PerceptionError(kind, {body.name: f"is not seen, but {found.name}" for body in bodies})
 
 
-@action("looking", one_of=("object", "target"))
+@action("looking", one_of=("object", "target"), checked={"target": looked_at})
 def looking(object: Any = None, target: Any = None) -> None:  # noqa: A002  the slot's name
     """Turns the camera to an object, or to a place.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        target: A LocationDesignator, the name of a surface (to its middle), or [x, y, z] in m, world frame.
+        target: A LocationDesignator, the name of a surface (to its middle), an Object, or [x, y, z] in m, world frame.
     """
     body = None if object is None else object_of(object)
     if isinstance(target, LocationDesignator) and target.for_objects:

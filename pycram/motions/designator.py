@@ -26,7 +26,7 @@ from pycram.foundation.failures import BadArgument, UnknownName
 from pycram.foundation.forcing import forced
 from pycram.foundation.refusals import refusing
 from pycram.motions import motion_types
-from pycram.motions.slots import Description, DesignatorError, Value, own, pairs, same, slot_name
+from pycram.motions.slots import Description, DesignatorError, SolutionSlots, Value, own, pairs, same, slot_name
 from pycram.reasoning.choosing import Question
 from pycram.scheduling.cancellation import Binding
 from pycram.scheduling.future import Future, branches_in, unwrap
@@ -224,7 +224,8 @@ class Designator(ABC):
 
     def prop_value(self, key: str) -> Value:
         """Return a copy of a slot's value, waiting for a future's result; None if there is no such slot."""
-        return next((own(unwrap(value)) for name, value in self._slots if name == key), None)
+        wanted = slot_name(key)
+        return next((own(unwrap(value)) for name, value in self._slots if slot_name(name) == wanted), None)
 
     def check_constraints(self, properties: Iterable[str | tuple[str, object]]) -> bool:
         """Whether the slots fulfil all constraints.
@@ -358,7 +359,8 @@ class Designator(ABC):
             self._effective = True
             if self.timestamp is None:
                 self.timestamp = time.time()
-        return own(solution)
+        found = own(solution)
+        return SolutionSlots(found) if type(found) is dict else found
 
     def resources(self) -> Resources | None:
         """Return its known needs of the robot; None for the whole robot. Must not wait or fail."""
@@ -396,7 +398,7 @@ class Designator(ABC):
         """
         slots = list(self._slots)
         for key, value in pairs(new_properties or ()):
-            indices = [index for index, (name, _) in enumerate(slots) if name == key]
+            indices = [index for index, (name, _) in enumerate(slots) if slot_name(name) == slot_name(key)]
             for index in indices:
                 slots[index] = (key, value)
             if not indices:

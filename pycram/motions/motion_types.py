@@ -13,7 +13,7 @@ from pycram.foundation import plugins
 from pycram.foundation.failures import BadArgument
 from pycram.motions import slots
 from pycram.motions.resources import WHOLE_ROBOT, Resources
-from pycram.motions.slots import Slot, SlotTable, Value, arm_names, given_slots
+from pycram.motions.slots import Slot, SlotTable, SolutionSlots, Value, arm_names, given_slots
 from pycram.scheduling.future import branch_of, unwrap
 from pycram.world.world import BulletWorld
 
@@ -142,7 +142,7 @@ TYPES: Final = {
         ),
         MotionType(
             "looking",
-            (Slot("target", slots.POSITION), Slot("object", slots.BODY)),
+            (Slot("target", slots.POINT), Slot("object", slots.BODY)),
             one_of=("target", "object"),
             only_one=True,
             cmd="looking",
@@ -166,7 +166,7 @@ TYPES: Final = {
         MotionType(
             "move-tcp",
             (
-                Slot("target", slots.POSITION, required=True),
+                Slot("target", slots.POINT, required=True),
                 Slot("orientation", slots.ORIENTATION, otherwise="any"),
                 _ARM,
                 Slot(
@@ -196,7 +196,9 @@ TYPES: Final = {
 
 def resources_by_type(designator: ResolvedDesignator) -> Resources | None:
     """Return the needs of a designator by its type and slots, without waiting for futures; None for other types."""
-    given = {key: value for key, value in designator.description if branch_of(value) is None and value is not None}
+    given = SolutionSlots(
+        (key, value) for key, value in designator.description if branch_of(value) is None and value is not None
+    )
     kind = given.get("type")
     motion = TYPES.get(kind) if isinstance(kind, str) else None
     return motion.resources(given) if motion else None
@@ -204,7 +206,7 @@ def resources_by_type(designator: ResolvedDesignator) -> Resources | None:
 
 def resources_of(solution: Solution) -> Resources | None:
     """Return the needs of a solution by its ``cmd``; None if PyCRAM has no such motion."""
-    given = {key: value for key, value in solution.items() if value is not None}
+    given = SolutionSlots((key, value) for key, value in solution.items() if value is not None)
     motion = next((motion for motion in TYPES.values() if motion.cmd == given.get("cmd")), None)
     return motion.resources(given) if motion else None
 
@@ -240,7 +242,7 @@ def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
 
 def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str, Value]]:
     """Yield the slots, once for each solution of the designators in their values."""
-    names = {name: slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
+    names = {slots.slot_name(name): slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
     for key, value in given.items():
         values_for = getattr(type(value), "values_for", None)
         if values_for is not None and key in names and names[key].check is not slots.OBJECT_TYPE:

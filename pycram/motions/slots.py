@@ -15,6 +15,7 @@ import numpy as np
 from pycram.foundation import checks
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
+from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
@@ -83,6 +84,23 @@ def slot_argument(name: str) -> str:
     return f"{argument}_" if keyword.iskeyword(argument) else argument
 
 
+class SolutionSlots(dict[str, Value]):
+    """A solution. ``object_type`` finds the parameter ``object-type``, and the reverse; only one of them is listed."""
+
+    def __missing__(self, key: str) -> Value:
+        for name, value in self.items():
+            if slot_name(str(name)) == slot_name(str(key)):
+                return value
+        raise KeyError(key)
+
+    def get(self, key: str, default: Value = None) -> Value:
+        """Return a parameter; the default if there is none."""
+        return self[key] if key in self else default  # noqa: SIM401  it would call itself
+
+    def __contains__(self, key: object) -> bool:
+        return super().__contains__(key) or slot_name(str(key)) in (slot_name(str(name)) for name in self)
+
+
 def filled(type: str, **slots: object) -> list[tuple[str, object]]:  # noqa: A002  the slot's name
     """Return the description of a designator; slots that are None are left out."""
     return [("type", type), *((slot_name(key), value) for key, value in slots.items() if value is not None)]
@@ -102,7 +120,7 @@ def _own(value: Value, known: dict[int, Value]) -> Value:
         known[id(value)] = items
         items.extend(_own(item, known) for item in value)
         return items
-    if type(value) is dict:
+    if type(value) in (dict, SolutionSlots):
         table: dict[Value, Value] = {}
         known[id(value)] = table
         table.update((key, _own(item, known)) for key, item in value.items())
@@ -194,10 +212,10 @@ class SlotTable:
         Raises:
             DesignatorError: A slot is missing, unknown or wrong.
         """
-        names = {name: slot for slot in self.slots for name in (slot.name, *slot.aliases)}
+        names = {slot_name(name): slot for slot in self.slots for name in (slot.name, *slot.aliases)}
         checked: dict[str, Value] = {}
         for key, value in given.items():
-            slot = names.get(key)
+            slot = names.get(slot_name(key))
             if slot is None:
                 raise self.error(f"unknown slot {key}{did_you_mean(key, names)}", key, value)
             if slot.name in checked:
@@ -206,7 +224,8 @@ class SlotTable:
                 checked[slot.name] = slot.check(key, value)
             except BadArgument as error:
                 kind = slot.check.designator if self.takes_designators and isinstance(slot.check, ValueKind) else ""
-                also = f", or {'an' if kind.startswith('O') else 'a'} {kind}" if kind else ""
+                named = " or ".join(f"{'an' if each[0] == 'O' else 'a'} {each}" for each in kind.split(" | ") if each)
+                also = f", or {named}" if kind and kind not in error.expected else ""
                 raise self.error(f"wrong value in slot {error}{also}", key, value) from error
         missing = [slot.name for slot in self.slots if slot.required and slot.name not in checked]
         if missing:
@@ -233,19 +252,20 @@ def given_slots(
         DesignatorError: Its type is unknown, or a slot is given twice.
     """
     given: dict[str, Value] = {}
-    for key, value in designator.description:
+    for name, value in designator.description:
+        key = slot_name(name)
         if key in given:
             raise DesignatorError(f"slot {key} is given twice", type=designator.type, slot=key, value=unwrap(value))
         if value is not None:
             given[key] = unwrap(value)
-    name = given.pop("type", None)
-    if not isinstance(name, str) or name not in types:
-        unknown = f"has the unknown type {name!r}{did_you_mean(name, types)}"
-        problem = f"the {kind}designator {'has no slot type' if name is None else unknown}"
+    wanted = given.pop("type", None)
+    if not isinstance(wanted, str) or wanted not in types:
+        unknown = f"has the unknown type {wanted!r}{did_you_mean(wanted, types)}"
+        problem = f"the {kind}designator {'has no slot type' if wanted is None else unknown}"
         raise DesignatorError(
-            problem, type=str(name or ""), slot="type", value=name, takes=f"types: {', '.join(types)}"
+            problem, type=str(wanted or ""), slot="type", value=wanted, takes=f"types: {', '.join(types)}"
         )
-    return types[name], given
+    return types[wanted], given
 
 
 # --- kinds of values -------------------------------------------------------------------------------------------------
@@ -294,6 +314,16 @@ def _body(name: str, value: Value) -> Value:
     return value
 
 
+def _position(name: str, value: Value) -> Value:
+    if isinstance(value, Object):
+        raise BadArgument(name, value, _AT_AN_OBJECT)
+    return list(checks.vector(name, value))
+
+
+def _point(name: str, value: Value) -> Value:
+    return list(center(_body(name, value)) if isinstance(value, Object) else checks.vector(name, value))
+
+
 def _posture(name: str, value: Value) -> Value:
     described = _arms().get(name.removesuffix("-arm"))
     if isinstance(value, str):
@@ -308,11 +338,16 @@ def _posture(name: str, value: Value) -> Value:
     return values
 
 
-POSITION: Final = ValueKind(
-    "[x, y, z] in m, world frame",
-    lambda name, value: list(checks.vector(name, value)),
-    "Sequence[float]",
-    "LocationDesignator",
+_AT_AN_OBJECT: Final = (
+    "[x, y, z] in m, or a place at the object: LocationDesignator(reachable_for=...) for the robot, "
+    "LocationDesignator(on=...) for another object"
+)
+POSITION: Final = ValueKind("[x, y, z] in m, world frame", _position, "Sequence[float]", "LocationDesignator")
+POINT: Final = ValueKind(
+    "[x, y, z] in m, world frame, or an Object: the middle of its bounds now",
+    _point,
+    "Sequence[float] | Object",
+    "LocationDesignator | ObjectDesignator",
 )
 ORIENTATION: Final = ValueKind(
     "A quaternion [x, y, z, w], world frame",
@@ -335,7 +370,7 @@ ARM: Final = ValueKind(
 GRASP: Final = ValueKind(
     'The side from which the gripper comes: "front", "top", "left" or "right"',
     lambda name, value: checks.one_of(name, value, GRASPS),
-    "str",
+    "GraspSide",
 )
 DISTANCE: Final = ValueKind(
     "A distance in m, or an angle in rad for a door that turns, from 0 up",

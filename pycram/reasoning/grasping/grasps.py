@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -50,6 +50,8 @@ _LEANING: Final = math.radians(5)  # rad, minimum lean of an object with which t
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 _biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
+#: The side from which a gripper comes.
+GraspSide: TypeAlias = Literal["front", "top", "left", "right"]
 GRASPS: Final[Mapping[str, Quaternion]] = {
     "front": (0.0, 0.0, 0.0, 1.0),
     "top": geometry.from_rpy(0.0, math.pi / 2, 0.0),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -45,7 +45,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-SIDES: Final = ("front", "back", "left", "right")
+#: Side of a surface or an object, as the robot sees it.
+Side: TypeAlias = Literal["front", "back", "left", "right"]
+SIDES: Final = get_args(Side)
 """Sides of a surface or an object as its robot sees it: "front" faces the robot."""
 
 _SPOTS: Final = 40  # places in a batch

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.reasoning.places.maps import Grid
     from pycram.reasoning.rejections import Rejection
     from pycram.world.world import BulletWorld
@@ -48,7 +49,9 @@ class FoundPlace:
     arms: tuple[str, ...] = ()  # arms that reach the target from there, or reach the place; empty if not asked for
     score: float = 1.0  # score of the maps, 0 to 1
     surface: str = ""  # name of the surface below; "" for the ground
-    grasps: Mapping[str, str] = field(default_factory=dict)  # by arm the side from which it takes the target object
+    grasps: Mapping[str, GraspSide] = field(
+        default_factory=dict
+    )  # by arm the side from which it takes the target object
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
 
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from pycram.models.robots.description import Arm
+    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.reasoning.places.goals import Goal
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
@@ -337,7 +338,7 @@ class StandingSearch(Search):
     def _excluded(self, spot: Spot) -> FoundPlace | tuple[str, Rejection]:
         """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
         able = list(self._arms)
-        grasps: dict[str, str] = {}
+        grasps: dict[str, GraspSide] = {}
         for goal in self._goals:
             reasons: list[Rejection] = []
             reached: list[Arm] = []
@@ -345,7 +346,7 @@ class StandingSearch(Search):
                 found = goal.reached(arm, spot.pose)
                 if isinstance(found, str):
                     reached.append(arm)
-                    grasps.update({arm.name: found} if found else {})
+                    grasps.update({arm.name: cast("GraspSide", found)} if found else {})
                 else:
                     reasons.append(found)
             if not reached or (self._both and reasons):

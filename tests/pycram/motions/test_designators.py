@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from pycram import action_designators as actions, motion_designators as motions
+from pycram.actions.action import TYPES as ACTIONS
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import DesignatorError, MotionDesignator
 from pycram.failures import BadArgument
@@ -92,6 +94,45 @@ def test_moving_without_orientation_keeps_that_of_the_robot() -> None:
         assert plain.reference()["orientation"] == pytest.approx([0, 0, 0.6, 0.8])
         turned = MotionDesignator([("type", "moving"), ("target", [1, 0, 0]), ("orientation", [0, 0, 0, 1])])
         assert [s["orientation"][3] for s in turned.solutions()] == pytest.approx([1, 0.8])
+
+
+def test_slots_are_found_with_hyphens_and_with_underscores() -> None:
+    for name in ("object-type", "object_type"):
+        designator = MotionDesignator([("type", "detecting"), (name, "milk")])
+        assert designator.prop_value("object_type") == designator.prop_value("object-type") == "milk"
+        solution = designator.reference()
+        assert solution == {"cmd": "detecting", "object-type": "milk"}
+        assert solution["object_type"] == solution.get("object_type") == solution["object-type"] == "milk"
+        assert "object_type" in solution
+        assert solution.get("objekt_type") is None
+        with pytest.raises(KeyError):
+            solution["objekt_type"]
+        assert designator.copy({"object_type": "cup"}).reference()["object-type"] == "cup"
+    for name in ("left-arm", "left_arm"):
+        posture = MotionDesignator([("type", "move-arm-joints"), (name, "park")])
+        assert posture.resources().moves == {"left-arm"}
+        assert posture.reference()["left_arm"] == "park"
+
+
+def test_an_object_as_a_target_is_its_middle_or_refused_with_the_places_at_it() -> None:
+    with BulletWorld() as world:
+        world.robot = Object("pr2", "robot", "pr2.urdf")
+        plate = Object("plate", "plate", "plate.stl", [1, 0, 0.8], [0, 0, 0.6, 0.8])
+        low, high = plate.get_AABB()
+        middle = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
+        pointed = [motions.looking(target=plate), motions.move_tcp(target=plate)]
+        assert [each.reference()["target"] for each in pointed] == [middle, middle]
+        with pytest.raises(DesignatorError, match=r"expected .*LocationDesignator\(reachable_for=") as raised:
+            motions.moving(target=plate).reference()
+        assert str(raised.value.__cause__).count("LocationDesignator") == 2
+        with pytest.raises(DesignatorError, match=r"LocationDesignator\(on="):
+            motions.place(object=plate, target=plate).reference()
+        with pytest.raises(DesignatorError, match="where the robot can stand"):
+            actions.navigating(target=plate).check()
+        (aimed,) = actions.looking(target=plate).solutions()
+        assert aimed["target"] == middle
+        put = ACTIONS["placing"].checked({"object": plate, "target": plate})["target"]
+        assert [body for body, _ in put.surfaces()] == [plate]
 
 
 @pytest.mark.parametrize(
@@ -209,7 +250,8 @@ def test_eight_threads_find_the_same_solutions() -> None:
     [
         ({"type": "pick-up", "objet": "milk"}, "unknown slot objet; did you mean object?"),
         ({"type": "place", "object": 3}, "expected an Object of a world, or an ObjectDesignator"),
-        ({"type": "looking", "target": "island"}, "expected 3 finite numbers x, y, z, or a LocationDesignator"),
+        ({"type": "moving", "target": "island"}, "expected 3 finite numbers x, y, z, or a LocationDesignator"),
+        ({"type": "looking", "target": "island"}, "x, y, z, or a LocationDesignator or an ObjectDesignator"),
     ],
 )
 def test_usage_errors_begin_and_end_with_the_error_and_name_all_kinds_of_values(slots: dict, end: str) -> None:
