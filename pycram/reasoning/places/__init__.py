@@ -1,8 +1,7 @@
-"""Places where a robot can stand, and where an object can be put down: searched lazily, best first.
+"""Places where a robot can stand, or where an object can be put down; searches yield the best places first.
 
-Constraints that can be scored for all places together are maps over a grid, which are multiplied
-(:mod:`pycram.reasoning.places.maps`; CRAM's location costmaps, thesis 2.1). Places are drawn from the product with the
-run's seed. Each place is checked by the rules of the motion that would use it, so every offered place works.
+Maps score all cells of a grid for a constraint (:mod:`pycram.reasoning.places.maps`; CRAM's location costmaps, thesis
+2.1). Places are drawn from the product of all maps, and then checked by the rules of the motion that would use them.
 """
 
 from pycram.reasoning.places.free import free_places

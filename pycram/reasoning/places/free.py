@@ -1,4 +1,4 @@
-"""Free places on surfaces: with room for an object's outline and for fingers around it (CRAM's ``on``)."""
+"""Free places on surfaces, with room for an object's outline and for fingers around it (CRAM's ``on``)."""
 
 from __future__ import annotations
 
@@ -45,29 +45,29 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-#: Side of a surface or an object, as the robot sees it.
+#: A side of a surface or an object from the robot's view; "front" faces the robot.
 Side: TypeAlias = Literal["front", "back", "left", "right"]
 SIDES: Final = get_args(Side)
-"""Sides of a surface or an object as its robot sees it: "front" faces the robot."""
+
 
 _SPOTS: Final = 40  # places in a batch
-_BATCHES: Final = 3  # batches without a place, after which a surface is given up
-_LATER: Final = 0.6  # factor of a surface's score for each place that it has given
-_BASE: Final = 0.005  # m above an object's lowest point, up to which it is its base
-_RESTS: Final = 0.01  # m of tolerance between the height of the surface and the height at which the object rests
-_YAWS: Final = 12  # orientations about the vertical; placing tries the same ones
-EDGE: Final = 0.01  # m from an object to the edge of its surface
-FINGERS: Final = 0.025  # m from an object to others, so that a finger fits between
+_BATCHES: Final = 3  # the search on a surface ends after this number of batches without a place
+_LATER: Final = 0.6  # factor of a surface's score for each place that was found there
+_BASE: Final = 0.005  # m above an object's lowest point; points below this height are its base
+_RESTS: Final = 0.01  # m, tolerance between the height of the surface and the height at which the object rests
+_YAWS: Final = 12  # orientations about the vertical; the motion tries the same orientations
+EDGE: Final = 0.01  # m, minimum distance of an object from the edge of its surface
+FINGERS: Final = 0.025  # m, minimum distance of an object from other objects, so that a finger fits between them
 _RESOLUTION: Final = 0.025  # m between cells
-_FINEST: Final = 0.005  # m between cells, at least, on a surface that is hardly wider than the object
+_FINEST: Final = 0.005  # m, minimum distance of cells on a surface that is hardly wider than the object
 _CELLS: Final = 3  # cells across the part of a surface where the object's middle can be
-_ABOVE: Final = 0.003  # m above a surface at which obstacles begin: the surface's own boxes are a little too high
-_NEAR: Final = 0.15  # m from a point, at which a score is halved
-_FAR: Final = 1.0  # m from a point or an object, above which a place isn't near it
-_AWAY: Final = 0.4  # m from a point that a place must be away from
-_APART: Final = 0.04  # m from places that were offered or tried
-_EASY: Final = 0.5  # m from the nearest place of the robot, at which a score is halved
-_FLOOR: Final = 0.15  # m between the robot's places from which the reach is estimated
+_ABOVE: Final = 0.003  # m above a surface; lower parts aren't obstacles, because the surface's boxes are too high
+_NEAR: Final = 0.15  # m from a point at which a score is halved
+_FAR: Final = 1.0  # m, largest distance of a place that is near a point or an object
+_AWAY: Final = 0.4  # m, minimum distance of a place that is away from a point
+_APART: Final = 0.04  # m, minimum distance from offered or tried places
+_EASY: Final = 0.5  # m from the nearest place of the robot at which a score is halved
+_FLOOR: Final = 0.15  # m between places of the robot for which the reach is estimated
 _COARSE: Final = 0.1  # m between points of a surface for which the reach is estimated
 
 
@@ -83,22 +83,23 @@ def free_places(
     away: Sequence[float] | None = None,
     seed: int | None = None,
 ) -> Iterator[FoundPlace]:
-    """Return places where an object can be put down on surfaces, best first. Each is checked when it is asked for.
+    """Return places where an object can be put down on surfaces, best first.
 
-    A place is where `place` would set the object down: its outline is on the surface, and other objects are farther
-    away than a finger is thick. Each request for a place is one query on record. The world may change between requests.
+    `place` would put the object down there: its outline is on the surface, and a finger fits between it and other
+    objects. Each place is checked when the caller requests it, and recorded as one query. The world may change between
+    requests.
 
     Args:
-        body: upright; its present place doesn't matter.
-        on: surfaces or their names, each with its furniture: (kitchen, "island"); or objects: the top of a plate.
+        body: the object, in an upright orientation; its present place doesn't matter.
+        on: surfaces or their names, with their furniture: (kitchen, "island"); or objects, for their tops.
         near: xyz or xy in m of a point, at most 1 m away.
-        side: "front", "back", "left" or "right" of each surface, or (side, object) for a side of an object, as the
-            robot sees it.
-        orientation: xyzw of the object there; any about the vertical by default.
-        reachable_for: a robot that must reach the place: from its present pose if it can't drive, else from any pose.
-        arms: names of its arms that may reach the place; all by default.
+        side: "front", "back", "left" or "right" of each surface from the robot's view; or (side, object) for a side of
+            an object.
+        orientation: xyzw of the object at the place; None for any orientation about the vertical.
+        reachable_for: a robot that must reach the place, from its present pose if it can't drive, else from any pose.
+        arms: names of the robot's arms that may reach the place; None for all arms.
         away: xyz or xy in m of a point, at least 0.4 m away.
-        seed: seed of the draws; the run's seed by default.
+        seed: seed of the draws; None for the run's seed.
 
     Raises:
         BadArgument: A value is impossible.
@@ -134,24 +135,24 @@ def free_places(
 
 @dataclass(slots=True)
 class SearchedSurface:
-    """The state of the search on one surface."""
+    """The state of the search on a surface."""
 
     furniture: Object
     surface: Surface
-    share: float = 1.0  # factor of its score, lower after each place that it has given
-    failed: int = 0  # batches without a place since its last place
+    share: float = 1.0  # factor of the surface's score, which decreases with each place that was found there
+    failed: int = 0  # number of batches without a place since the last place
 
     @property
     def on_object(self) -> bool:
-        """Whether it is the top of an object, as of a plate."""
+        """Whether the surface is the top of an object, such as a plate."""
         return self.surface.name not in self.furniture.surfaces
 
     def pose(self) -> Pose:
-        """Return the pose of its middle in the world."""
+        """Return the pose of the surface's middle in the world."""
         return self.furniture.surface_pose(self.surface)
 
     def outline(self) -> Polygon:
-        """Return its outline in the world, seen from above, counterclockwise."""
+        """Return the surface's outline in the world, seen from above, counterclockwise."""
         pose = self.pose()
         corners = [geometry.transform(pose, (x, y, 0.0))[:2] for x, y in self.surface.outline]
         return geometry.convex_hull(np.array(corners))
@@ -186,10 +187,10 @@ class SurfaceSearch(Search):
         wanted = f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}"
         super().__init__(body.world, wanted, arguments)
         self._body, self._orientation, self._near, self._away = body, orientation, near, away
-        self._side, self._reference = side  # the object next to the place; None for a side of each surface
+        self._side, self._reference = side  # the reference is the object next to the place; None for the surface
         self._robot, self._arms, self._seed = robot, arms, seed
         self._surfaces = [SearchedSurface(furniture, surface) for furniture, surface in surfaces]
-        self._done: list[Vector] = []  # places that were offered or tried
+        self._done: list[Vector] = []  # offered or tried places
         self._turn = orientation or geometry.IDENTITY[1]
         self._corners = np.concatenate([corners for _, corners in pieces_of(body.model.path)])
         self._own = {body, *held(body)}
@@ -205,7 +206,7 @@ class SurfaceSearch(Search):
         return place
 
     def _draw(self, batch: Batch, number: int) -> tuple[SearchedSurface, Sequence[Spot]]:
-        """Return the most promising surface, and places drawn from its maps, for the n-th batch from 0."""
+        """Return the most promising surface and places from its maps for a batch, whose number starts at 0."""
         left = [searched for searched in self._surfaces if searched.failed < _BATCHES]
         found = []
         for searched in left:
@@ -215,14 +216,15 @@ class SurfaceSearch(Search):
         searched, (grid, scores, _) = left[best], found[best]
         batch.arguments = {**self._arguments, "on": [searched.furniture, searched.surface.name]}
         random = random_generator(self._seed, self.query, number, repr(batch.arguments))
-        start = self._heading(searched)
+        # the object's natural yaw: its present yaw, or the direction of a narrow surface
+        width, along = geometry.narrowest_width(searched.outline())
+        _, around = maps.radii(self._inside(self._turned_corners(self._turn), searched)[:, :2])
+        start = along if width < 2 * (around + EDGE) else geometry.yaw_of(self._body.get_orientation())
         (_, _, height), _ = searched.pose()
         spots = []
         for cell, (x, y) in draw_cells(grid, scores, _SPOTS, random):
             step = int(random.integers(_YAWS))
-            if (
-                self._stays() and step % 2
-            ):  # an arm puts an object down most easily in the orientation in which it took it
+            if self._stays() and step % 2:  # an arm puts an object down most easily in its orientation at the grasp
                 step = 0
             yaw = start + 2 * math.pi * step / _YAWS
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
@@ -233,7 +235,7 @@ class SurfaceSearch(Search):
     # --- maps: all places together -----------------------------------------------------------------------------------
 
     def _maps(self, searched: SearchedSurface) -> tuple[Grid, list[tuple[str, Array]]]:
-        """Return the cells of a surface, and for each constraint its name and its map (cells,)."""
+        """Return the cells of a surface, and the maps (cells,) with the names of their constraints."""
         outline = searched.outline()
         (_, _, height), _ = searched.pose()
         corners = np.array(outline)
@@ -263,22 +265,16 @@ class SurfaceSearch(Search):
         factors.append(("tried", maps.away(centers, self._done, _APART)))
         return grid, factors
 
-    def _heading(self, searched: SearchedSurface) -> float:
-        """Return a natural yaw of the object in rad: its present yaw, or the direction of a narrow surface."""
-        width, along = geometry.narrowest_width(searched.outline())
-        _, around = maps.radii(self._inside(self._turned_corners(self._turn), searched)[:, :2])
-        return along if width < 2 * (around + EDGE) else geometry.yaw_of(self._body.get_orientation())
-
     def _turned_corners(self, turn: Quaternion) -> Array:
-        """Return the object's corners (n, 3) in m from its origin, turned."""
+        """Return the object's corners (n, 3) in m relative to its origin, after a rotation."""
         corners: Array = self._corners @ geometry.to_matrix(turn).T
         return corners
 
     @staticmethod
     def _inside(corners: Array, searched: SearchedSurface) -> Array:
-        """Return the corners (n, 3) that must be on a surface: all, on top of an object those of the base.
+        """Return the corners (n, 3) that must be on a surface: all corners, or on a top only the corners of the base.
 
-        So a cup's handle may stick out over the edge of a plate, but what would tip off its base may not.
+        So a cup's handle may stick out over the edge of a plate, but an object that would tip over may not.
         """
         if not searched.on_object:
             return corners
@@ -289,7 +285,7 @@ class SurfaceSearch(Search):
 
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
-        """Return 0 where an object sticks out over the edge in all orientations, up to 1 where it never does."""
+        """Return 0 where an object would stick out over the edge in all orientations, up to 1 where it never would."""
         margins = np.full(len(centers), np.inf)
         for (ax, ay), (bx, by) in itertools.pairwise([*outline, outline[0]]):
             length = max(math.hypot(bx - ax, by - ay), 1e-9)
@@ -299,14 +295,14 @@ class SurfaceSearch(Search):
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
 
     def _obstacles(self, searched: SearchedSurface) -> maps.Footprints:
-        """Return the footprints of objects that stand on a surface, or hang above it below the object's height.
+        """Return the footprints of objects on a surface, or above it below the object's height.
 
-        Robots that can't drive count as well; others can drive away.
+        Robots that can't drive count, too; other robots can drive away.
         """
         clone = clone_of(self._body.world, "reach")
         carried = held(self._robot) if self._robot else ()
         left_out = {*self._own, *carried}
-        if searched.on_object:  # the outline of a top leaves out its rim
+        if searched.on_object:  # the outline of a top excludes its rim
             left_out.add(searched.furniture)
         others = [each for each in self._body.world.objects if each not in left_out]
         (_, _, height), _ = searched.pose()
@@ -315,7 +311,7 @@ class SurfaceSearch(Search):
         return maps.Footprints(boxes, height + _ABOVE, height + size)
 
     def _beside(self, centers: Array, searched: SearchedSurface) -> Array:
-        """Return the score for the wanted side of a surface or an object; 0 on the other sides."""
+        """Return the scores for the wanted side of a surface or an object; they are 0 on other sides."""
         reference = self._reference
         middle = center(reference) if reference is not None else searched.pose()[0]
         robot = self._robot or self._body.world.robot
@@ -333,12 +329,12 @@ class SurfaceSearch(Search):
         return beside
 
     def _reach(self, grid: Grid) -> Array:
-        """Return how well the robot reaches each cell, from its present pose or from any pose that it can drive to."""
+        """Return the robot's scores of reaching each cell, from its present pose or from any pose if it drives."""
         robot = self._robot
         assert robot is not None  # noqa: S101  the caller has checked
         (x, y, height), here = grid.origin, robot.get_position()
         low, high = (x, y), (x + grid.shape[1] * grid.resolution, y + grid.shape[0] * grid.resolution)
-        lift = float(np.ptp(self._corners[:, 2])) / 2  # m; an object is grasped roughly at half of its height
+        lift = float(np.ptp(self._corners[:, 2])) / 2  # m; arms grasp objects at about half of their height
         shoulders = [
             (arm_reach(robot, arm), height + lift - robot.get_link_position(arm.base_link)[2]) for arm in self._arms
         ]
@@ -355,7 +351,7 @@ class SurfaceSearch(Search):
         coarse = Grid.over(low, high, height, _COARSE)
         distances = np.hypot(*(coarse.centers()[:, None] - places[None]).transpose(2, 0, 1))
         best = np.max([(reach.best(above, distances) * free).max(axis=1) for reach, above in shoulders], axis=0)
-        if drives(robot):  # an arm that stretches far over a surface meets the objects on it
+        if drives(robot):  # an arm that stretches far over a surface would hit the objects on it
             best /= 1.0 + (distances.min(axis=1) / _EASY) ** 4
         column, row = ((grid.centers() - low) / coarse.resolution).astype(np.intp).T
         spread_out: Array = best.reshape(coarse.shape)[row, column]
@@ -364,7 +360,7 @@ class SurfaceSearch(Search):
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> FoundPlace | None:
-        """Return the first place that fulfils all constraints."""
+        """Return the first place that satisfies all constraints."""
         outline = searched.outline()
         obstacles = [geometry.convex_hull(each) for each in self._obstacles(searched).corners().reshape(-1, 4, 2)]
         for spot in batch.admitted(spots):
@@ -382,7 +378,7 @@ class SurfaceSearch(Search):
     def _excluded(
         self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> FoundPlace | tuple[str, Rejection]:
-        """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
+        """Return a place that satisfies all constraints, or the constraint that excludes it, with the reason."""
         (x, y, z), turn = spot.pose
         taken = self._no_room(spot, searched, outline, obstacles)
         if taken is not None:
@@ -392,7 +388,7 @@ class SurfaceSearch(Search):
         except PlaceFailed as failure:
             return "room", NoRoom(failure.reason)
         if abs(rest[2] - z) > _RESTS:
-            return "room", NoRoom(f"it wouldn't rest on {searched.surface.name}")
+            return "room", NoRoom(f"the object wouldn't rest on {searched.surface.name}")
         reasons = {arm.name: self._unreached(arm, (rest, turn)) for arm in self._arms if self._stays()}
         missed = [reason for reason in reasons.values() if reason is not None]
         if reasons and len(missed) == len(reasons):
@@ -403,15 +399,17 @@ class SurfaceSearch(Search):
     def _no_room(
         self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> tuple[str, Rejection] | None:
-        """Return why a surface has no room for the object's outline; None if it has."""
+        """Return why a surface has no room for the object's outline; None if it has room."""
         (x, y, _), turn = spot.pose
         corners = self._turned_corners(turn)
         own = inside = geometry.convex_hull(corners[:, :2] + (x, y))
         if searched.on_object:
             inside = geometry.convex_hull(self._inside(corners, searched)[:, :2] + (x, y))
         if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in inside):
-            return "edge", NoRoom(f"it would stick out over the edge of {searched.surface.name}")
-        wide = _widened(own, FINGERS)
+            return "edge", NoRoom(f"the object would stick out over the edge of {searched.surface.name}")
+        # the outline and a margin for fingers: the hull of circles about its corners
+        circle = [(FINGERS * math.cos(angle), FINGERS * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
+        wide = geometry.convex_hull(np.array([(a + dx, b + dy) for a, b in own for dx, dy in circle]))
         if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):
             return "room", NoRoom(TAKEN)
         return None
@@ -420,11 +418,11 @@ class SurfaceSearch(Search):
         return not self._stays()
 
     def _stays(self) -> bool:
-        """Return whether the place must be in reach of a robot that can't drive."""
+        """Return whether the robot that must reach the place can't drive."""
         return self._robot is not None and not drives(self._robot)
 
     def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
-        """Return why an arm can't put the object to a pose while the base stays; None if it can."""
+        """Return why an arm can't move the object to a pose while the base stays; None if it can."""
         robot = self._robot
         assert robot is not None  # noqa: S101  the caller has checked
         position, turn = robot.get_position_and_orientation()
@@ -450,18 +448,8 @@ class SurfaceSearch(Search):
         return min(nearest, key=lambda each: each.miss())
 
 
-def _widened(outline: Polygon, margin: float) -> Polygon:
-    """Return a convex polygon that is wider by a margin in m: the hull of circles about its corners."""
-    around = [(margin * math.cos(angle), margin * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
-    corners = [(x + dx, y + dy) for x, y in outline for dx, dy in around]
-    return geometry.convex_hull(np.array(corners))
-
-
 def _parked(robot: Object) -> Boxes:
-    """Return boxes around a robot that can't drive, with its arms parked as they are after placing.
-
-    A robot that drives has no boxes: its later pose isn't known here.
-    """
+    """Return boxes around a robot that can't drive, with its arms parked; no boxes for a robot that drives."""
     arms = robot.description.arms.values() if robot.description and not drives(robot) else ()
     park = {joint: value for arm in arms if "park" in arm.poses for joint, value in arm.posture("park").items()}
     if not park:

@@ -1,4 +1,4 @@
-"""Goals of an arm at a place, each checked by the rules of the motion that would reach it."""
+"""Goals of an arm at a place. The rules of the motion that would reach a goal check the place."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from pycram.reasoning.rejections import Rejection
     from recorder.geometry import Pose, Quaternion, Vector
 
-_TURNS: Final = 6  # orientations about the vertical that are tried for an object without a given orientation
-_MAX_SINGLE: Final = 30  # places; for more of them, one search for all is faster
-_STEP: Final = 0.1  # m or rad of a drawer or door between values at which its handle must be reached
+_TURNS: Final = 6  # orientations about the vertical for an object without a given orientation
+_MAX_SINGLE: Final = 30  # places; for more places, one search for all of them is faster
+_STEP: Final = 0.1  # m or rad between positions of a drawer or door at which its handle must be reached
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class PutDown:
     """A goal to put down an object that an arm holds."""
 
     position: Vector  # position of the object, m
-    orientation: Quaternion | None = None  # xyzw of the object; None for upright with a natural heading
-    body: Object | None = None  # the object; None for any object that the arm holds
+    orientation: Quaternion | None = None  # xyzw of the object; None for upright with a natural yaw
+    body: Object | None = None  # the object; None for the object that the arm holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,18 +60,18 @@ class Pull:
     """A goal to open or close a drawer or door by its handle."""
 
     container: Object  # the furniture
-    joint: str
+    joint: str  # name of the drawer's or door's joint
     handle: str  # name of the handle's link
-    to: float  # the joint's value afterwards, rad or m
+    to: float  # goal position of the joint, rad or m
 
 
-#: An object to take; a position xyz for the tool; a position and orientation to put down what is held; or one of the
-#: goals above.
+#: A target: an object to take, a position xyz for the tool, a position and an orientation for a held object, a PutDown
+#: or a Pull.
 Target: TypeAlias = Object | PutDown | Pull | Sequence[float] | tuple[Sequence[float], Sequence[float] | None]
 
 
 class Goal(Protocol):
-    """A goal that an arm must reach."""
+    """A goal for an arm."""
 
     @property
     def position(self) -> Vector:
@@ -81,20 +81,20 @@ class Goal(Protocol):
         """Return the name of the goal for messages."""
 
     def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]] | None:
-        """Return for each stage rough poses of the tool; with the base at a pose, the tool must reach one of them.
+        """Return rough poses of the tool for each stage; the tool must reach one pose of each stage.
 
-        None means any pose.
+        The robot's base is at the pose ``base``. None means that any pose is allowed.
         """
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return the side of the grasp, or "" without a grasp; or why an arm can't reach with the base at a pose."""
+        """Return the side of the grasp, or "" without a grasp; or why the arm can't reach with the base at a pose."""
 
 
 def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
-    """Return the goal for a target. ``grasp`` is the side from which an object must be taken; None for any.
+    """Return the goal for a target. ``grasp`` is the side from which the arm must take an object; None for any side.
 
     Raises:
-        BadArgument: It is not a target, or it is in another world.
+        BadArgument: The target has another type, or is in another world.
     """
     if isinstance(target, Object):
         world_of(robot, target)
@@ -117,10 +117,10 @@ def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
 
 
 def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
-    """Return for poses of a robot's base whether any of the arms roughly reaches a goal, solved together.
+    """Return, for poses of a robot's base, whether any arm roughly reaches a goal; all poses are checked together.
 
-    The answer is True without a check for goals without known poses of the tool. It is True as well for a few poses if
-    an arm has no closed form, because checking them one by one is faster.
+    Without a check, all answers are True: for goals without known poses of the tool, and for a few poses if an arm has
+    no closed form, because checking them one by one is faster.
     """
     within = np.zeros(len(bases), dtype=bool)
     for arm in arms:
@@ -146,7 +146,7 @@ def description_of(argument: str, robot: object) -> RobotDescription:
     """Return a robot's description.
 
     Raises:
-        BadArgument: It is not a robot, or has no description.
+        BadArgument: The argument isn't a robot, or has no description.
     """
     if not isinstance(robot, Object) or robot.description is None:
         raise BadArgument(argument, robot, "a robot with a description")
@@ -154,32 +154,32 @@ def description_of(argument: str, robot: object) -> RobotDescription:
 
 
 class TakeGoal:
-    """A goal to pick up an object. ``grasps`` are the allowed sides; None for all."""
+    """A goal to pick up an object. ``grasps`` are the allowed sides; None for all sides."""
 
     def __init__(self, robot: Object, body: Object, grasps: Sequence[str] | None = None) -> None:
         self._robot, self.body, self._grasps = robot, body, grasps
 
     @property
     def position(self) -> Vector:
-        """The middle of the object, m."""
+        """The center of the object's bounds, m."""
         return center(self.body)
 
     def named(self) -> str:
         """Return the name of the object."""
         return self.body.name
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  for any arm
-        """Return poses of the tool in the middle of the object, one for each allowed side."""
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  the poses are for any arm
+        """Return poses of the tool in the center of the object, one for each allowed side."""
         return [[(self.position, grasp_orientation(side, self._robot, base)) for side in self._grasps or GRASPS]]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return the side of the first grasp that would hold the object."""
+        """Return the side of the first grasp that would hold the object, or why there is no grasp."""
         if self.body.fixed:
             return Unfit(f"{self.body.name} is fixed")
         unfit = _no_free_hand(self._robot, arm)
         if unfit is not None:
             return unfit
-        solver = Solver(self._robot, arm.tool_frame)  # a cheap test, because most places are out of reach
+        solver = Solver(self._robot, arm.tool_frame)  # first a cheap test, because most places are out of reach
         grasps = [
             *candidates(self.body, self._robot, arm, self._grasps, base=base),
             *candidates(self.body, self._robot, arm, self._grasps, base=base, off_center=True),
@@ -202,11 +202,11 @@ class PutDownGoal:
 
     @property
     def position(self) -> Vector:
-        """The position of the object afterwards, m."""
+        """The position of the object after the motion, m."""
         return self._target.position
 
     def named(self) -> str:
-        """Return the position of the object afterwards."""
+        """Return the position of the object after the motion."""
         return _named(self._target.position)
 
     def _held(self, arm: Arm) -> Object | None:
@@ -214,8 +214,8 @@ class PutDownGoal:
         in_hand = held(self._robot, arm)
         return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  for any place
-        """Return poses of the tool with the object at the goal, in several headings."""
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  the poses are for any place
+        """Return poses of the tool with the object at the goal, for several yaws."""
         body = self._held(arm)
         if body is None:
             return [[]]
@@ -227,10 +227,10 @@ class PutDownGoal:
         return [[geometry.multiply((self._target.position, turn), body_T_tool) for turn in turns]]
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return "" if the arm can put the object down there."""
+        """Return "" if the arm can put the object down at the goal, else the reason."""
         body = self._held(arm)
         if body is None:
-            return Unfit(f"it doesn't hold {self._target.body.name if self._target.body else 'anything'}")
+            return Unfit(f"the arm doesn't hold {self._target.body.name if self._target.body else 'anything'}")
         refusals, rests = Refusals(), self._rests.setdefault(arm.name, {})
         target, turn = self._target.position, self._target.orientation
         found = placements(self._robot, arm, body, target, turn, refusals, UNRECORDED, base, quickly=True, rests=rests)
@@ -260,7 +260,7 @@ class PullGoal:
         return self._target.handle
 
     def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:
-        """Return poses of the tool at the handle before and after the motion, in several angles about its bar."""
+        """Return poses of the tool at the handle before and after the motion, at several angles about its bar."""
         target = self._target
         handle = self._handle()
         grip = handle.grips(self._robot, arm.gripper, base)[0]
@@ -268,7 +268,7 @@ class PullGoal:
         return [[geometry.multiply(handle.pose(value), grip.tool(angle)) for angle in ANGLES[::2]] for value in values]
 
     def struck(self, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[Touching | None]:
-        """Return for poses of the base which links would touch the moved drawer or door, except the arms' links."""
+        """Return, for poses of the base, the robot's links that the moved part would hit, except links of the arms."""
         robot, container, handle = self._robot, self._target.container, self._handle()
         clone = clone_of(robot.world, "reach")
         moving = set(attachment.moved_links(robot.urdf, [joint for arm in arms for joint in arm.joints]))
@@ -289,14 +289,14 @@ class PullGoal:
         return found
 
     def _handle(self) -> Handle:
-        """Return the handle of the furniture in its present state."""
+        """Return the handle in the present state of the furniture."""
         target = self._target
         clone = clone_of(self._robot.world, "reach")
         joint, link = target.joint, target.handle
         return clone.cached(target.container, (Handle, joint, link), lambda: Handle(target.container, joint, link))
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return "" if the arm can hold the handle during the whole motion."""
+        """Return "" if the arm can hold the handle during the whole motion, else the reason."""
         unfit = _no_free_hand(self._robot, arm)
         if unfit is not None:
             return unfit
@@ -310,7 +310,7 @@ class PullGoal:
 
 
 class TouchGoal:
-    """A goal to bring the tool to a position, in any orientation."""
+    """A goal to move the tool to a position, in any orientation."""
 
     def __init__(self, robot: Object, position: Vector) -> None:
         self._robot, self.position = robot, position
@@ -320,10 +320,10 @@ class TouchGoal:
         return _named(self.position)
 
     def tools(self, arm: Arm, base: Pose) -> None:
-        """Return None: any orientation is allowed."""
+        """Return None, because any orientation is allowed."""
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return "" if the tool gets there without a collision."""
+        """Return "" if the tool reaches the position without a collision, else the reason."""
         solver = Solver(self._robot, arm.tool_frame)
         (postures,) = solver.search([(self.position, None, base)], thorough=True)
         if not postures[0].reaches():
@@ -340,15 +340,14 @@ class TouchGoal:
 
 
 def _no_free_hand(robot: Object, arm: Arm) -> Unfit | None:
-    """Return why an arm can't take an object; None if it can."""
     if arm.hand is None:
-        return Unfit("it has no gripper")
+        return Unfit("the arm has no gripper")
     in_hand = held(robot, arm)
-    return Unfit(f"it holds {in_hand[0].name}") if in_hand else None
+    return Unfit(f"the arm holds {in_hand[0].name}") if in_hand else None
 
 
 def _rejection(failure: PlanFailure) -> Rejection:
-    """Return a failure as the reason for a rejection."""
+    """Return the reason for a rejection that follows from a failure."""
     if isinstance(failure, Blocked):
         return Touching(failure.pairs)
     if isinstance(failure, Unreachable):

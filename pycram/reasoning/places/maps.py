@@ -1,4 +1,4 @@
-"""Maps over a grid: rough scores of its cells from 0 to 1 for one constraint each, and draws from their product."""
+"""Maps over a grid: each map has rough scores from 0 to 1 of all cells for a constraint. Places are drawn from maps."""
 
 from __future__ import annotations
 
@@ -31,40 +31,40 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_UPRIGHT: Final = 0.999  # minimum vertical part of a unit axis of an upright box
+_UPRIGHT: Final = 0.999  # minimum vertical component of a unit axis of an upright box
 _LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the horizontal axes of a box by its vertical axis
 _DIRECTIONS: Final = 36
-_BEHIND: Final = 1e-4  # factor of the score behind an obstacle; if all places are behind obstacles, none is preferred
-_AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point, so that they fit into the processor's cache
-_SURE: Final = 0.85  # share of the radius of a circle within an outline, because boxes are a little too wide
+_BEHIND: Final = 1e-4  # score of a cell behind an obstacle; it isn't 0, because all cells may be behind obstacles
+_AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point that are compared together, to fit into the cache
+_SURE: Final = 0.85  # share of the radius of a circle within an outline that surely fits, because boxes are too wide
 RESOLUTION: Final = 0.05  # m between cells
 _MAX_CELLS: Final = 1 << 16
 _FLOOR: Final = 0.03  # m above the ground; the base drives over lower obstacles
-_LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # m: heights between which a robot has one outline
+_LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # m, heights that divide a robot into layers with an outline each
 _POSTURES: Final = 60_000
-_PARTS: Final = 30  # parts of the postures, so that each fits into the processor's cache
-_LEVEL: Final = math.sin(math.radians(30))  # maximum vertical part of the tool's axis if the hand is level
-_DOWN: Final = -math.cos(math.radians(30))
-_CELL: Final = 0.08  # m, size of a cell in distance and in height
+_PARTS: Final = 30  # parts of the postures that are computed one after the other, to fit into the cache
+_LEVEL: Final = math.sin(math.radians(30))  # maximum vertical component of the tool's axis of a level hand
+_DOWN: Final = -math.cos(math.radians(30))  # maximum vertical component of the tool's axis of a hand that points down
+_CELL: Final = 0.08  # m, size of a cell in distance and height
 _SECTORS: Final = 24  # number of sectors of the bearing in a full turn
-_FULL: Final = 0.9  # quantile of the counts that gets the full score
+_FULL: Final = 0.9  # quantile of the counts with the full score
 
 
 def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
-    """Return a map (count,) with the scores of some cells, and 0 elsewhere."""
+    """Return a map (count,) that has the scores at some cells and 0 elsewhere."""
     whole = np.zeros(count)
     whole[cells] = scores
     return whole
 
 
 def near(centers: Array, point: Sequence[float], scale: float, most: float = math.inf) -> Array:
-    """Return 1 at a point and less farther away: half at ``scale`` m, 0 beyond ``most`` m."""
+    """Return scores that are 1 at a point, 0.5 at a distance of ``scale`` m, and 0 beyond ``most`` m."""
     distance = np.hypot(*(centers - np.asarray(point[:2])).T)
     return np.where(distance <= most, 1.0 / (1.0 + (distance / scale) ** 2), 0.0)
 
 
 def away(centers: Array, points: Sequence[Sequence[float]], distance: float) -> Array:
-    """Return 0 within a distance in m of any of the points, else 1."""
+    """Return 0 within a distance in m of any point, and 1 elsewhere."""
     score = np.ones(len(centers))
     for point in points:
         score[np.hypot(*(centers - np.asarray(point[:2])).T) < distance] = 0.0
@@ -72,12 +72,7 @@ def away(centers: Array, points: Sequence[Sequence[float]], distance: float) -> 
 
 
 class Footprints:
-    """Boxes as rectangles, seen from above.
-
-    Args:
-        low: m above the ground; boxes below are left out.
-        high: m above the ground; boxes above are left out.
-    """
+    """Boxes as rectangles, seen from above; boxes below ``low`` or above ``high`` (m above the ground) are left out."""
 
     def __init__(self, boxes: Boxes, low: float, high: float) -> None:
         extents = (np.abs(boxes.axes) * boxes.half_extents[:, None, :]).sum(axis=2)
@@ -85,16 +80,16 @@ class Footprints:
         counted = (z + extents[:, 2] > low) & (z - extents[:, 2] < high)
         axes, halves = boxes.axes[counted], boxes.half_extents[counted]
         self.centers = boxes.centers[counted, :2]  # (k, 2), m
-        self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)  # (k, 2, 2) with the unit axes as columns
+        self.axes = np.repeat(np.eye(2)[None], len(axes), axis=0)  # (k, 2, 2) unit axes as columns
         self.halves = extents[counted, :2]  # (k, 2) half extents, m
-        standing = np.abs(axes[:, 2]) > _UPRIGHT  # (k, 3): which axis of a box is vertical
+        standing = np.abs(axes[:, 2]) > _UPRIGHT  # (k, 3) whether each axis of a box is vertical
         upright = np.flatnonzero(standing.any(axis=1))
         flat = _LYING[standing[upright].argmax(axis=1)]
         self.axes[upright] = np.take_along_axis(axes[upright, :2], flat[:, None], axis=2)
         self.halves[upright] = np.take_along_axis(halves[upright], flat, axis=1)
 
     def distances(self, points: Array, most: float) -> Array:
-        """Return the distances (n,) in m of points (n, 2) to the nearest rectangle: 0 inside one, at most ``most``."""
+        """Return the distances (n,) in m from points (n, 2) to the nearest rectangle, from 0 inside to ``most``."""
         nearest = np.full(len(points), most * most)
         around = np.hypot(*self.halves.T)[:, None] + most
         for along, halves in self._along(points, self._beside(points, around)):
@@ -105,7 +100,7 @@ class Footprints:
         return distances
 
     def between(self, points: Array, target: Sequence[float]) -> NDArray[np.bool_]:
-        """Return for points (n, 2) whether the line to a target meets a rectangle that isn't around the target."""
+        """Return whether the lines from points (n, 2) to a target meet a rectangle that isn't around the target."""
         end = np.asarray(target[:2])
         hidden = np.zeros(len(points), dtype=bool)
         ends = np.vstack([points, end])
@@ -114,7 +109,7 @@ class Footprints:
             first, last = along[..., :-1], along[..., -1:]
             way = last - first
             way[way == 0.0] = 1e-12
-            # shares of the line at which it meets the rectangle's sides
+            # shares of the line at which the line meets the rectangle's sides
             one, other = (-halves - first) / way, (halves - first) / way
             enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
             met = np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
@@ -122,15 +117,15 @@ class Footprints:
         return hidden
 
     def _beside(self, points: Array, around: Array) -> NDArray[np.bool_]:
-        """Return the rectangles (k,) that are within (k, 1) or (k, 2) m of the bounds of points (n, 2)."""
+        """Return whether rectangles (k,) are within (k, 1) or (k, 2) m of the bounds of points (n, 2)."""
         low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
         counted: NDArray[np.bool_] = ((self.centers >= low - around) & (self.centers <= high + around)).all(axis=1)
         return counted
 
     def _along(self, points: Array, counted: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
-        """Yield points (n, 2) in the frames of k rectangles, (k, 2, n) in m, and half of the sizes (k, 2, 1).
+        """Yield points (n, 2) in the frames of k rectangles, (k, 2, n) in m, and half extents (k, 2, 1).
 
-        The rectangles come in parts that fit into the processor's cache.
+        Only the counted rectangles are used; they come in parts that fit into the processor's cache.
         """
         centers, axes, halves = (part[counted] for part in (self.centers, self.axes, self.halves))
         some = max(1, _AT_ONCE // max(1, len(points)))
@@ -141,7 +136,7 @@ class Footprints:
             yield back @ points.T - middles, halves[part, :, None]
 
     def corners(self) -> Array:
-        """Return the corners (4 * k, 2) of the rectangles, m."""
+        """Return the corners (4 * k, 2) of the rectangles in m."""
         signs = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float64)
         corners: Array = self.centers[:, None] + np.einsum(
             "kij,skj->ksi", self.axes, signs[:, None] * self.halves[None]
@@ -150,7 +145,7 @@ class Footprints:
 
 
 def radii(outline: Array) -> tuple[float, float]:
-    """Return the radii in m of circles about the origin: one within the hull of points (n, 2), one around it."""
+    """Return the radii in m of two circles about the origin: within the hull of points (n, 2), and around it."""
     angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
     reach = outline @ np.array([np.cos(angles), np.sin(angles)])
     inner = float(reach.max(axis=0, initial=0.0).min())
@@ -158,12 +153,12 @@ def radii(outline: Array) -> tuple[float, float]:
 
 
 def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> Array:
-    """Return 1 for places with a free straight line to a target; almost 0 behind a wall or the side of a cupboard."""
+    """Return 1 for places with a free straight line to a target, and almost 0 behind obstacles such as walls."""
     return np.where(obstacles.between(centers, target), _BEHIND, 1.0)
 
 
 def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:
-    """Return 0 where a circle within an outline touches an obstacle, up to 1 where a circle around it is free.
+    """Return 0 where the inner circle of an outline touches an obstacle, up to 1 where the outer circle is free.
 
     Args:
         centers: (cells, 2), m.
@@ -186,7 +181,7 @@ class Grid:
 
     @classmethod
     def over(cls, low: Sequence[float], high: Sequence[float], height: float, resolution: float = RESOLUTION) -> Grid:
-        """Return a grid over a rectangle, coarser than asked if there would be too many cells.
+        """Return a grid over a rectangle; its resolution is coarser than ``resolution`` if there are too many cells.
 
         Args:
             low: lowest x and y of the rectangle, m.
@@ -200,7 +195,7 @@ class Grid:
         return cls((float(low[0]), float(low[1]), float(height)), resolution, shape)
 
     def centers(self) -> Array:
-        """Return the middles (cells, 2) of the cells in the world, row by row along x, m."""
+        """Return the centers (cells, 2) of the cells in the world in m; cells of a row along x come together."""
         rows, columns = np.indices(self.shape).reshape(2, -1).astype(np.float64)
         x, y, _ = self.origin
         half = self.resolution / 2
@@ -210,9 +205,7 @@ class Grid:
 def random_generator(seed: int | None, name: str, *about: object) -> np.random.Generator:
     """Return a generator that depends only on the seed and the question, not on earlier draws.
 
-    Args:
-        seed: the seed; None for the run's seed.
-        about: the question's arguments.
+    ``seed`` is None for the run's seed, and ``about`` has the question's arguments.
     """
     text = f"{name} {run_seed() if seed is None else seed} {about}"
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
@@ -221,17 +214,17 @@ def random_generator(seed: int | None, name: str, *about: object) -> np.random.G
 def draw_cells(
     grid: Grid, scores: Array, count: int, random: np.random.Generator
 ) -> list[tuple[int, tuple[float, float]]]:
-    """Draw cells without replacement with a probability proportional to their scores, and return them best first.
+    """Draw cells without replacement, with probabilities proportional to their scores.
 
     Args:
         scores: (cells,), not negative.
         count: maximum number of cells.
 
     Returns:
-        For each cell its number, and x and y of a random point in it, m.
+        The index of each drawn cell, and x and y in m of a random point in it; cells with high scores come first.
     """
     possible = np.flatnonzero(scores > 0.0)
-    # the largest log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
+    # the greatest log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
     keys = np.log(scores[possible]) + random.gumbel(size=len(possible))
     taken = possible[np.argsort(-keys, kind="stable")[:count]]
     taken = taken[np.argsort(-scores[taken], kind="stable")]
@@ -240,7 +233,7 @@ def draw_cells(
 
 
 def surroundings(robot: Object, *without: Object) -> Boxes:
-    """Return boxes around everything except a robot, the objects that it holds, and some other objects."""
+    """Return boxes around all objects except a robot, the objects that it holds, and the objects ``without``."""
     clone = clone_of(robot.world, "reach")
     own = {robot, *held(robot), *without}
     return clone.all_boxes(body for body in robot.world.objects if body not in own)[0]
@@ -250,8 +243,8 @@ def room(robot: Object, centers: Array) -> Array:
     """Return 0 where a robot would touch something in any heading, up to 1 where nothing is near.
 
     Args:
-        robot: the robot, with the objects that it holds; its world is locked, and the clone is in sync.
-        centers: (cells, 2) positions of its base, m.
+        robot: the robot; the caller has locked its world and synced the clone. Objects that it holds don't count.
+        centers: (cells, 2) positions of the robot's base, m.
     """
     clone = clone_of(robot.world, "reach")
     others = surroundings(robot)
@@ -268,10 +261,10 @@ def room(robot: Object, centers: Array) -> Array:
 
 
 class ArmReach:
-    """How well an arm reaches positions around the robot with its hand level or pointing down.
+    """Scores of how well an arm reaches positions around the robot while its hand is level or points down.
 
-    It counts random postures once for each arm (Zacharias, Borst, Hirzinger: Capturing robot workspace structure, IROS
-    2007). The map is rough; only inverse kinematics tells whether an arm really reaches.
+    Random postures of each arm are counted once (Zacharias, Borst, Hirzinger: Capturing robot workspace structure, IROS
+    2007). The scores are rough; only inverse kinematics decides whether an arm reaches a position.
     """
 
     def __init__(self, urdf: Urdf, arm: Arm) -> None:
@@ -286,7 +279,7 @@ class ArmReach:
         points = points[(np.abs(across) < _LEVEL) | (across < _DOWN)]
         flat = points[:, :2] + base_T_root[:2, 3]
         distance = np.hypot(*flat.T)
-        self.radius = float(distance.max(initial=0.0))  # the largest distance from the robot's axis, m
+        self.radius = float(distance.max(initial=0.0))  # m, the largest reached distance from the robot's axis
         self._low = float(points[:, 2].min(initial=0.0))
         shape = (
             int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1,
@@ -296,9 +289,9 @@ class ArmReach:
         counts = np.zeros(shape)
         bearing = np.arctan2(flat[:, 1], flat[:, 0])
         np.add.at(counts, self._cells(points[:, 2], distance, bearing, shape), 1.0)
-        for axis, wrap in ((0, False), (1, False), (2, True)):  # cells have few postures, so neighbours count
+        for axis, wrap in ((0, False), (1, False), (2, True)):  # cells have few postures, so neighbours count, too
             counts = _smoothed(counts, axis, wrap=wrap)
-        counts /= np.maximum(np.arange(shape[1]) + 0.5, 0.5)[None, :, None]  # outer cells are larger
+        counts /= np.maximum(np.arange(shape[1]) + 0.5, 0.5)[None, :, None]  # distant cells have larger volumes
         full = np.quantile(counts[counts > 0.0], _FULL) if counts.any() else 1.0
         self._scores = np.sqrt(np.minimum(counts / full, 1.0))
 
@@ -311,7 +304,7 @@ class ArmReach:
         return z, rho, sector
 
     def scores(self, height: float, distance: Array, bearing: Array) -> Array:
-        """Return how well the hand reaches points.
+        """Return scores of how well the hand reaches points.
 
         Args:
             height: height of the points above the arm's base link, m.
@@ -324,7 +317,7 @@ class ArmReach:
         return np.where(outside, 0.0, found)
 
     def best(self, height: float, distance: Array) -> Array:
-        """Return how well the hand reaches points (...) with the best heading of the robot; see :meth:`scores`."""
+        """Return the scores of points (...) for the best heading of the robot; see :meth:`scores`."""
         z = int((height - self._low) / _CELL)
         if not 0 <= z < len(self._scores):
             return np.zeros(distance.shape)
@@ -344,11 +337,11 @@ def _smoothed(counts: Array, axis: int, *, wrap: bool) -> Array:
     return smoothed
 
 
-_known: dict[tuple[Path, str, str], ArmReach] = {}  # by model, description and arm
+_known: dict[tuple[Path, str, str], ArmReach] = {}  # by model, text of the description, and arm
 
 
 def arm_reach(robot: Object, arm: Arm) -> ArmReach:
-    """Return the reach of a robot's arm, which is computed once for each model."""
+    """Return the reach of a robot's arm, which is computed once for each model and description."""
     key = (robot.model.path, robot.description.text if robot.description else "", arm.name)
     if key not in _known:
         _known[key] = ArmReach(robot.urdf, arm)

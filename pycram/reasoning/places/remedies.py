@@ -1,7 +1,4 @@
-"""The commonest reason against the places of a search, and what would help.
-
-A remedy follows from the reason, or from a check of the maps: nothing is suggested that might not help.
-"""
+"""The most frequent reason against the places of a search, and a remedy. A remedy is suggested only if it can help."""
 
 from __future__ import annotations
 
@@ -17,40 +14,40 @@ if TYPE_CHECKING:
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
 
-#: Reasons and remedies by the constraint whose map excludes a whole surface.
+#: Reasons and remedies, by the constraint that excludes a whole surface.
 _SURFACE: Final = {
-    "clearance": "it is higher than the free height above the surface; name another surface",
-    "edge": "the surface is too small for it; name a larger one",
-    "room": "the surface is full; take objects off it, or name another one",
+    "clearance": "the object is higher than the free height above the surface; name another surface",
+    "edge": "the surface is too small for the object; name a larger surface",
+    "room": "the surface is full; take objects off it, or name another surface",
 }
 
 
 class Reasons:
-    """The reasons of a search against its places, by constraint."""
+    """The reasons against the places of a search, by constraint."""
 
     def __init__(self) -> None:
         self._found: dict[str, dict[Hashable, tuple[int, Rejection]]] = {}
-        self._maps = ""  # why the maps left no place, and the remedy
+        self._maps = ""  # why the maps left no place, with the remedy
 
     def add(self, constraint: str, reason: Rejection) -> None:
-        """Count a reason; of equal reasons, the one with the narrowest miss is kept."""
+        """Count a reason; of similar reasons, the one with the smallest miss is kept."""
         group = self._found.setdefault(constraint, {})
         count, nearest = group.get(reason.group(), (0, reason))
         group[reason.group()] = count + 1, min(nearest, reason, key=lambda each: each.miss())
 
     def excluded_by_maps(self, constraint: str, *, alone: bool) -> None:
-        """Remember the constraint that excluded all places of the maps; with ``alone``, places are left without it."""
+        """Store the constraint that excluded all places of the maps; ``alone``: other constraints left places."""
         self._maps = _SURFACE.get(constraint, "")
         if not self._maps and alone and constraint.startswith(("near", "away-from", "side")):
             self._maps = f"there are places without {constraint}: change it or leave it out"
 
     def text(self, constraint: str, objects: Sequence[Object], *, drives: bool) -> str:
-        """Return the commonest reason of a constraint, and the remedy; "" if neither is known.
+        """Return the most frequent reason of a constraint and a remedy; "" if neither is known.
 
         Args:
             constraint: The constraint that excluded the last places.
             objects: The objects of the world.
-            drives: Whether the robot can drive; else the target must come to it.
+            drives: Whether the robot can drive; if not, the target must move.
         """
         group = self._found.get(constraint)
         if group is None:
@@ -79,12 +76,12 @@ def _remedy(reason: Rejection, objects: Sequence[Object], *, drives: bool) -> st
     if isinstance(reason, OutOfReach) and reason.distance and not drives:
         return f"the base is fixed: bring it at least {_centimetres(reason)} cm closer"
     if isinstance(reason, NoRoom) and reason.reason == TAKEN:
-        return "take objects off the surface, or name another one"
+        return "take objects off the surface, or name another surface"
     return ""
 
 
 def aside(names: Iterable[str], objects: Iterable[Object]) -> str:
-    """Return the advice to move objects aside; "" if one of them can't be moved, or there are none."""
+    """Return the advice to move objects aside; "" without objects, or if an object can't be moved."""
     wanted = list(dict.fromkeys(names))
     movable = {each.name for each in objects if not each.fixed and not each.is_robot}
     return f"move {' and '.join(wanted)} aside" if wanted and movable.issuperset(wanted) else ""

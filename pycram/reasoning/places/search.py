@@ -1,7 +1,4 @@
-"""A search for places: drawn from a map, checked one by one, and offered one after the other.
-
-A base drives on its ground, and upright.
-"""
+"""A search for places: it draws places from a map, checks them one by one, and yields good places one by one."""
 
 from __future__ import annotations
 
@@ -36,36 +33,35 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
-_UNEVEN: Final = 0.05  # m between heights of one ground
-_TILT: Final = math.radians(2)
+_UNEVEN: Final = 0.05  # m, largest difference of heights on one ground
+_TILT: Final = math.radians(2)  # largest lean of a driving base
 
 
 @dataclass(frozen=True, slots=True)
 class FoundPlace:
-    """A place where a robot can stand, or where an object can be put down."""
+    """A place where a robot can stand or an object can be put down."""
 
     position: Vector  # position of the robot's base or of the object, in the world, m
     orientation: Quaternion  # orientation of the robot's base or of the object, xyzw
-    arms: tuple[str, ...] = ()  # arms that reach the target from there, or reach the place; empty if not asked for
+    arms: tuple[str, ...] = ()  # arms that reach the target from there, or that reach the place; empty without a target
     score: float = 1.0  # score of the maps, 0 to 1
     surface: str = ""  # name of the surface below; "" for the ground
-    grasps: Mapping[str, GraspSide] = field(
-        default_factory=dict
-    )  # by arm the side from which it takes the target object
+    #: Sides from which arms take the target object, by arm.
+    grasps: Mapping[str, GraspSide] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Spot:
-    """A place that is considered."""
+    """A place that a search considers."""
 
-    name: str  # unique in its batch
+    name: str  # a unique name in its batch
     pose: Pose  # pose of the base or of the object in the world
     yaw: float  # rad about the vertical
     score: float  # 0 to 1
 
 
 class Batch(Choice):
-    """A choice among places that were drawn from a grid."""
+    """A choice among the places that were drawn from a grid together."""
 
     __slots__ = ("_drawn",)
 
@@ -74,11 +70,11 @@ class Batch(Choice):
         self._drawn: tuple[Grid, Array, Sequence[Spot]] | None = None
 
     def draw(self, grid: Grid, scores: Array, spots: Sequence[Spot]) -> Sequence[Spot]:
-        """Remember the considered places for the record, and return them.
+        """Store the considered places for the record, and return them.
 
         Args:
-            scores: (cells,) of the grid, 0 to 1.
-            spots: the places that were drawn, best first.
+            scores: (cells,) scores of the grid's cells, 0 to 1.
+            spots: the drawn places, best first.
         """
         self._drawn = grid, scores, spots
         return spots
@@ -88,7 +84,7 @@ class Batch(Choice):
         return [spot for spot in spots if self.admits(spot.name)]
 
     def add_candidates(self, record: records.Query) -> Mapping[str, int]:
-        """Put the candidates and the grid into a record."""
+        """Add the candidates and the grid to a record."""
         groups = super().add_candidates(record)
         if self._drawn is None:
             return groups
@@ -114,11 +110,11 @@ class Batch(Choice):
 
 
 class Search(ABC):
-    """A search that offers places one after the other, each from a query of its own.
+    """A search that yields places; each place is the answer of its own query.
 
     Args:
-        wanted: the purpose of a place, in words.
-        arguments: arguments of the queries; arguments that are None are left out.
+        wanted: the purpose of a place, for messages.
+        arguments: arguments of the queries; None values are omitted.
     """
 
     query: ClassVar[str]  # name of the queries
@@ -127,15 +123,15 @@ class Search(ABC):
         self._world, self._wanted = world, wanted
         self._arguments = {name: value for name, value in arguments.items() if value is not None}
         self._over = False  # whether the search has ended
-        self._counts: dict[str, int] = {}  # number of places that each constraint excluded
+        self._counts: dict[str, int] = {}  # number of excluded places by constraint
         self._last = ""  # the constraint that excluded the last place
         self._reasons = Reasons()
 
     def places(self) -> Iterator[FoundPlace]:
-        """Yield places until the search has ended.
+        """Yield places until the search ends.
 
         Raises:
-            NoPlace: The search has ended without any place.
+            NoPlace: The search ended without a place.
         """
         found = False
         for number in itertools.count():
@@ -154,12 +150,12 @@ class Search(ABC):
 
     @abstractmethod
     def _next(self, batch: Batch, number: int) -> FoundPlace | None:
-        """Return a place from a new batch, which is numbered from 0; None if all of the batch are excluded."""
+        """Return a place from a new batch, whose number starts at 0; None if its places are all excluded."""
 
     def _product(self, maps: Iterable[tuple[str, Array]]) -> tuple[Array, float]:
-        """Return the product (cells,) of maps by their constraints, scaled to a best cell of 1, and that cell's score.
+        """Return the product (cells,) of maps, scaled so that the best cell has 1, and the best cell's unscaled score.
 
-        All cells are 0 if the constraints exclude each other.
+        Each map has the name of its constraint. All cells are 0 if the constraints exclude each other.
         """
         scores, factors = np.ones(1), list(maps)
         for constraint, score in factors:
@@ -184,26 +180,18 @@ class Search(ABC):
 
 
 def drives(robot: Object) -> bool:
-    """Return whether a robot's base drives; a robot without a description is assumed to drive."""
+    """Return whether a robot's base drives; robots without a description drive."""
     return robot.description is None or robot.description.drives
 
 
 def check_drives(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
-    """Check that a robot's base drives.
-
-    Raises:
-        NotDrivable: It is fixed.
-    """
+    """Raise NotDrivable if a robot's base is fixed."""
     if not drives(robot):
         raise NotDrivable(target, orientation, "its base is fixed")
 
 
 def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
-    """Check that a pose is on the ground on which a robot stands.
-
-    Raises:
-        NotDrivable: The wheels would leave the ground, or the robot would lean over.
-    """
+    """Raise NotDrivable if, at a pose, a robot's wheels would leave the ground or the robot would lean over."""
     position, heading = robot.get_position_and_orientation()
     height = target[2] - position[2]
     if abs(height) > _UNEVEN:

@@ -1,4 +1,4 @@
-"""Standing places, from which a robot can reach or see something (CRAM's ``reachable-for``, ``visible-for``)."""
+"""Places where a robot can stand to reach or see something (CRAM's ``reachable-for`` and ``visible-for``)."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_SPOTS: Final = (30, 120, 120)  # places in a batch: at first, and after one or two batches without a place
-_AT_FIRST: Final = 4  # places that are checked together, then twice as many: mostly one of the first is good
-_TRIES: Final = 40  # places of a batch that are checked one by one; if the target is enclosed, the others fail as well
-_FEWER: Final = 16  # likewise if an arm has no closed form, because its search takes longer
+_SPOTS: Final = (30, 120, 120)  # places in a batch, by the number of batches since the last place
+_AT_FIRST: Final = 4  # places that are checked together first; the number then doubles, as an early place is often good
+_TRIES: Final = 40  # places of a batch that are checked one by one; if these fail, other places probably fail, too
+_FEWER: Final = 16  # as above if an arm has no closed form, because its search takes longer
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # rad about the best heading, by batch
-_APART: Final = 0.07  # m between places that are offered
-_TRIED: Final = 0.02  # m around rejected places; farther away, another heading may be good
-_POOR: Final = 1e-3  # share of the best score, below which a place isn't drawn
+_APART: Final = 0.07  # m, minimum distance between offered places
+_TRIED: Final = 0.02  # m around rejected places where no place is drawn
+_POOR: Final = 1e-3  # share of the best score; places with lower scores aren't drawn
 _HERE: Final = "where it stands"
-_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # rad of the heading from the target
-_FACING: Final = 0.5  # part of the score that is lost if the target is at a right angle
-_SIGHT: Final = (0.6, 2.5)  # distances in m: up to which the camera sees well, and of the farthest place
-_ROOM: Final = 1.5  # m around a point that the robot must be near
-_NEAR: Final = 0.7  # m from a point, at which a score is halved
-_SHORT_WAY: Final = 8.0  # m from the robot, at which a score is halved
-_LEVEL: Final = 0.05  # m above the target; lower obstacles aren't between
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # rad between heading and target
+_FACING: Final = 0.5  # share of the score that is lost if the target is at a right angle to the heading
+_SIGHT: Final = (0.6, 2.5)  # m, the distance up to which the camera sees well, and the farthest distance of a place
+_ROOM: Final = 1.5  # m, largest distance to a point that the robot must be near
+_NEAR: Final = 0.7  # m from a point at which a score is halved
+_SHORT_WAY: Final = 8.0  # m from the robot at which a score is halved
+_LEVEL: Final = 0.05  # m above the target; lower objects aren't obstacles
 
 
 def standing_places(
@@ -71,21 +71,21 @@ def standing_places(
     seed: int | None = None,
     quickly: bool = False,
 ) -> Iterator[FoundPlace]:
-    """Return places where a robot can stand, with its arms as they are, best first.
+    """Return places where a robot can stand with its arms in their present postures, best first.
 
-    A place is where `moving` would put the robot; from there, an arm reaches the targets of `pick-up`, `place`
-    or `accessing`. Each place is checked when it is asked for. Each request is recorded as one query, with the map and
-    the reasons against other places. A robot that can't drive has one place. The world may change between requests.
+    `moving` would reach each place, and from there an arm reaches the targets by `pick-up`, `place` or `accessing`.
+    Each place is checked when the caller requests it, and recorded as one query. The world may change between requests.
+    A robot that can't drive has one place.
 
     Args:
-        reach: targets; all of them must be reached.
-        arms: names of the arms that may reach; all by default.
-        both: whether each of these arms must reach, not only one of them.
+        reach: targets; the robot must reach all of them.
+        arms: names of the arms that may reach; None for all arms.
+        both: whether each of these arms must reach the targets; otherwise one arm is enough.
         see: an object that the camera must see.
         near: xyz or xy in m of a point, at most 1.5 m away.
-        avoid: xyz or xy in m of places that are left out, with their surroundings.
-        grasp: the side from which objects are taken: "front", "top", "left" or "right"; any by default.
-        seed: seed of the draws; the run's seed by default.
+        avoid: xyz or xy in m of places that are excluded with their surroundings.
+        grasp: the side from which an arm takes objects: "front", "top", "left" or "right"; None for any side.
+        seed: seed of the draws; None for the run's seed.
         quickly: whether to end the search after 30 excluded places in a row, instead of 270.
 
     Raises:
@@ -149,10 +149,10 @@ class StandingSearch(Search):
         super().__init__(robot.world, f"{robot.name} to {self._purpose}", arguments)
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
         self._see, self._near, self._seed = see, near, seed
-        self._offered: list[Vector] = list(avoid)  # also the places to avoid
+        self._offered: list[Vector] = list(avoid)  # offered places, and the places to avoid
         self._rejected: list[Vector] = []
-        self._failed = 0  # batches without a place since the last place
-        self._batches = 1 if quickly else len(_SPOTS)  # such batches, after which the search ends
+        self._failed = 0  # number of batches without a place since the last place
+        self._batches = 1 if quickly else len(_SPOTS)  # number of such batches that ends the search
 
     def _next(self, batch: Batch, number: int) -> FoundPlace | None:
         spots = self._draw(batch, number)
@@ -162,7 +162,7 @@ class StandingSearch(Search):
         return place
 
     def _draw(self, batch: Batch, number: int) -> Sequence[Spot]:
-        """Draw places from the maps for the n-th batch from 0; the robot's present place comes first."""
+        """Draw places from the maps for a batch, whose number starts at 0; the robot's present place comes first."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
@@ -188,14 +188,14 @@ class StandingSearch(Search):
     # --- maps: all places together -----------------------------------------------------------------------------------
 
     def _maps(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
-        """Return the cells, for each constraint its name and its map (cells,), and the best heading (cells,) in rad."""
+        """Return the cells, the maps (cells,) with their constraints' names, and the best yaws (cells,) in rad."""
         robot = self._robot
         here, turn = robot.get_position_and_orientation()
         grid = self._grid(here)
         centers = grid.centers()
         factors: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
         yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
-        cells = np.arange(len(centers))  # cells that aren't excluded yet; the others need no further maps
+        cells = np.arange(len(centers))  # cells that no map has excluded; other cells need no further maps
         if self._goals or self._see is not None:
             faced, yaws = self._faced(centers, here[2])
             cells = np.flatnonzero(faced)
@@ -213,7 +213,7 @@ class StandingSearch(Search):
         return grid, factors, yaws
 
     def _grid(self, here: Sequence[float]) -> Grid:
-        """Return the cells from which all goals may be reached and seen."""
+        """Return the cells from which the robot may reach and see all goals."""
         areas: list[tuple[Sequence[float], float]] = []
         if self._goals:
             radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
@@ -227,7 +227,7 @@ class StandingSearch(Search):
         return Grid.over(low, high, here[2])
 
     def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
-        """Return for all cells the best score of a heading, for reaching or seeing everything, and that heading."""
+        """Return the best score of a heading for each cell, for reaching or seeing everything, and these headings."""
         points = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
         offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
         distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
@@ -250,7 +250,7 @@ class StandingSearch(Search):
         return best, yaws
 
     def _by_arms(self, height: float, distance: Array, bearing: Array) -> Array:
-        """Return how well one of the arms, or each of them, reaches points."""
+        """Return scores of how well one arm reaches points, or of how well all arms reach them."""
         every = []
         base_T_world = geometry.invert(self._robot.get_position_and_orientation())
         for arm in self._arms:
@@ -262,11 +262,11 @@ class StandingSearch(Search):
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> FoundPlace | None:
-        """Return the first place that fulfils all constraints."""
+        """Return the first place that satisfies all constraints."""
         quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
         tries = _TRIES if quick else _FEWER
         place: FoundPlace | None = None
-        closely: list[tuple[Spot, str, Rejection]] = []  # counted last, because these places fulfil most constraints
+        closely: list[tuple[Spot, str, Rejection]] = []  # counted last, because these places satisfy most constraints
         spots = batch.admitted(spots)
         for some in _growing(spots) if quick else (spots,):
             left = []
@@ -297,12 +297,12 @@ class StandingSearch(Search):
         return drives(self._robot)
 
     def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
-        """Count a place that a constraint excludes; it isn't drawn again."""
+        """Count a place that a constraint excludes; it won't be drawn again."""
         self._rejected.append(spot.pose[0])
         super()._exclude(batch, spot, constraint, reason)
 
     def _at_first_sight(self, spots: Sequence[Spot]) -> Sequence[tuple[str, Rejection] | None]:
-        """Check all places quickly; return for each place the constraint that excludes it, or None."""
+        """Check all places quickly. Return the constraint that excludes each place, with the reason, or None."""
         found = self._collisions(spots)
         for goal, look in itertools.product(self._goals, (self._struck, self._out_of_reach)):
             left = [number for number, excluded in enumerate(found) if excluded is None]
@@ -312,7 +312,7 @@ class StandingSearch(Search):
         return found
 
     def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
-        """Return for each place which collision a drawer or door would have there, if the goal is to pull it."""
+        """Return the collisions of the moved drawer or door with the robot at each place, for a goal to pull."""
         return goal.struck(self._arms, bases) if isinstance(goal, PullGoal) else [None] * len(bases)
 
     def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
@@ -320,7 +320,7 @@ class StandingSearch(Search):
         return [None if promising else OutOfReach(None) for promising in promises]
 
     def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
-        """Return for each place what the robot would touch there; None for a free place, and for its present place."""
+        """Return the first collision of the robot at each place; None for free places and for its present place."""
         found: list[tuple[str, Rejection] | None] = []
         if not spots:
             return found
@@ -336,7 +336,7 @@ class StandingSearch(Search):
         return found
 
     def _excluded(self, spot: Spot) -> FoundPlace | tuple[str, Rejection]:
-        """Return a place that fulfils all constraints, or the constraint that excludes it, with the reason."""
+        """Return a place that satisfies all constraints, or the constraint that excludes it, with the reason."""
         able = list(self._arms)
         grasps: dict[str, GraspSide] = {}
         for goal in self._goals:
@@ -361,7 +361,7 @@ class StandingSearch(Search):
 
 
 def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:
-    """Yield places in their order, a few at first, then twice as many each time."""
+    """Yield parts of the places in order; the first part is small, and each following part is twice as long."""
     start, size = 0, _AT_FIRST
     while start < len(spots):
         yield spots[start : start + size]

@@ -123,9 +123,9 @@ def test_a_full_surface_has_no_room(room: BulletWorld, table: Object, sink: Memo
     with pytest.raises(NoPlace, match="cup on mat") as refused:
         next(free_places(room.get_object("cup"), on=[(table, mat)], seed=0))
     assert refused.value.last == "room"
-    assert str(refused.value).endswith("; the surface is full; take objects off it, or name another one") or str(
+    assert str(refused.value).endswith("; the surface is full; take objects off it, or name another surface") or str(
         refused.value
-    ).endswith("; take objects off the surface, or name another one")
+    ).endswith("; take objects off the surface, or name another surface")
     assert set(refused.value.excluded) <= {"room", "edge"}
     (*_, record) = sink.of(Query)
     assert record.failure.type.endswith("NoPlace")
