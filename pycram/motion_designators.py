@@ -23,11 +23,11 @@ def moving(
     target: Sequence[float] | LocationDesignator,
     orientation: Sequence[float] | None = None,
 ) -> MotionDesignator:
-    """Moves the robot to a pose, with the objects that it holds. It rejects a pose in collision.
+    """Moves the robot, with the objects that it holds, to a pose. It rejects a pose in collision.
 
     Args:
         target: [x, y, z] in m, world frame.
-        orientation: A quaternion [x, y, z, w], world frame; by default the robot's orientation now.
+        orientation: A quaternion [x, y, z, w], world frame; by default the robot's present orientation.
     """
     return MotionDesignator(filled("moving", target=target, orientation=orientation))
 
@@ -39,13 +39,14 @@ def pick_up(
     grasp: GraspSide | None = None,
     from_: str | None = None,
 ) -> MotionDesignator:
-    """Moves the gripper to an object, closes it and takes the object, with a finger on each side and no other contact.
+    """Moves the gripper to an object, closes it and takes the object, with a finger on each side of the object.
 
     Args:
         object: An Object of a world.
-        arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
-        from_: Name of the arm that holds it and then releases it.
+        arm: The name of an arm: "left" or "right" on the PR2; by default the only arm, or "left".
+        grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
+            side.
+        from_: Name of the arm that holds the object, and releases it to the other arm.
     """
     return MotionDesignator(filled("pick-up", object=object, arm=arm, grasp=grasp, from_=from_))
 
@@ -63,8 +64,8 @@ def place(
         object: An Object of a world.
         target: [x, y, z] in m, world frame.
         orientation: A quaternion [x, y, z, w], world frame; by default upright, in the best orientation for the arm.
-        arm: An arm's name: "left" or "right" on the PR2; by default the arm that holds the object; if no arm does, the
-            only arm, or "left".
+        arm: The name of an arm: "left" or "right" on the PR2; by default the arm that holds the object; if no arm does,
+            the only arm, or "left".
     """
     return MotionDesignator(filled("place", object=object, target=target, orientation=orientation, arm=arm))
 
@@ -77,14 +78,14 @@ def accessing(
     arm: str | None = None,
     distance: float | None = None,
 ) -> MotionDesignator:
-    """Grips a handle and moves it along its joint's path to the given distance, together with the contents.
+    """Grips a handle and moves its joint to the given distance, together with the contents; a distance of 0 closes.
 
     Args:
         drawer_joint: A name.
         drawer_handle: A name.
         part_of: An Object of a world.
-        arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
-        distance: A distance in m, or an angle in rad for a door that turns, from 0 up; by default 0.3.
+        arm: The name of an arm: "left" or "right" on the PR2; by default the only arm, or "left".
+        distance: A distance in m, or the angle of a door in rad; 0 or more; by default 0.3.
     """
     return MotionDesignator(
         filled(
@@ -119,7 +120,7 @@ def looking(
     target: Sequence[float] | Object | LocationDesignator | ObjectDesignator | None = None,
     object: Object | ObjectDesignator | None = None,
 ) -> MotionDesignator:
-    """Points the camera's axis at a point or at the center of an object.
+    """Points the camera's axis at a point, or at the centre of an object.
 
     Exactly one of ``target`` or ``object`` is required.
 
@@ -137,8 +138,8 @@ def opening_gripper(
     """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
 
     Args:
-        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required if the robot has several
-            arms.
+        gripper: The name of an arm: "left" or "right" on the PR2; by default the only arm; required if the robot has
+            several arms.
     """
     return MotionDesignator(filled("opening-gripper", gripper=gripper))
 
@@ -150,8 +151,8 @@ def closing_gripper(
     """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
 
     Args:
-        gripper: An arm's name: "left" or "right" on the PR2; by default the only arm; required if the robot has several
-            arms.
+        gripper: The name of an arm: "left" or "right" on the PR2; by default the only arm; required if the robot has
+            several arms.
     """
     return MotionDesignator(filled("closing-gripper", gripper=gripper))
 
@@ -160,7 +161,7 @@ def detecting(
     *,
     object_type: str | Object | ObjectDesignator,
 ) -> MotionDesignator:
-    """Finds the object of a type that the robot's camera sees best in its present direction.
+    """Finds the object of a type of which the robot's camera sees the largest share.
 
     Args:
         object_type: A type of objects, or an object of that type.
@@ -175,13 +176,13 @@ def move_tcp(
     arm: str | None = None,
     level: bool | None = None,
 ) -> MotionDesignator:
-    """Moves the tool frame of an arm to a position, and to an orientation if one is given.
+    """Moves the tool frame of an arm to a position, and to the orientation if the plan gives one.
 
     Args:
         target: [x, y, z] in m, world frame, or an Object: the middle of its bounds now.
         orientation: A quaternion [x, y, z, w], world frame; by default any.
-        arm: An arm's name: "left" or "right" on the PR2; by default the only arm, or "left".
-        level: Whether what the hand holds stays level, within 15 degrees; by default false.
+        arm: The name of an arm: "left" or "right" on the PR2; by default the only arm, or "left".
+        level: Whether the held object stays level, within 15 degrees; by default false.
     """
     return MotionDesignator(filled("move-tcp", target=target, orientation=orientation, arm=arm, level=level))
 
@@ -190,7 +191,7 @@ def move_arm_joints(
     *,
     arms: Mapping[str, str | Sequence[float]],
 ) -> MotionDesignator:
-    """Moves one or more arms to postures: names such as "park", or joint values.
+    """Moves arms to postures, given by names such as "park" or by joint values.
 
     Args:
         arms: For each name of an arm: a named posture such as "park", or a list of joint values in rad. Other arms

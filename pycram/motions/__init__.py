@@ -1,1 +1,1 @@
-"""Designators and the process modules that carry them out (thesis 4.5-4.9)."""
+"""Designators of motions, and the process modules that perform these motions (thesis 4.5-4.9)."""

@@ -1,12 +1,12 @@
 """Designators: descriptions of motions, actions, objects and places, resolved late (thesis 3.5.1, 4.5, 4.6).
 
-A designator has slots, (key, value) pairs. Resolvers find its solutions: dictionaries with all parameters. Its first
-solution is its reference; its next solution is another designator with the same slots, equated to it. Equated
-designators describe the same thing over time, and form a chain from the first to the current one. A designator is
-*effective* once it has been referenced, or if it was made to stand for something that was found.
+A designator has slots: (key, value) pairs. Resolvers find its solutions: dictionaries with all parameters. The first
+solution is the *reference*. Each further solution belongs to another designator with the same slots. These designators
+are *equated*: they describe the same thing over time, and form a chain from the oldest to the newest. A designator is
+*effective* after its first reference, or if it was made to stand for something that was found.
 
-Designators are ``==`` only if they are identical; :meth:`Designator.equal` compares chains. Their slots never change,
-so any number of threads may use a designator.
+Designators are ``==`` only if they are identical; :meth:`Designator.equal` compares chains. Slots never change, so any
+number of threads may use a designator.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesignator", "Solution"]
 
-_chains_lock = threading.Lock()  # of all chains, because chains are joined; held for a few assignments
+_chains_lock = threading.Lock()  # one lock for all chains, because chains are joined
 
 #: All parameters of a motion, action, object or place, by name.
 Solution: TypeAlias = Mapping[str, Any]
@@ -51,19 +51,15 @@ Function = TypeVar("Function", bound="Callable[..., object]")
 
 
 class Resolvers(Generic[Function]):
-    """Functions that users register, called in order until one answers; iteration goes through a snapshot."""
+    """Functions that users register. They are called in order until a function answers; iteration uses a snapshot."""
 
     def __init__(self, owner: str) -> None:
-        self.owner = owner  # what they resolve, for messages
+        self.owner = owner  # what the functions resolve, for messages
         self._lock = threading.Lock()
         self._functions: tuple[Function, ...] = ()
 
     def append(self, function: Function) -> Function:
-        """Add a function at the end, once, and return it; also a decorator.
-
-        Raises:
-            BadArgument: It isn't callable.
-        """
+        """Add a function at the end, unless it is registered, and return the function; also a decorator."""
         if not callable(function):
             raise BadArgument(f"resolver of {self.owner}", function, "a function that takes a designator")
         with self._lock:
@@ -72,11 +68,7 @@ class Resolvers(Generic[Function]):
         return function
 
     def remove(self, function: Function) -> None:
-        """Remove a function.
-
-        Raises:
-            UnknownName: It isn't in the list.
-        """
+        """Remove a function; raise UnknownName if it isn't registered."""
         with self._lock:
             kept = tuple(known for known in self._functions if known != function)
             if len(kept) == len(self._functions):
@@ -85,7 +77,7 @@ class Resolvers(Generic[Function]):
 
     @contextmanager
     def added(self, function: Function) -> Iterator[Function]:
-        """Add a function, not yet in the list, for the ``with`` block."""
+        """Register a new function during the ``with`` block."""
         self.append(function)
         try:
             yield function
@@ -106,32 +98,32 @@ class Resolvers(Generic[Function]):
 class Resolution:
     """How a solution was found."""
 
-    resolver: str = ""  # qualified name of the function that found it; "" for none
-    index: int = 0  # index among the designator's solutions
-    known: int = 1  # number of solutions found so far; others are found on request
+    resolver: str = ""  # qualified name of the function that found the solution; "" if no function found it
+    index: int = 0  # index of the solution, from 0
+    known: int = 1  # number of solutions that were found until now
     complete: bool = False  # whether all solutions are known
 
 
 class Solutions:
     """The solutions that a designator and its successors share, in any number of threads.
 
-    Resolvers run without a lock: they may wait for a thread that requests the same solutions. Concurrent threads each
-    search, and the first to find a solution decides.
+    Resolvers run without a lock, because they may wait for a thread that requests the same solutions. All concurrent
+    threads search, and the first found solution is used.
 
     Args:
-        find: Yields the solutions, each with the name of its resolver. After a failure it is called again, and the
-            known solutions are skipped.
+        find: Yields solutions and the names of their resolvers. After a failure, it is called again; known solutions
+            are then skipped.
     """
 
     def __init__(self, find: Callable[[], Iterator[tuple[Solution, str]]]) -> None:
         self._lock = threading.Lock()
         self._find = find
-        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields the solutions that aren't known yet
+        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields the unknown solutions
         self._kept: list[tuple[Solution, str]] = []
         self._complete = False
 
     def at(self, index: int) -> Solution | None:
-        """Return the solution of an index from 0; None if there are fewer."""
+        """Return the solution with an index from 0; None if there is no such solution."""
         while True:
             with self._lock:
                 count = len(self._kept)
@@ -149,31 +141,27 @@ class Solutions:
                         self._kept.append(solution)
 
     def resolution(self, index: int) -> Resolution:
-        """Return how the solution of an index was found; the resolver is "" if it wasn't."""
+        """Return how the solution with an index was found; the resolver is "" without such a solution."""
         with self._lock:
             resolver = self._kept[index][1] if index < len(self._kept) else ""
             return Resolution(resolver, index, len(self._kept), self._complete)
 
 
-#: The designators that are carried out in this context: a motion may consist of motions.
+#: The designators that this context performs; a motion may consist of motions.
 _performed: ContextVar[tuple[Designator, ...]] = ContextVar("pycram_performed", default=())
 
 
 def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
-    """Treat requests of a designator in the ``with`` block as parts of performing it: they aren't recorded."""
+    """Don't record requests for solutions of a designator in the ``with`` block: they are parts of performing it."""
     return Binding(_performed, (*_performed.get(), designator))
 
 
 @contextmanager
 def _recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Question]:
-    """Record a plan's request for a solution, which the block answers.
+    """Record a plan's request for a solution, which the ``with`` block answers.
 
-    A UsageError is a refusal, which the caller records; other failures go into the record.
-
-    Args:
-        name: "reference" or "next_solution".
-        designator: The designator.
-        index: Index of the solution; by default the index of the designator's own solution.
+    The caller records a UsageError as a refusal; other failures go into the record. ``name`` is "reference" or
+    "next_solution". ``index`` is the index of the solution; by default, that of the designator's own solution.
     """
     request = Question(name, {"designator": designator})
     if any(each is designator for each in _performed.get()) or not journal.recording():
@@ -192,17 +180,17 @@ class Designator(ABC):
     """A description of something, as slots: ``Designator([("type", "milk")])`` or ``Designator(type="milk")``.
 
     Args:
-        description: Its slots, (key, value) pairs or a mapping. A value may be a future of a ``par`` block, or another
-            designator, which is resolved when this one is.
-        parent: A designator to equate it with.
-        slots: Further slots; ``reachable_for`` is the slot ``reachable-for``, ``in_`` the slot ``in``.
+        description: Slots as (key, value) pairs or a mapping. A value may be a future of a ``par`` block, or another
+            designator, which is resolved together with this designator.
+        parent: An older designator to equate with this designator.
+        slots: Further slots; ``reachable_for`` is the slot ``reachable-for``, ``in_`` is the slot ``in``.
 
     Raises:
         DesignatorError: The description isn't a list of pairs.
     """
 
     performed_by: ClassVar[str] = ""
-    """Qualified name of the function that performs it; "" for ``ProcessModule.perform``."""
+    """Qualified name of the function that performs the designator; "" for ``ProcessModule.perform``."""
 
     @refusing("designator", name="Designator")
     def __init__(self, description: Description = (), parent: Designator | None = None, **slots: object) -> None:
@@ -211,7 +199,7 @@ class Designator(ABC):
         self._lock = threading.Lock()
         self._effective = False
         self._data: Value = None
-        self.timestamp: float | None = None  # when it became effective, in seconds since the Unix epoch
+        self.timestamp: float | None = None  # time at which it became effective, in s since the Unix epoch
         if parent is not None:
             self.equate(parent)
 
@@ -219,11 +207,11 @@ class Designator(ABC):
 
     @property
     def description(self) -> list[tuple[str, Value]]:
-        """The slots as they were given."""
+        """The slots as the plan wrote them."""
         return list(pairs(self._slots))
 
     def prop_value(self, key: str) -> Value:
-        """Return a copy of a slot's value, waiting for a future's result; None if there is no such slot."""
+        """Return a copy of a slot's value; wait for the result of a future. None for a missing slot."""
         wanted = slot_name(key)
         return next((own(unwrap(value)) for name, value in self._slots if slot_name(name) == wanted), None)
 
@@ -231,8 +219,7 @@ class Designator(ABC):
         """Whether the slots fulfil all constraints.
 
         Args:
-            properties: Names of slots that must have a value other than None, and (name, value) of slots that must have
-                that value.
+            properties: Names of slots that must not be None, and (name, value) pairs of slots that must have a value.
         """
         for constraint in [properties] if isinstance(properties, str) else properties:
             if isinstance(constraint, str):
@@ -245,34 +232,34 @@ class Designator(ABC):
         return True
 
     def make_dictionary(self, properties: Iterable[str | tuple[str, object]]) -> dict[str, Value]:
-        """Make a solution of slots, given by name, and of other (key, value) pairs."""
+        """Make a solution from names of slots, and from other (key, value) pairs."""
         given = ((item, self.prop_value(item)) if isinstance(item, str) else item for item in properties)
         return {key: unwrap(value) for key, value in pairs(given)}
 
     def branches(self) -> Iterator[Pending]:
-        """Yield the branches of all futures in its slots, also in designators there; don't wait."""
+        """Yield the branches of all futures in the slots, also in slots of inner designators, without waiting."""
         for _, value in self._slots:
             yield from value.branches() if isinstance(value, Designator) else branches_in(value)
 
-    def check(self) -> None:  # noqa: B027  most have nothing to check
-        """Check its slots as far as possible without a search.
+    def check(self) -> None:  # noqa: B027  most classes have nothing to check
+        """Check the slots as far as possible without a search.
 
         Raises:
             UsageError: A slot is missing, unknown or wrong.
         """
 
     def values_for(self, slot: str, given: Mapping[str, Value]) -> Iterator[Mapping[str, Value]]:  # noqa: ARG002  for subclasses
-        """Yield values for another designator's slots, for each of its own solutions.
+        """Yield values for the slots of an outer designator, for each solution of this designator.
 
         Args:
-            slot: The slot of the other designator that has this one as its value.
-            given: All slots of the other designator.
+            slot: The slot of the outer designator whose value is this designator.
+            given: All slots of the outer designator.
 
         Yields:
-            Values by slot: for that slot, and for other slots that follow from it.
+            Values by slot: for ``slot``, and for other slots that these values determine.
 
         Raises:
-            DesignatorError: It can't be the value of a slot.
+            DesignatorError: This designator can't be the value of a slot.
         """
         kind = type(self).__name__
         raise DesignatorError(f"a {kind} can't be the value of slot {slot}", slot=slot, value=self)
@@ -280,11 +267,7 @@ class Designator(ABC):
     # --- chains ------------------------------------------------------------------------------------------------------
 
     def equate(self, other: Self) -> None:
-        """Equate this designator with another one, as the newest of the other's chain.
-
-        Raises:
-            BadArgument: The other isn't a designator.
-        """
+        """Equate this designator with another designator: append it to the chain of ``other``."""
         if not isinstance(other, Designator):
             raise BadArgument("other", other, "a designator to equate with")
         with _chains_lock:
@@ -292,59 +275,55 @@ class Designator(ABC):
             if own is theirs:
                 return
             index = own.index(self)
-            theirs[:0] = own[:index]  # its predecessors come before the other's chain
+            theirs[:0] = own[:index]  # older designators precede the chain of ``other``
             theirs += own[index:]
             for link in own:
                 link._chain = theirs  # noqa: SLF001  same class
 
     def chain(self) -> list[Self]:
-        """Return all designators that are equated with this one, and itself, the oldest first."""
+        """Return all designators of the chain, the oldest first."""
         with _chains_lock:
             return list(self._chain)
 
     def equal(self, other: Self) -> bool:
-        """Return whether another designator is equated with this one."""
+        """Return whether another designator is in the same chain."""
         with _chains_lock:
             return isinstance(other, Designator) and self._chain is other._chain
 
     def first(self) -> Self:
-        """Return the oldest of the chain."""
+        """Return the oldest designator of the chain."""
         return self.chain()[0]
 
     def current(self) -> Self:
-        """Return the newest of the chain."""
+        """Return the newest designator of the chain."""
         return self.chain()[-1]
 
     def newest_effective(self) -> Designator | None:
-        """Return the newest effective designator of the chain; None if there is none."""
+        """Return the newest effective designator of the chain; None if no designator is effective."""
         return next((designator for designator in reversed(self.chain()) if designator.effective), None)
 
     # --- solutions ---------------------------------------------------------------------------------------------------
 
     @property
     def effective(self) -> bool:
-        """Whether it has been referenced, or made to stand for something."""
+        """Whether the designator was referenced, or was made to stand for something."""
         return self._effective
 
     @property
     def data(self) -> Value:
-        """The data of :meth:`make_effective`; None otherwise."""
+        """The argument ``data`` of :meth:`make_effective`; None for other designators."""
         return self._data
 
     @abstractmethod
     def _solution(self) -> Solution:
-        """Find this designator's solution, in any thread.
-
-        Raises:
-            DesignatorError: There is none.
-        """
+        """Find the solution of this designator in any thread; raise DesignatorError without a solution."""
 
     @refusing("designator")
     def reference(self) -> Solution:
-        """Return its solution, found at the first call; or the data that it was made effective with.
+        """Return the solution, which the first call finds; or the data of :meth:`make_effective`.
 
         Raises:
-            DesignatorError: There is none.
+            DesignatorError: There is no solution.
         """
         with _recorded("reference", self) as asked:
             asked.answer = solution = self._referenced()
@@ -354,7 +333,7 @@ class Designator(ABC):
         if self._data is not None:
             known: Solution = self._data
             return known
-        solution = self._solution()  # the user's code: no lock is held
+        solution = self._solution()  # without a lock, because this is code of the user
         with self._lock:
             self._effective = True
             if self.timestamp is None:
@@ -363,23 +342,22 @@ class Designator(ABC):
         return SolutionSlots(found) if type(found) is dict else found
 
     def resources(self) -> Resources | None:
-        """Return its known needs of the robot; None for the whole robot. Must not wait or fail."""
+        """Return the known needs of the robot; None for the whole robot. This must not wait or fail."""
         return None
 
     def resolution(self, index: int | None = None) -> Resolution:
-        """Return how its solution, or the solution of an index, was found; the resolver is "" if it wasn't."""
+        """Return how a solution was found, by default the designator's own; the resolver is "" if it wasn't found."""
         resolver = qualified_name(type(self)._solution) if self._data is None else ""  # noqa: SLF001  same class
         return Resolution(resolver, index or 0)
 
     def next_solution(self) -> Self | None:
-        """Return an equated designator with the same slots and the solution after this one's; None if there is none."""
+        """Return an equated designator with the same slots and the next solution; None without a next solution."""
         return None
 
     def solutions(self, from_root: object = None) -> Iterator[Solution]:
-        """Yield this and all further solutions, each found when needed; raise DesignatorError if there is none.
+        """Yield this and all further solutions, and find each on demand; raise DesignatorError without a solution.
 
-        Args:
-            from_root: Anything but None or False starts with the first designator of the chain.
+        If ``from_root`` is neither None nor False, start with the oldest designator of the chain.
         """
         start = self if from_root is None or from_root is False else self.first()
         return start._all_solutions()  # noqa: SLF001  same class
@@ -391,10 +369,10 @@ class Designator(ABC):
             designator = designator.next_solution()
 
     def copy(self, new_properties: Description | None = None) -> Self:
-        """Return a new designator of the same kind, equated with nothing.
+        """Return a new designator of the same class, in a new chain.
 
         Args:
-            new_properties: Slots that replace those of the same name, or are appended.
+            new_properties: Slots that replace slots of the same name, or are appended.
         """
         slots = list(self._slots)
         for key, value in pairs(new_properties or ()):
@@ -408,11 +386,11 @@ class Designator(ABC):
     def make_effective(
         self, properties: Description | None = None, data: Value = None, timestamp: float | None = None
     ) -> Self:
-        """Return a new effective designator, equated with this one, that stands for something found.
+        """Return a new effective designator in the same chain, which stands for something that was found.
 
         Args:
-            properties: Its slots; by default the slots of this designator.
-            data: Its reference.
+            properties: Slots of the new designator; by default the slots of this designator.
+            data: Reference of the new designator.
             timestamp: In seconds since the Unix epoch; now by default.
         """
         designator = type(self)(self._slots if properties is None else properties)
@@ -423,11 +401,11 @@ class Designator(ABC):
         return designator
 
     def __reduce__(self) -> tuple[type[Designator], tuple[list[tuple[str, Value]]]]:
-        """Pickle as a new designator with the same slots, which is equated with nothing."""
+        """Pickle as a new designator with the same slots, in a new chain."""
         return type(self), (list(self._slots),)
 
     def __record__(self) -> object:
-        """Return its slots by name."""
+        """Return the slots by name."""
         slots: dict[str, object] = {}
         for name, value in self._slots:
             slots.setdefault(name, value.__record__() if isinstance(value, Future) else value)
@@ -440,10 +418,10 @@ class Designator(ABC):
 class ResolvedDesignator(Designator):
     """A designator whose solutions are found by resolvers, one by one.
 
-    A resolver takes the designator and returns solutions, a list or a generator, or None for designators of other
-    types. Users add resolvers with :meth:`add_resolver`, also a decorator. They are called in order: first the
-    subclass's resolvers, then its parents', then PyCRAM's own. If a resolver raises DesignatorError, the next resolver
-    is called; the error is raised if none has a solution.
+    A resolver takes the designator and returns a list or a generator of solutions, or None for designators of other
+    types. Users add resolvers with :meth:`add_resolver`, also a decorator. The order of calls is: resolvers of the
+    subclass, resolvers of its parents, PyCRAM's resolver. If a resolver raises DesignatorError, the next resolver is
+    called; the error is raised if no resolver has a solution.
     """
 
     resolvers: ClassVar[Resolvers[Resolver]] = Resolvers("designators")
@@ -460,30 +438,26 @@ class ResolvedDesignator(Designator):
     @staticmethod
     @abstractmethod
     def _own_resolver() -> Resolver:
-        """Return PyCRAM's own resolver; it is called last."""
+        """Return PyCRAM's resolver, which is called last."""
 
     @classmethod
     def add_resolver(cls, resolver: Resolver) -> Resolver:
-        """Add a resolver for this class and its subclasses, once, after the earlier resolvers; return it."""
+        """Add a resolver for this class and its subclasses after the other resolvers; return the resolver."""
         return cls.resolvers.append(resolver)
 
     @classmethod
     def remove_resolver(cls, resolver: Resolver) -> None:
-        """Remove a resolver that was added to this class.
-
-        Raises:
-            UnknownName: The resolver wasn't added to this class.
-        """
+        """Remove a resolver; raise UnknownName if it wasn't added to this class."""
         cls.resolvers.remove(resolver)
 
     @property
     def type(self) -> str:
-        """The value of its slot ``type``, "" if it has none."""
+        """The value of the slot ``type``; "" without this slot."""
         value = self.prop_value("type")
         return value if isinstance(value, str) else ""
 
     def next_solution(self) -> Self | None:
-        """Return an equated designator with the next solution; None if there is none."""
+        """Return a designator of the chain with the next solution; None without a next solution."""
         if self._data is not None or self._following(self._index + 1) is None:
             return None
         following = type(self)(self._slots, self)
@@ -492,14 +466,14 @@ class ResolvedDesignator(Designator):
         return following
 
     def resolution(self, index: int | None = None) -> Resolution:
-        """Return how its solution, or the solution of an index, was found."""
+        """Return how a solution was found, by default the designator's own."""
         if self._data is not None:
             return super().resolution(index)
         return self._solutions.resolution(self._index if index is None else index)
 
     @refusing("designator", name="next_solution")
     def _following(self, index: int) -> Solution | None:
-        """Return a later solution for the plan; None if there is none."""
+        """Return a later solution; None without such a solution."""
         with _recorded("next_solution", self, index) as asked:
             asked.answer = solution = self._solutions.at(index)
         return solution
@@ -511,7 +485,7 @@ class ResolvedDesignator(Designator):
         return solution
 
     def _all_solutions(self) -> Iterator[Solution]:
-        yield self.reference()  # without a designator for each further solution
+        yield self.reference()  # further solutions need no further designators
         if self._data is None:
             for index in itertools.count(self._index + 1):
                 solution = self._following(index)
@@ -541,15 +515,15 @@ class ResolvedDesignator(Designator):
                 errors.append(error)
         if errors and not number:
             *earlier, last = errors
-            if earlier and last.slot == "type":  # only a resolver of the user's knows this type
+            if earlier and last.slot == "type":  # only a resolver of the user knows this type
                 earlier, last = [last, *earlier[:-1]], earlier[-1]
             raise chained(last, earlier)
 
 
 class MotionDesignator(ResolvedDesignator):
-    """A motion of the robot, with the parameters that the plan cares about (thesis 4.5; types in tables 4.4-4.14).
+    """A motion of the robot; the plan gives only some of its parameters (thesis 4.5; types in tables 4.4-4.14).
 
-    PyCRAM's own resolver knows the eleven types of the thesis; ``help(pycram.motion_designators)`` lists their slots.
+    PyCRAM's resolver knows the eleven types of the thesis; ``help(pycram.motion_designators)`` lists their slots.
     """
 
     @staticmethod
@@ -557,7 +531,7 @@ class MotionDesignator(ResolvedDesignator):
         return motion_types.resolve
 
     def resources(self) -> Resources | None:
-        """Return its needs of the robot: by its type, and once it is effective, by the ``cmd`` of its solution.
+        """Return the needs of the robot. The type determines them; for an effective designator, its solution's ``cmd``.
 
         Motions of other packages get the whole robot, unless their process module or a subclass returns less.
         """
@@ -567,5 +541,5 @@ class MotionDesignator(ResolvedDesignator):
 
 
 def unfinished(designator: Designator) -> list[str]:
-    """Return the names of running branches in a designator's slots that may wait for later requests."""
+    """Return the names of unfinished branches in a designator's slots that may wait for later requests."""
     return [branch.name for branch in designator.branches() if not branch.done and not branch.ordered]

@@ -1,8 +1,8 @@
 """Executions of motions: instantaneous, as in the thesis, or in simulated time.
 
 A process module decides where joints and bases go, and checks the outcome; an execution moves them. Its methods plan
-immediately, with the world's lock held, so a motion fails before anything has moved. They return a step, which moves
-when it is called, without the lock.
+immediately, with the world's lock held, so a motion fails before anything moves. They return a step: a function that
+moves joints or the base, and is called without the lock.
 """
 
 from __future__ import annotations
@@ -35,28 +35,28 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Vector
 
 
-#: Carries out a plan.
+#: A function that follows a plan.
 Step: TypeAlias = Callable[[], None]
 
 TIMEOUT: Final = 5
-"""Seconds of simulated time within which everything has to come to rest."""
+"""Maximum simulated time in s until all objects are at rest."""
 
-_STRAIGHT: Final = (0.1, 0.06, 0.03)  # m, lengths of straight lines to try
-_BACK: Final = (-1.0, 0.0, 0.0)  # direction in the tool's frame
+_STRAIGHT: Final = (0.1, 0.06, 0.03)  # m, lengths of the straight lines that are tried
+_BACK: Final = (-1.0, 0.0, 0.0)  # direction in the tool frame
 _UP: Final = (0.0, 0.0, 1.0)  # direction in the world
-_DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # m up and back, of a level way
-_SAMPLES: Final = 15  # samples per second at which two moving parts of a robot are checked for contact
-_SAME: Final = 1e-4  # rad or m between equal positions of a joint
+_DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # m, detours up and back
+_SAMPLES: Final = 15  # checks per second for contacts between moving parts of a robot
+_SAME: Final = 1e-4  # rad or m, maximum difference of equal joint positions
 
 
 class Execution(ABC):
     """Moves joints and bases to their targets.
 
-    All methods but :meth:`whole` and :meth:`settle` return a step, and raise PlanFailure if there is no way.
+    Most methods return a step, and raise PlanFailure if there is no way.
     """
 
     takes_time: bool
-    """Whether simulated time passes meanwhile, so that other motions continue."""
+    """Whether simulated time passes during a motion, so that other motions continue."""
 
     @abstractmethod
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
@@ -64,7 +64,7 @@ class Execution(ABC):
 
     @abstractmethod
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
-        """Move the base to a pose: xyz in m, xyzw."""
+        """Move the base to a position xyz in m and an orientation xyzw."""
 
     @abstractmethod
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
@@ -72,7 +72,7 @@ class Execution(ABC):
 
     @abstractmethod
     def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:
-        """Move an arm to the tool's pose in a posture on straight lines, on which the tool turns about the vertical."""
+        """Move the tool on straight lines to its pose in a posture; it turns only about the vertical."""
 
     @abstractmethod
     def approach(
@@ -86,21 +86,19 @@ class Execution(ABC):
         ignored: Sequence[Object] = (),
         ignored_links: Sequence[tuple[Object, str]] = (),
     ) -> Step:
-        """Move an arm to a posture, the last centimetres straight.
+        """Move an arm to a posture, on a straight line for the last centimetres.
 
         Args:
-            robot: The robot.
-            arm: The arm.
             posture: Positions in rad or m by joint.
-            direction: Unit vector in the tool frame of that posture; the tool comes from there.
-            opened: Positions of the gripper's joints, reached before.
-            ignored: Objects that the hand may touch on the last centimetres.
-            ignored_links: Links that the hand may touch there, each with its object.
+            direction: Unit vector in the tool frame of that posture; the tool comes from this direction.
+            opened: Positions of the gripper's joints at the beginning of the motion.
+            ignored: Objects that the hand may touch on the straight line.
+            ignored_links: Links, with their objects, that the hand may touch on the straight line.
         """
 
     @abstractmethod
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Move a gripper's joints to positions where nothing stops the fingers."""
+        """Move the joints of a gripper to positions at which nothing stops the fingers."""
 
     @abstractmethod
     def open(self, robot: Object, arm: Arm) -> Step:
@@ -119,35 +117,32 @@ class Execution(ABC):
         values: Sequence[float],
         postures: Sequence[Mapping[str, float]],
     ) -> Step:
-        """Move an arm that holds a handle through postures, and the handle's joint through its values (rad or m)."""
+        """Move an arm that holds a handle through postures, and the handle's joint through ``values`` in rad or m."""
 
     @abstractmethod
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
-        """Draw a hand straight back from a released object; return None if it stays in place.
+        """Draw a hand straight back from a released object; return None if the hand stays.
 
-        Args:
-            robot: The robot.
-            arm: The arm.
-            ignored_links: Links that the hand may touch on its way, each with its object.
+        ``ignored_links`` are links, with their objects, that the hand may touch.
         """
 
     @abstractmethod
     def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Lift an object, just grasped, off its support; return None if it stays in place."""
+        """Lift a grasped object off its support; return None if the object stays."""
 
     @abstractmethod
     def settle(self, world: BulletWorld) -> Collection[Object]:
-        """Let simulated time pass until everything is at rest, at most :data:`TIMEOUT`; return restless objects.
+        """Let simulated time pass until all objects are at rest, at most :data:`TIMEOUT`; return the moving objects.
 
         Raises:
-            WorldClosed: Another thread has closed the world meanwhile.
+            WorldClosed: Another thread closed the world during the simulation.
         """
 
 
 class InstantExecution(Execution):
-    """Joints and bases jump to their targets: each change is exact, and time passes only to settle.
+    """Joints and bases jump to their targets: each change is exact, and time passes only in :meth:`settle`.
 
-    The world's lock is held over a motion, so no other thread sees half of it.
+    A motion holds the world's lock, so other threads never see an unfinished motion.
     """
 
     takes_time = False
@@ -157,15 +152,15 @@ class InstantExecution(Execution):
         return world.lock
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
-        """Put the robot at the pose."""
+        """Set the pose of the robot."""
         return partial(robot.set_position_and_orientation, position, orientation)
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Put the joints to their positions."""
+        """Set the joint positions."""
         return partial(robot.set_joint_positions, positions)
 
     def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:  # noqa: ARG002
-        """Put the joints to their positions."""
+        """Set the joint positions."""
         return partial(robot.set_joint_positions, posture)
 
     def approach(
@@ -179,7 +174,7 @@ class InstantExecution(Execution):
         ignored: Sequence[Object] = (),  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step:
-        """Put gripper and arm to their positions."""
+        """Set the joint positions of gripper and arm."""
 
         def step() -> None:
             if opened is not None:
@@ -189,15 +184,15 @@ class InstantExecution(Execution):
         return step
 
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Put the fingers to their positions."""
+        """Set the joint positions of the fingers."""
         return partial(robot.set_joint_positions, positions)
 
     def open(self, robot: Object, arm: Arm) -> Step:
-        """Put the fingers fully apart."""
+        """Open the fingers completely."""
         return partial(robot.set_joint_positions, arm.gripper.positions("open"))
 
     def close(self, robot: Object, arm: Arm) -> Step:
-        """Put the fingers together, even through an object between them."""
+        """Close the fingers completely, even through an object."""
         return partial(robot.set_joint_positions, arm.gripper.positions("close"))
 
     def pull(
@@ -208,7 +203,7 @@ class InstantExecution(Execution):
         values: Sequence[float],
         postures: Sequence[Mapping[str, float]],
     ) -> Step:
-        """Put the handle's joint, then the arm, to each value."""
+        """Set each position of the handle's joint, followed by the posture of the arm."""
 
         def step() -> None:
             for value, posture in zip(values[1:], postures[1:], strict=True):
@@ -223,15 +218,15 @@ class InstantExecution(Execution):
         arm: Arm,  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step | None:
-        """Leave the hand in place."""
+        """Don't move the hand."""
         return None
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002
-        """Leave the object in place."""
+        """Don't move the object."""
         return None
 
     def settle(self, world: BulletWorld) -> Collection[Object]:
-        """Simulate, as one change of the world."""
+        """Simulate until all objects are at rest, as one change of the world."""
         restless, completed = simulation.settle(world, TIMEOUT * STEPS_PER_SECOND)
         if world.exiting and not completed:
             raise WorldClosed(world.name, "continue its simulation")
@@ -242,16 +237,16 @@ INSTANT: Final = InstantExecution()
 
 
 class ContinuousExecution(Execution):
-    """Motors follow collision-free trajectories while simulated time passes; other motions continue meanwhile.
+    """Motors follow collision-free trajectories while simulated time passes and other motions continue.
 
-    The tool moves straight on the last centimetres to an object, a place or a handle. Only there may the hand touch
-    the object or handle.
+    On the last centimetres to an object, a place or a handle, the tool moves on a straight line. Only on this line may
+    the hand touch the object or handle.
     """
 
     takes_time = True
 
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:  # noqa: ARG002
-        """Return a context without effect: other motions continue meanwhile."""
+        """Return a context without effect, so that other motions continue."""
         return nullcontext()
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
@@ -259,9 +254,9 @@ class ContinuousExecution(Execution):
         return _following(robot, partial(planning.base_motion, robot, position, orientation))
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Move the joints around obstacles; if there is no path, draw each hand straight back first.
+        """Move the joints around obstacles; without a path, draw each hand straight back first.
 
-        After a cancelled placing, a hand may be around an object. Its narrow way out is missed by path searches.
+        After a cancelled placement, a hand may surround an object. Path searches miss the narrow way out.
         """
         plan = partial(planning.joint_motion, robot, positions)
         try:
@@ -277,7 +272,7 @@ class ContinuousExecution(Execution):
             return _all((*(partial(_along, (robot, line)) for line in back), following))
 
     def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:
-        """Move the tool straight to its pose, or over points above and behind its start and its goal."""
+        """Move the tool straight to its pose, or through points above and behind its start and its goal."""
         start = _now(robot, arm.joints)
         here, goal = (_tool_pose(robot, arm, positions) for positions in (start, posture))
         x, y, _ = robot.get_position()
@@ -309,7 +304,7 @@ class ContinuousExecution(Execution):
         ignored: Sequence[Object] = (),
         ignored_links: Sequence[tuple[Object, str]] = (),
     ) -> Step:
-        """Open the gripper, move to a few centimetres before the posture, and straight on from there."""
+        """Open the gripper, move to a few centimetres before the posture, and continue on a straight line."""
         now = robot.get_joint_positions()
         before = {joint: at for joint, at in (opened or {}).items() if abs(at - now[joint]) > _SAME}
         lifted = {
@@ -322,7 +317,7 @@ class ContinuousExecution(Execution):
         end = start | dict(posture)
         ways = (geometry.rotate(_tool_pose(robot, arm, end)[1], direction), _UP)
         line = _line(robot, arm, end, ways, ignored, ignored_links)
-        if line is None:  # the open fingers have room around the object
+        if line is None:  # the open fingers may have room around the object
             goal = {joint: posture[joint] for joint in arm.joints}
             way = partial(planning.joint_motion, robot, goal, start=start, ignored_links=ignored_links)
             return _all((*steps, _following(robot, way)))
@@ -351,11 +346,11 @@ class ContinuousExecution(Execution):
         values: Sequence[float],
         postures: Sequence[Mapping[str, float]],
     ) -> Step:
-        """Move the arm and the handle's joint together, along the joint's own motion."""
+        """Move the arm and the handle's joint together."""
         return partial(_along, (robot, postures), (container, [{joint: value} for value in values]))
 
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
-        """Draw the hand straight back, as far as the way is free; return None if there is no free way."""
+        """Draw the hand straight back as far as the way is free; return None without a free way."""
         line = self._line_back(robot, arm, ignored_links)
         return None if line is None else partial(_along, (robot, line))
 
@@ -368,12 +363,12 @@ class ContinuousExecution(Execution):
         return _line(robot, arm, now, ways, (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Lift the object straight, as far as the way is free; return None if there is no free way."""
+        """Lift the object straight up as far as the way is free; return None without a free way."""
         line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
     def settle(self, world: BulletWorld) -> Collection[Object]:
-        """Wait until everything is at rest, while other motions continue."""
+        """Wait until all objects are at rest, while other motions continue."""
         with world.lock:
             detector, end = RestDetector(world), world.sim_step + TIMEOUT * STEPS_PER_SECOND
         simulation.wait(world, lambda: detector.sample() or world.sim_step >= end)
@@ -383,7 +378,7 @@ class ContinuousExecution(Execution):
 
 
 def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal: Pose) -> None:
-    """Raise Blocked if the arm would touch something on its way that it doesn't touch at the start."""
+    """Raise Blocked if the arm on its way would touch an object that it doesn't touch at the start."""
     with CollisionChecker(robot, way[0]) as checker:
         first, *others = checker.predict(way)
         known = checker.touched(first)
@@ -394,22 +389,22 @@ def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal
 
 
 def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return positions without the joints that mimic one of the others: motors leave them slightly apart."""
+    """Return the positions of joints that mimic no other of these joints; motors follow a mimic only roughly."""
     mimics = robot.urdf.mimics if robot.model.loading.mimic else {}
     return {name: at for name, at in positions.items() if name not in mimics or mimics[name].leader not in positions}
 
 
 def _now(robot: Object, joints: Iterable[str]) -> dict[str, float]:
-    """Return joint positions now, clipped to the limits, which motors may slightly exceed; see :func:`_led`."""
+    """Return the present positions of joints without mimics, clipped to the limits, which motors may exceed."""
     now = robot.get_joint_positions()
     limits = {name: robot.joint_limits(name) for name in _led(robot, {name: now[name] for name in joints})}
     return {name: min(max(lower, now[name]), upper) for name, (lower, upper) in limits.items()}
 
 
 def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Step:
-    """Return a step that follows a plan, made now, and again if the robot has moved before the step begins.
+    """Return a step that follows a plan; plan now, and again if the robot has moved when the step begins.
 
-    If other moving parts of the robot would cross the path, the step waits until they have passed.
+    If other moving parts of the robot would cross the path, the step waits until they have stopped.
     """
     planned = plan()
 
@@ -420,14 +415,14 @@ def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Ste
         active = robot.world.trajectories.active
         while _is_crossed(robot, planned.trajectory):
             simulation.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
-            planned = plan()  # from the new posture
+            planned = plan()  # begins at the new posture
         _follow(robot.world, [(robot, planned)])
 
     return step
 
 
 def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
-    """Return whether moving parts of a robot would meet the parts of a trajectory that begins now."""
+    """Return whether other moving parts of a robot would touch the parts that a new trajectory moves."""
     with robot.world.lock:
         active = robot.world.trajectories.active.values()
         others = [each for each in active if each.body is robot and each.joints]
@@ -449,7 +444,7 @@ def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
 
 
 def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
-    """Move bodies together along way points, from their present state: joint values in rad or m by name."""
+    """Move bodies together from their present state along way points: joint values in rad or m by name."""
     world = paths[0][0].world
     with world.lock:
         planned = planning.together([(body, _unwound(body, way_points)) for body, way_points in paths])
@@ -457,7 +452,7 @@ def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
 
 
 def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.PlannedMotion]]) -> None:
-    """Follow plans together, if all bodies are still at their beginnings."""
+    """Follow plans together; raise Displaced if a body isn't at the beginning of its plan."""
     for body, planned in motions:
         displaced = _displacement(body, planned)
         if displaced is not None:
@@ -471,7 +466,7 @@ def _displacement(body: Object, planned: planning.PlannedMotion) -> tuple[str, f
 
 
 def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """Return way points in which endlessly turning joints take the nearest equivalent angle."""
+    """Return way points in which joints without limits have the nearest equivalent angle."""
     before: Mapping[str, float] = body.get_joint_positions()
     unwound: list[Mapping[str, float]] = []
     for way_point in way_points:
@@ -486,7 +481,7 @@ def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Ma
 
 
 def _all(steps: Sequence[Step]) -> Step:
-    """Return a step of steps, one after the other."""
+    """Return a step that calls steps in order."""
 
     def step() -> None:
         for each in steps:
@@ -503,18 +498,15 @@ def _line(
     ignored: Sequence[Object] = (),
     ignored_links: Sequence[tuple[Object, str]] = (),
 ) -> list[Mapping[str, float]] | None:
-    """Return the first collision-free straight line of the tool, from a posture.
+    """Return the postures of the arm on the first collision-free straight line of the tool; None without such a line.
+
+    The caller holds the world's lock.
 
     Args:
-        robot: The robot; its world's lock is held.
-        arm: The arm.
-        start: The posture: positions in rad or m by joint; other joints keep their present positions.
-        ways: Unit vectors in the world, the directions to try.
-        ignored: Objects that may be touched before the line's end. At its beginning, all objects may be touched.
-        ignored_links: Links that may be touched, each with its object.
-
-    Returns:
-        Postures of the arm, including the first; None if there is no such line.
+        start: Posture at the beginning: positions in rad or m by joint; other joints keep their present positions.
+        ways: Directions to try, as unit vectors in the world.
+        ignored: Objects that the arm may touch before the end of the line. At its beginning, it may touch all objects.
+        ignored_links: Links, with their objects, that the arm may touch.
     """
     tool = _tool_pose(robot, arm, start)
     for way, length in itertools.product(ways, _STRAIGHT):
@@ -529,7 +521,7 @@ def _line(
 
 
 def _tool_pose(robot: Object, arm: Arm, positions: Mapping[str, float]) -> Pose:
-    """Return the pose of an arm's tool frame in a posture, in the world."""
+    """Return the pose in the world of an arm's tool frame in a posture."""
     base_T_link = robot.urdf.forward_kinematics(robot.get_joint_positions() | dict(positions), arm.tool_frame)
     return arm.tool_pose(geometry.multiply(robot.get_position_and_orientation(), base_T_link))
 

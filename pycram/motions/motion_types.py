@@ -1,7 +1,7 @@
-"""The eleven motion designators of the thesis (4.5, tables 4.4-4.14), as data: their slots and resources.
+"""The eleven types of motion designators of the thesis (4.5, tables 4.4-4.14) as data: their slots and resources.
 
-One resolver serves all of them. It checks the slots and yields solutions: dictionaries with ``cmd`` and all parameters
-of the process module. It infers the parameters that the plan left out.
+One resolver serves all types. It checks the slots, infers missing parameters, and yields solutions: dictionaries with
+``cmd`` and all parameters of the process module.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class MotionType(SlotTable):
     """A type of motion designators."""
 
     takes_designators = True
-    cmd: str  # ``cmd`` of its solutions; selects the process module
-    resources: Callable[[dict[str, Value]], Resources]  # returns its needs, given its slots or its solution
-    fixed: tuple[tuple[str, str], ...] = ()  # further parameters of its solutions
-    per_arm: bool = False  # whether its only slot stands for one slot for each arm, ``NAME-arm``
+    cmd: str  # ``cmd`` of the solutions, which selects the process module
+    resources: Callable[[dict[str, Value]], Resources]  # returns the needs of a motion by its slots or solution
+    fixed: tuple[tuple[str, str], ...] = ()  # further parameters of the solutions
+    per_arm: bool = False  # whether the only slot, ``NAME-arm``, represents a slot for each arm
 
     def for_robot(self) -> MotionType:
         """Return the type with its slots for the current robot."""
@@ -62,7 +62,7 @@ def _holding_arm(given: dict[str, Value]) -> Value:
 
 def _arms(given: dict[str, Value], slot: str) -> tuple[str, ...]:
     arm = given.get(slot)
-    return (arm,) if isinstance(arm, str) else arm_names()  # a future: it may be any arm
+    return (arm,) if isinstance(arm, str) else arm_names()  # the result of a future may be any arm
 
 
 def _arm_resources(given: dict[str, Value]) -> Resources:
@@ -94,7 +94,7 @@ TYPES: Final = {
             "moving",
             (
                 Slot("target", slots.POSITION, required=True),
-                Slot("orientation", slots.ORIENTATION, default=_heading, otherwise="The robot's orientation now"),
+                Slot("orientation", slots.ORIENTATION, default=_heading, otherwise="The robot's present orientation"),
             ),
             cmd="navigate",
             resources=lambda _: Resources(
@@ -107,7 +107,7 @@ TYPES: Final = {
                 Slot("object", slots.BODY, required=True),
                 _ARM,
                 Slot("grasp", slots.GRASP, otherwise="the freest side"),
-                Slot("from", slots.ARM, text="name of the arm that holds it and then releases it"),
+                Slot("from", slots.ARM, text="name of the arm that holds the object, and releases it to the other arm"),
             ),
             cmd="pick",
             resources=_arm_resources,
@@ -148,19 +148,9 @@ TYPES: Final = {
             cmd="looking",
             resources=lambda _: Resources({"head"}, {"base"}),
         ),
-        MotionType(
-            "opening-gripper",
-            (_GRIPPER,),
-            cmd="move-gripper",
-            resources=_gripper_resources,
-            fixed=(("motion", "open"),),
-        ),
-        MotionType(
-            "closing-gripper",
-            (_GRIPPER,),
-            cmd="move-gripper",
-            resources=_gripper_resources,
-            fixed=(("motion", "close"),),
+        *(
+            MotionType(kind, (_GRIPPER,), cmd="move-gripper", resources=_gripper_resources, fixed=(("motion", goal),))
+            for kind, goal in (("opening-gripper", "open"), ("closing-gripper", "close"))
         ),
         MotionType("detecting", (_OBJECT_TYPE,), cmd="detecting", resources=lambda _: Resources(at_rest={WHOLE_ROBOT})),
         MotionType(
@@ -172,7 +162,7 @@ TYPES: Final = {
                 Slot(
                     "level",
                     slots.SWITCH,
-                    text="Whether what the hand holds stays level, within 15 degrees",
+                    text="Whether the held object stays level, within 15 degrees",
                     otherwise="False",
                 ),
             ),
@@ -195,7 +185,7 @@ TYPES: Final = {
 
 
 def resources_by_type(designator: ResolvedDesignator) -> Resources | None:
-    """Return the needs of a designator by its type and slots, without waiting for futures; None for other types."""
+    """Return the needs of a designator with one of the eleven types, without waiting for futures; else None."""
     given = SolutionSlots(
         (key, value) for key, value in designator.description if branch_of(value) is None and value is not None
     )
@@ -205,7 +195,7 @@ def resources_by_type(designator: ResolvedDesignator) -> Resources | None:
 
 
 def resources_of(solution: Solution) -> Resources | None:
-    """Return the needs of a solution by its ``cmd``; None if PyCRAM has no such motion."""
+    """Return the needs of a solution by its ``cmd``; None if PyCRAM has no motion with that ``cmd``."""
     given = SolutionSlots((key, value) for key, value in solution.items() if value is not None)
     motion = next((motion for motion in TYPES.values() if motion.cmd == given.get("cmd")), None)
     return motion.resources(given) if motion else None
@@ -214,11 +204,11 @@ def resources_of(solution: Solution) -> Resources | None:
 def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
     """Yield the solution of a designator of the eleven types (thesis 4.6), or of a process module of another package.
 
-    For ``moving`` with an orientation, also yield one with the robot's current orientation. The solution for another
-    package's module has all slots as they are given.
+    For ``moving`` with an orientation, a second solution has the robot's present orientation. A solution for another
+    package's module has all slots as the plan wrote them.
 
     Raises:
-        DesignatorError: Its type is unknown, or a slot is missing, unknown or wrong.
+        DesignatorError: The type is unknown, or a slot is missing, unknown or wrong.
     """
     kind = designator.type
     if kind and kind not in TYPES and plugins.load(plugins.PROCESS_MODULES, kind) is not None:
@@ -241,7 +231,7 @@ def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
 
 
 def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str, Value]]:
-    """Yield the slots, once for each solution of the designators in their values."""
+    """Yield the slots with each solution of the designators that are their values."""
     names = {slots.slot_name(name): slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
     for key, value in given.items():
         values_for = getattr(type(value), "values_for", None)

@@ -1,8 +1,8 @@
-"""Process modules carry motions out, each on one robot, in one execution environment (thesis 4.7-4.9).
+"""Process modules execute motions: each module serves one robot in one execution environment (thesis 4.7-4.9).
 
-``ProcessModule.perform(designator)`` makes a :class:`Motion` of the designator. It queues for resources, is resolved,
-and is carried out by the module that serves the robot in the current execution environment. The plan names neither
-robot nor module, so the same plan runs in simulation and, with other modules, on a real robot.
+``ProcessModule.perform(designator)`` makes a :class:`Motion`. The motion queues for resources, resolves the designator,
+and runs the module that serves the robot in the current execution environment. The plan names neither robot nor module,
+so the same plan runs in simulation and, with other modules, on a real robot.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ if TYPE_CHECKING:
 
 @runtime_checkable
 class Module(Protocol):
-    """The part of a process module that environments and motions use."""
+    """The methods of a process module that environments and motions use."""
 
     def resources(self, designator: Any) -> Resources | None:
-        """Return what the robot needs in order to perform a designator."""
+        """Return the resources that a designator needs."""
 
     def execute(self, designator: Designator) -> Any:
-        """Carry a designator out."""
+        """Execute a designator."""
 
 
 Modules: TypeAlias = Mapping[str, Module]
@@ -67,7 +67,7 @@ Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
 
 AS_ASKED: Final = "as asked"
-"""The only candidate, if a plan leaves nothing to choose."""
+"""The only candidate of a choice if the plan leaves nothing open."""
 
 FOLLOWING: Final = (TrackingLost, Displaced, TrajectoryEnded)
 """Failures of motions that follow a trajectory."""
@@ -81,20 +81,20 @@ _ONE_AT_A_TIME: Final = Resources(moves=frozenset({"module"}))
 _TOGETHER: Final = Resources()
 
 _environment: ContextVar[str] = ContextVar("pycram_environment", default="")
-_of_run = SIMULATED  # the environment of plans that name no environment, in all threads
+_of_run = SIMULATED  # in all threads, the environment of plans that don't name an environment
 _modules_lock = threading.Lock()
-#: Registered modules, and whether these replace the environment's default modules.
+#: Registered modules by robot and environment, and whether these modules replace the default modules.
 _registered: dict[tuple[str, str], tuple[Modules, bool]] = {}
 _defaults: dict[str, Callable[[], Modules]] = {}
 _of_world: weakref.WeakKeyDictionary[BulletWorld, dict[tuple[str, str], Modules]] = weakref.WeakKeyDictionary()
 
 _queues: weakref.WeakKeyDictionary[BulletWorld, ResourceQueue] = weakref.WeakKeyDictionary()
 _queues_lock = threading.Lock()
-#: For the motions that are parts of a motion: queues for its resources, by world.
+#: For parts of a motion: queues for the resources of that motion, by world.
 _parts: ContextVar[Mapping[BulletWorld, ResourceQueue]] = ContextVar("pycram_parts", default=MappingProxyType({}))
-#: For the motions that a running module performs: queues of the modules; concurrent modules have separate queues.
+#: For motions that a running module performs: queues of their modules. Concurrent modules have separate queues.
 _inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
-#: The designator that is carried out in this context, and how that was decided.
+#: The designator that this context executes, and the record of its resolution and of the choice of its module.
 _decided: ContextVar[tuple[Designator | None, Decision | None]] = ContextVar("pycram_decided", default=(None, None))
 
 
@@ -102,23 +102,23 @@ _decided: ContextVar[tuple[Designator | None, Decision | None]] = ContextVar("py
 
 
 class NoProcessModule(UsageError):
-    """No process module takes a designator."""
+    """No process module can execute a designator."""
 
     def __init__(self, cmd: str, robot: str, environment: str, known: list[str], undescribed: str = "") -> None:
         super().__init__(
             f"no process module of {robot} in the {environment} environment takes {cmd!r}; "
-            f"it has modules for {', '.join(known) or 'nothing'}; {undescribed}"
-            "add one with register() or ProcessModule.resolvers"
+            f"modules exist for {', '.join(known) or 'nothing'}; {undescribed}"
+            "add a module with register() or ProcessModule.resolvers"
         )
         self.cmd = cmd  # ``cmd`` of the solution
         self.robot = robot  # name of the robot
         self.environment = environment
         self.known = known  # the ``cmd`` of each module in the environment
-        self.undescribed = undescribed  # why the robot has no description; "" if it has one
+        self.undescribed = undescribed  # why the robot has no description; "" if it has a description
 
 
 class NoDescription(UsageError):
-    """The robot has no description, so process modules don't know its arms."""
+    """The robot has no description, but process modules need the names of its arms."""
 
     def __init__(self, robot: str) -> None:
         super().__init__(f"the robot {robot} has no description; give Object(..., description=...) its TOML file")
@@ -133,11 +133,11 @@ def execution_environment(name: str) -> Iterator[None]:
     """Use the process modules of an environment in the ``with`` block.
 
     Args:
-        name: "simulated" (the default), "continuous", or an environment that modules are registered for.
+        name: "simulated" (the default), "continuous", or an environment for which modules are registered.
 
     Raises:
-        BadArgument: It isn't a name.
-        NotInstalled: It is "continuous", and packages that plan motions aren't installed.
+        BadArgument: The argument isn't a name.
+        NotInstalled: "continuous" needs packages that plan motions, and these aren't installed.
     """
     _require(checks.text("name", name))
     with Binding(_environment, name):
@@ -150,7 +150,7 @@ def current_environment() -> str:
 
 
 def set_default(name: str) -> None:
-    """Use the process modules of an environment where the plan names none, in all threads of this process."""
+    """Set the environment of plans that don't name an environment, in all threads of this process."""
     global _of_run  # noqa: PLW0603  a process has one run
     _require(name)
     _of_run = name or SIMULATED
@@ -162,19 +162,16 @@ def _require(environment: str) -> None:
 
 
 def register(robot: str, environment: str, modules: Modules, *, replace: bool = False) -> None:
-    """Register process modules of a robot in an environment, in addition to its other modules.
-
-    A module takes the place of the robot's module with the same ``cmd``.
+    """Register process modules of a robot in an environment. A module replaces an earlier module with the same ``cmd``.
 
     Args:
-        robot: The robot's name in its URDF.
-        environment: The execution environment.
-        modules: Process modules by the ``cmd`` of the solutions that they take.
-        replace: Whether the robot has only these modules in the environment, without PyCRAM's own modules and earlier
-            registered modules.
+        robot: Name of the robot in its URDF.
+        environment: Name of the execution environment.
+        modules: Process modules by the ``cmd`` of the solutions that they execute.
+        replace: Whether to remove all other modules of the robot in the environment, also PyCRAM's modules.
 
     Raises:
-        BadArgument: They aren't process modules.
+        BadArgument: The values of ``modules`` aren't process modules.
     """
     if not isinstance(modules, Mapping) or not all(
         isinstance(cmd, str) and isinstance(module, Module) and not isinstance(module, type)
@@ -188,11 +185,11 @@ def register(robot: str, environment: str, modules: Modules, *, replace: bool = 
 
 
 def register_default(environment: str, modules: Callable[[], Modules]) -> None:
-    """Register process modules, in an environment, for robots that have a description.
+    """Register process modules for all robots that have a description, in an environment.
 
     Args:
-        environment: The execution environment.
-        modules: Makes a new set, by the ``cmd`` of the solutions that they take; called once for each robot.
+        environment: Name of the execution environment.
+        modules: Called once for each robot; returns new process modules by the ``cmd`` of the solutions that they take.
     """
     with _modules_lock:
         _defaults[environment] = modules
@@ -204,17 +201,17 @@ class Chosen:
 
     module: Module
     environment: str
-    chooser: str = ""  # qualified name of the function that chose it; "" if it is registered
-    registered_for: str = ""  # name of the robot that it is registered for; "" if the environment has it for any robot
+    chooser: str = ""  # qualified name of the function that chose the module; "" for a registered module
+    registered_for: str = ""  # name of the robot for which the module is registered; "" for a default module
 
 
 def choose(designator: Designator, solution: Solution) -> Chosen:
     """Return the process module for a designator and its solution (thesis 4.8).
 
     Raises:
-        NoProcessModule: There is none.
-        NoWorld: There is no current world, or it has no robot.
-        BadArgument: A user's function returned something else.
+        NoProcessModule: No module takes the solution.
+        NoWorld: There is no current world, or the world has no robot.
+        BadArgument: A user's function returned an object that isn't a process module.
     """
     environment = current_environment()
     for chooser in ProcessModule.resolvers:
@@ -259,18 +256,18 @@ def _undescribed(robot: Object) -> str:
         return ""
     _, misfits = find_description(robot.urdf)
     misfit = next(iter(misfits.values()), "")
-    but = f" (PyCRAM's own description of {robot.urdf.name} doesn't fit it: {misfit})" if misfit else ""
-    return f"it has no description{but}: pycram describe writes one for Object(..., description=...); else "
+    but = f" (PyCRAM's description of {robot.urdf.name} doesn't match the URDF: {misfit})" if misfit else ""
+    return f"the robot has no description{but}: `pycram describe` writes one for Object(..., description=...); or "
 
 
 # --- motions ---------------------------------------------------------------------------------------------------------
 
 
 class Motion:
-    """A motion from its request to its end: it queues for resources, is resolved, and is carried out in a world.
+    """A motion from its request to its end: it queues for resources, is resolved, and is executed in a world.
 
-    Motions that are parts of a motion queue among themselves, for the resources that it holds. So two motions never
-    wait for each other. A motion in another world, performed to look ahead, queues there like any other motion.
+    The parts of a motion queue among themselves for the resources of that motion. So two motions never wait for each
+    other. If a motion performs a motion in another world, the inner motion uses the queue of that world.
     """
 
     def __init__(self, designator: Designator, world: BulletWorld) -> None:
@@ -286,9 +283,9 @@ class Motion:
         self.span = Span("motion", self.name, parameters=slots)
 
     def carry_out(self) -> Any:
-        """Wait for its turn, resolve it, run its process module within the span, and return the module's result."""
+        """Wait for the turn, resolve the designator, run the process module, and return the module's result."""
         try:
-            for branch in self._designator.branches():  # it holds no resources yet: these branches may need some
+            for branch in self._designator.branches():  # before it holds resources, which these branches may need
                 branch.result()
             with self.ticket.turn():
                 checkpoint()
@@ -300,7 +297,7 @@ class Motion:
             self.ticket.leave()
 
     def _resolve(self) -> Module:
-        """Find solution and process module, and request the resources that these need."""
+        """Find the solution and the process module, and request the resources that they need."""
         with self._holding():  # resolvers may perform motions
             self.span.decision = decision = Decision(environment=current_environment())
             try:
@@ -318,7 +315,7 @@ class Motion:
         return module
 
     def _holding(self) -> Binding[Mapping[BulletWorld, ResourceQueue]]:
-        """Make motions performed in this world in the ``with`` block parts of this motion, within its resources."""
+        """Make motions that the ``with`` block performs in this world parts of this motion, within its resources."""
         return Binding(_parts, {**_parts.get(), self._world: ResourceQueue(self.ticket.resources)})
 
 
@@ -334,7 +331,7 @@ def _motion(designator: Designator) -> Motion:
 
 
 def forget_claims() -> None:
-    """Forget all motions that run or wait: in a forked child, only this branch goes on, and holds nothing."""
+    """Forget all motions that run or wait; a forked child continues only this branch, without resources."""
     _queues.clear()
     _parts.set(MappingProxyType({}))
     forget_tickets()
@@ -345,47 +342,45 @@ def forget_claims() -> None:
 
 
 class ProcessModule(ABC):
-    """Carries out one kind of motion, one designator at a time, in order of arrival.
+    """Executes one kind of motion, one designator at a time, in order of arrival.
 
-    Motions that it performs are parts of that motion, within its resources.
+    Motions that a module performs are parts of its motion, within the resources of that motion.
     """
 
     one_at_a_time = True
-    """False for a module without state: two arms may move by the same module."""
+    """False for a module without state, so that two arms can use the module at the same time."""
 
     failures: ClassVar[tuple[type[PlanFailure], ...]] = ()
-    """The failures that it may raise in any environment; for PyCRAM's modules, the reference lists them."""
+    """Types of failures that the module may raise in any environment; docs/reference.md lists those of PyCRAM."""
 
     failures_in_time: ClassVar[tuple[type[PlanFailure], ...]] = ()
-    """Further failures that it may raise where motions take simulated time."""
+    """Types of failures that the module may raise if motions take simulated time."""
 
     resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
-    """Functions that return a module for a designator, or None; called before the registered modules are looked up.
-
-    Like resolvers, they are called when it is the motion's turn; motions that they perform are part of it."""
+    """Functions that return a module for a designator, or None; they take precedence over registered modules."""
 
     _queue: ResourceQueue
 
     def __new__(cls, *_: object, **__: object) -> Self:
-        """Make a process module; not in ``__init__``, because subclasses may not call that."""
+        """Make a process module; not in ``__init__``, because subclasses may omit ``super().__init__()``."""
         made = super().__new__(cls)
         made._queue = ResourceQueue()
         return made
 
     @abstractmethod
     def _execute(self, designator: Any) -> Result:  # a subclass may name the class of its designators
-        """Carry a designator out, with the parameters of its ``reference()``; return the result for the plan.
+        """Execute a designator with the parameters of its ``reference()``; return the result for the plan.
 
         Raises:
-            PlanFailure: The world prevents the motion; the world is consistent then.
+            PlanFailure: The world prevents the motion.
         """
 
     def resources(self, designator: Any) -> Resources | None:
-        """Return what the robot needs in order to perform a designator; None for the whole robot.
+        """Return the resources that a designator needs; None for the whole robot.
 
-        Called when it is resolved, before anything moves. The resources of PyCRAM's own motions are known by the
-        solution's ``cmd``. A module for another ``cmd`` gets the whole robot, unless it returns its needs here, for
-        itself and for all motions that it performs::
+        The designator is resolved, and nothing has moved. The ``cmd`` determines the resources of PyCRAM's motions. A
+        module for another ``cmd`` gets the whole robot, unless its own method returns the resources of the motion and
+        of all its parts::
 
             def resources(self, designator):
                 return Resources(moves={"left-arm"}, at_rest={"base"})
@@ -394,7 +389,7 @@ class ProcessModule(ABC):
         return needs
 
     def execute(self, designator: Designator) -> Result:
-        """Carry a designator out, if necessary after earlier designators; a failure frees the module for the next."""
+        """Execute a designator, if necessary after earlier designators; a failure frees the module."""
         inner = _inner_queues.get()
         queue = self._queue if inner is None else inner.setdefault(self, ResourceQueue())
         turn = Ticket(queue, _ONE_AT_A_TIME if self.one_at_a_time else _TOGETHER).turn()
@@ -411,13 +406,13 @@ class ProcessModule(ABC):
 
     @staticmethod
     def perform(designator: Designator) -> Result:
-        """Perform a motion (thesis 4.9); return its process module's result.
+        """Perform a motion (thesis 4.9); return the result of its process module.
 
-        In the body of a block whose branches are concurrent, or are tried in order, return a future of the result.
+        In the body of a concurrent block or of ``try_in_order``, return a future of the result.
 
         Raises:
-            DesignatorError: It isn't a designator, or can't be resolved.
-            NoProcessModule: No process module takes it.
+            DesignatorError: The argument isn't a designator, or can't be resolved.
+            NoProcessModule: No process module can execute the designator.
             PlanFailure: The world prevents the motion.
         """
         motion = _motion(designator)
@@ -426,7 +421,7 @@ class ProcessModule(ABC):
             with motion.span:
                 motion.span.result = result = motion.carry_out()
                 return result
-        # queued already here if it can wait only for earlier motions
+        # enqueue the motion now if it can wait only for earlier motions
         ordered = block.immediate and not unfinished(designator)
         leave = motion.ticket.leave
         with ExitStack() as after_failure:
@@ -439,11 +434,7 @@ class ProcessModule(ABC):
 
 
 class SimulatedModule(ProcessModule):
-    """A process module that works on the current world's robot.
-
-    Args:
-        execution: How its decisions are carried out; instantaneously by default.
-    """
+    """A process module for the current world's robot; ``execution`` moves the robot, instantaneously by default."""
 
     def __init__(self, execution: Execution = INSTANT) -> None:
         self.execution = execution
@@ -451,16 +442,12 @@ class SimulatedModule(ProcessModule):
 
     @staticmethod
     def held(robot: Object, arm: Arm) -> Object | None:
-        """Return the object in the gripper of an arm; None if it is empty."""
+        """Return the object in the gripper of an arm; None if the gripper is empty."""
         return attachment.attached_to(robot, arm.tool_frame)
 
     @staticmethod
     def description(robot: Object) -> RobotDescription:
-        """Return a robot's description.
-
-        Raises:
-            NoDescription: It has none.
-        """
+        """Return the description of a robot; raise NoDescription without a description."""
         if robot.description is None:
             raise NoDescription(robot.name)
         return robot.description

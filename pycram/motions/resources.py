@@ -1,22 +1,22 @@
-"""Resources: the parts of the robot that a motion needs, and the queue in which motions wait for them.
+"""Resources: the parts of the robot that a motion needs, and the queue in which motions wait for these parts.
 
-A robot's resources are its base, head, arms and grippers. A motion *moves* some of them, and needs others *at rest*,
-because its outcome would differ if they moved meanwhile. Two motions conflict if one moves a resource that the other
-moves or needs. A motion enters the queue when it is requested. It gets all its resources together, as soon as no
-earlier motion conflicts with it. So conflicting motions run in the order of the plan, and others run concurrently.
-There is no deadlock, because each motion waits for earlier motions only.
+The resources of a robot are its base, head, arms and grippers. A motion *moves* some resources, and needs other
+resources *at rest*. Two motions conflict if one moves a resource that the other moves or needs. A motion enters the
+queue when it is requested. It gets all its resources together, as soon as no earlier motion conflicts with it. So
+conflicting motions run in the order of the plan, and other motions run concurrently. There is no deadlock, because each
+motion waits only for earlier motions.
 
-The needs of a motion are known for certain only at its turn, when it is resolved and its process module is chosen.
-Until then, it requests the resources of its designator, or the whole robot if these are unknown. Then its resources are
-corrected, *before* it moves anything. If it needs more, it releases its resources, keeps its place, and also waits for
-later motions that already run. These wait for nothing in this queue, so there is still no deadlock.
+The exact needs of a motion are known when it is resolved and its process module is chosen, at its turn. Until then, it
+requests the resources of its designator, or the whole robot. Then its resources are corrected, *before* it moves
+anything. If it needs more, it releases its resources, keeps its place, and also waits for later motions that already
+run. Those motions wait for no motion of this queue, so there is still no deadlock.
 
-Each world has a queue of its own, and a motion may perform motions in another world. If such motions would wait for
-each other, the last of them is refused.
+Each world has a queue, and a motion may perform motions in another world. If such motions would wait for each other,
+the last motion is rejected.
 
 Example: the ``par`` block of the thesis' Listing 5.3 parks the arms, moves the base, looks at a place and detects. The
-base starts when the arms are parked, because their posture decides whether the robot fits. The head turns when the
-base has arrived, because it looks at a place in the world. Detecting needs the whole robot at rest, so it comes last.
+base starts after the arms, because their posture decides whether the robot fits through. The head turns after the base,
+because it looks at a place in the world. Detecting needs the whole robot at rest, so it comes last.
 """
 
 from __future__ import annotations
@@ -36,29 +36,26 @@ from recorder.tracing.context import current_name
 if TYPE_CHECKING:
     from collections.abc import Iterator, Set as AbstractSet
 
-#: Stands for all resources, also unnamed ones.
+#: The name that represents all resources of a robot.
 WHOLE_ROBOT: Final = "the whole robot"
 
 
 class ResourceError(UsageError):
-    """A motion that is part of another motion needs resources that the outer motion doesn't hold.
-
-    If it waited for these, two such motions could wait for each other forever.
-    """
+    """An inner motion needs resources that the outer motion doesn't hold; waiting for them could be a deadlock."""
 
     def __init__(self, motion: str, excess: Resources, held: Resources) -> None:
         super().__init__(
-            f"{motion} {excess}, but its outer motion {held}; perform it before the outer motion, "
+            f"{motion} {excess}, but its outer motion {held}; perform {motion} before the outer motion, "
             "or let resources() of the outer motion's process module return the resources of both"
         )
         self.motion = motion  # name of the inner motion
-        self.moves = sorted(excess.moves)  # resources that it moves and the outer motion doesn't hold
-        self.at_rest = sorted(excess.at_rest)  # resources that it needs at rest and the outer motion doesn't hold
+        self.moves = sorted(excess.moves)  # resources that the inner motion moves and the outer motion doesn't hold
+        self.at_rest = sorted(excess.at_rest)  # the same, of resources at rest
         self.held = held  # the outer motion's resources
 
 
 class Deadlock(UsageError):
-    """A motion would wait for a motion in another world that waits for the first motion's outer motion."""
+    """A motion would wait for a motion in another world, which waits for the outer motion of the first."""
 
     def __init__(self, motion: str, blocker: str) -> None:
         super().__init__(
@@ -66,20 +63,16 @@ class Deadlock(UsageError):
             "performs a motion in the other's world; perform these motions before or after the outer motions, or in "
             "another world"
         )
-        self.motion = motion  # its name
-        self.blocker = blocker  # name of the motion that it would wait for
+        self.motion = motion  # name of the rejected motion
+        self.blocker = blocker  # name of the motion for which the rejected motion would wait
 
 
 @dataclass(frozen=True, slots=True)
 class Resources:
-    """The resources that a motion needs, as any collections of names.
-
-    Raises:
-        BadArgument: They aren't names.
-    """
+    """The names of the resources that a motion needs; raises BadArgument for other values."""
 
     moves: AbstractSet[str] = frozenset()  # "base", "head", "left-arm", "right-gripper", ..., or WHOLE_ROBOT
-    at_rest: AbstractSet[str] = frozenset()  # resources that must not move meanwhile
+    at_rest: AbstractSet[str] = frozenset()  # resources that must not move during the motion
 
     def __post_init__(self) -> None:
         for field in ("moves", "at_rest"):
@@ -89,7 +82,7 @@ class Resources:
             object.__setattr__(self, field, frozenset(names))
 
     def conflicts(self, other: Resources) -> bool:
-        """Return whether the two can't be granted together."""
+        """Return whether two motions with these resources can't run concurrently."""
         return _overlap(self.moves, other.moves | other.at_rest) or _overlap(other.moves, self.at_rest)
 
     def beyond(self, outer: Resources) -> Resources:
@@ -105,7 +98,7 @@ class Resources:
 
 
 EVERYTHING: Final = Resources(moves=frozenset({WHOLE_ROBOT}))
-"""Resources of a motion with unknown needs."""
+"""The resources of a motion with unknown needs."""
 
 
 def _overlap(a: AbstractSet[str], b: AbstractSet[str]) -> bool:
@@ -117,11 +110,7 @@ def _without(needed: AbstractSet[str], given: AbstractSet[str]) -> AbstractSet[s
 
 
 class ResourceQueue:
-    """Motions that wait for resources of one robot, in order of arrival.
-
-    Args:
-        outer: Resources of the outer motion of the queued motions.
-    """
+    """Motions that wait for resources of one robot, in order of arrival; ``outer`` are their outer motion's."""
 
     def __init__(self, outer: Resources = EVERYTHING) -> None:
         self.changed = Condition()
@@ -130,11 +119,11 @@ class ResourceQueue:
         self._outer = outer
 
     def within(self, resources: Resources | None, motion: str) -> Resources:
-        """Return the resources that a motion gets for its request; None requests all.
+        """Return the resources that a motion gets for its request; None requests all resources.
 
         Raises:
-            ResourceError: The outer motion doesn't hold all of them.
-            BadArgument: They aren't resources.
+            ResourceError: The outer motion doesn't hold all requested resources.
+            BadArgument: ``resources`` has another type.
         """
         if resources is None:
             return self._outer
@@ -145,38 +134,37 @@ class ResourceQueue:
         return resources
 
 
-#: The tickets that running code is part of, from the outside in.
+#: The tickets of the motions that this context runs, from the outside in.
 _around: ContextVar[tuple[Ticket, ...]] = ContextVar("pycram_tickets", default=())
 
 
 def forget_tickets() -> None:
-    """Make this context part of no motion."""
+    """Forget the motions that this context runs."""
     _around.set(())
 
 
 class Ticket:
-    """A motion's place in a queue, taken with :meth:`enqueue` and given up with :meth:`leave`.
+    """A motion's place in a queue. :meth:`enqueue` takes the place, and :meth:`leave` gives it up.
 
     Args:
-        queue: The queue.
-        resources: The resources that the motion needs; None for all.
-        motion: Its name, for messages.
+        resources: The resources that the motion needs; None for all resources.
+        motion: Name of the motion, for messages.
 
     Raises:
-        ResourceError: The outer motion doesn't hold all of them.
+        ResourceError: The outer motion doesn't hold all needed resources.
     """
 
     def __init__(self, queue: ResourceQueue, resources: Resources | None, motion: str = "the motion") -> None:
         self.resources = queue.within(resources, motion)
-        self.granted = False  # whether it is its turn
+        self.granted = False  # whether the motion has its resources
         self._queue = queue
         self._motion = motion
         self._outer = _around.get()
         self._waiting: dict[Ticket, None] = {}  # parts of this motion that wait for their turn
-        self._branch = current_name()  # of the branch, or thread, that performs the motion
+        self._branch = current_name()  # name of the branch or thread that performs the motion
 
     def enqueue(self) -> None:
-        """Take the last place, unless it has a place, without waiting."""
+        """Take the last place in the queue, unless the motion has a place; don't wait."""
         with self._queue.lock:
             if self not in self._queue.tickets:
                 self._queue.tickets.append(self)
@@ -186,8 +174,8 @@ class Ticket:
         """Enqueue if necessary, wait for the turn, run the ``with`` block, and leave.
 
         Raises:
-            Deadlock: It would wait forever.
-            Cancelled: The branch was cancelled while it waited.
+            Deadlock: The motion would wait forever.
+            Cancelled: The branch was cancelled during the wait.
         """
         try:
             self.enqueue()
@@ -201,9 +189,9 @@ class Ticket:
         """Change the resources of a granted ticket before anything has moved; wait again if necessary.
 
         Raises:
-            ResourceError: The outer motion doesn't hold all of them.
-            Deadlock: It would wait forever.
-            Cancelled: The branch was cancelled while it waited.
+            ResourceError: The outer motion doesn't hold all needed resources.
+            Deadlock: The motion would wait forever.
+            Cancelled: The branch was cancelled during the wait.
         """
         given = self._queue.within(resources, self._motion)
         if given != self.resources:
@@ -213,7 +201,7 @@ class Ticket:
             self._wait()
 
     def leave(self) -> None:
-        """Give up the place, if it has one."""
+        """Give up the place, if the motion has a place."""
         with self._queue.lock:
             queued = self in self._queue.tickets
             if queued:
@@ -222,7 +210,7 @@ class Ticket:
             self._queue.changed.notify_all()
 
     def _wait(self) -> None:
-        """Wait until no earlier ticket and no granted later ticket conflicts."""
+        """Wait until no earlier ticket conflicts, and no later ticket that has its resources."""
         for outer in self._outer:
             outer._waiting[self] = None  # noqa: SLF001  same class
         try:
@@ -234,12 +222,12 @@ class Ticket:
                 outer._waiting.pop(self, None)  # noqa: SLF001  same class
 
     def _grant(self) -> bool:
-        with self._queue.lock:  # of two conflicting tickets, only one is granted
+        with self._queue.lock:  # so that only one of two conflicting tickets gets its resources
             self.granted = next(self._blockers(), None) is None
             return self.granted
 
     def _blockers(self) -> Iterator[Ticket]:
-        """Yield the tickets for which it waits."""
+        """Yield the tickets for which this ticket waits."""
         earlier = True
         for known in list(self._queue.tickets):
             if known is self:

@@ -1,6 +1,6 @@
-"""Slots of designators: (name, value) pairs, and the tables by which they are checked.
+"""Slots of designators: (name, value) pairs, and the tables that check these pairs.
 
-The slots of a designator never change: lists and other containers are copied on their way in and out.
+The slots of a designator never change, because lists and other containers are copied on their way in and out.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ class DesignatorError(UsageError):
     """A designator that can't be resolved: a slot is missing, unknown or wrong."""
 
     def __init__(self, problem: str, *, type: str = "", slot: str = "", value: object = None, takes: str = "") -> None:  # noqa: A002  the slot's name
-        # the first line is for summaries; the last one is what a terminal shows below a long list
+        # the first line is for summaries; the last line is visible in a terminal after a long list
         super().__init__(f"{problem}\n{takes}\n{problem}" if takes else problem)
-        self.type = type  # type of the designator, "" if it has none
-        self.slot = slot  # name of the slot, "" for none
+        self.type = type  # type of the designator; "" without a type
+        self.slot = slot  # name of the wrong slot; "" without a slot
         self.value = value
-        self.takes = takes  # description of the slots of that type
+        self.takes = takes  # text about the slots of that type
 
 
 export("pycram.designator", DesignatorError)
@@ -55,11 +55,11 @@ def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
     """Return the slots of a description, with copies of its containers.
 
     Raises:
-        DesignatorError: It isn't a list of pairs.
+        DesignatorError: The description isn't a list of pairs or a mapping.
     """
     try:
         if isinstance(description, str):
-            raise TypeError  # noqa: TRY301  a string of pairs of letters would pass
+            raise TypeError  # noqa: TRY301  else a string of two letters would be a pair
         items = tuple(description.items() if isinstance(description, Mapping) else map(tuple, description))
         slots = tuple((name, own(value)) for name, value in items)
     except (TypeError, ValueError):
@@ -74,12 +74,12 @@ def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
 
 
 def slot_name(argument: str) -> str:
-    """Return the slot that a keyword argument names: ``reachable_for`` is ``reachable-for``, ``in_`` is ``in``."""
+    """Return the name of a keyword argument's slot: ``reachable_for`` is ``reachable-for``, ``in_`` is ``in``."""
     return argument.rstrip("_").replace("_", "-")
 
 
 def slot_argument(name: str) -> str:
-    """Return a slot's name as a keyword argument: the inverse of :func:`slot_name`."""
+    """Return the keyword argument of a slot; the inverse of :func:`slot_name`."""
     argument = name.replace("-", "_")
     return f"{argument}_" if keyword.iskeyword(argument) else argument
 
@@ -107,7 +107,7 @@ def filled(type: str, **slots: object) -> list[tuple[str, object]]:  # noqa: A00
 
 
 def own(value: T) -> T:
-    """Return a value with copies of its lists, dictionaries, sets and arrays; other objects in it stay the same."""
+    """Return a value with copies of its lists, dictionaries, sets and arrays; other objects aren't copied."""
     copied: T = _own(value, {})
     return copied
 
@@ -131,28 +131,28 @@ def _own(value: Value, known: dict[int, Value]) -> Value:
 
 
 def same(left: Value, right: Value) -> bool:
-    """Return whether two values are equal; they may be arrays."""
+    """Return whether two values, which may be arrays, are equal."""
     arrays = isinstance(left, np.ndarray) or isinstance(right, np.ndarray)
     return bool(np.array_equal(left, right) if arrays else left == right)
 
 
 # --- tables of slots -------------------------------------------------------------------------------------------------
 
-#: Returns a slot's value in the form that process modules use; raises BadArgument if it is wrong.
+#: A function that returns a slot's value in the form that process modules use, or raises BadArgument.
 Check: TypeAlias = Callable[[str, Value], Value]
 
 
 @dataclass(frozen=True, slots=True)
 class ValueKind:
-    """A kind of slot values, with its check."""
+    """A kind of values of slots, with a function that checks them."""
 
     text: str  # the possible values, with units and frames
     check: Check
-    python: str = "Any"  # the values' Python type, as an annotation
-    designator: str = ""  # class of designators that stand for such a value in a motion
+    python: str = "Any"  # Python type of the values, as an annotation
+    designator: str = ""  # class of designators that may replace such a value in a motion
 
     def __call__(self, name: str, value: Value) -> Value:
-        """Return the value of a slot, checked."""
+        """Return the checked value of a slot."""
         return self.check(name, value)
 
 
@@ -165,17 +165,17 @@ class Slot:
     required: bool = False
     default: Callable[[dict[str, Value]], Value] | None = None  # infers a missing value from the given slots
     aliases: tuple[str, ...] = ()
-    text: str = ""  # description of its values; by default the description of its kind
-    otherwise: str = ""  # the effect of leaving it out
+    text: str = ""  # the possible values; by default the text of the value's kind
+    otherwise: str = ""  # effect of a missing slot
 
     @property
     def values(self) -> str:
-        """Its possible values, with units and frames."""
+        """The possible values, with units and frames."""
         return self.text or (self.check.text if isinstance(self.check, ValueKind) else "")
 
     @property
     def python(self) -> str:
-        """The Python type of its values, as an annotation."""
+        """The Python type of the values, as an annotation."""
         return self.check.python if isinstance(self.check, ValueKind) else "Any"
 
 
@@ -184,14 +184,14 @@ class SlotTable:
     """The slots of a type of designators."""
 
     type: str
-    slots: tuple[Slot, ...]  # without ``type``
+    slots: tuple[Slot, ...]  # all slots but ``type``
     one_of: tuple[str, ...] = ()  # at least one of these slots is required
     only_one: bool = False  # whether exactly one of these slots is required
-    designator: str = ""  # name of the class, such as "an ObjectDesignator", if there is no slot ``type``
-    takes_designators: ClassVar[bool] = False  # whether a designator may stand for a value (ValueKind.designator)
+    designator: str = ""  # for a class without a slot ``type``, its name, such as "an ObjectDesignator"
+    takes_designators: ClassVar[bool] = False  # whether designators may replace values (ValueKind.designator)
 
     def describe(self) -> str:
-        """Return a description of the slots, for messages."""
+        """Return a text about the slots, for messages."""
         typed = [f"a {self.type} designator takes", f"  type (required): {self.type!r}"]
         lines = [f"{self.designator} takes"] if self.designator else typed
         for slot in self.slots:
@@ -203,7 +203,7 @@ class SlotTable:
         return "\n".join(lines)
 
     def error(self, problem: str, slot: str, value: Value = None) -> DesignatorError:
-        """Return the error for a slot."""
+        """Return the error of a slot, with a text about all slots."""
         return DesignatorError(problem, type=self.type, slot=slot, value=value, takes=self.describe())
 
     def checked(self, given: Mapping[str, Value]) -> dict[str, Value]:
@@ -241,15 +241,14 @@ class SlotTable:
 def given_slots(
     designator: ResolvedDesignator, types: Mapping[str, Type], kind: str = ""
 ) -> tuple[Type, dict[str, Value]]:
-    """Return the table of a designator's type, and its other slots with values other than None; wait for futures.
+    """Return the table of a designator's type, and the other slots that aren't None; wait for futures.
 
     Args:
-        designator: The designator.
-        types: The known types, by name.
-        kind: Kind of the types, for messages: "action ", or "".
+        types: The known types by name.
+        kind: Kind of the types, for messages: "action " or "".
 
     Raises:
-        DesignatorError: Its type is unknown, or a slot is given twice.
+        DesignatorError: The type is unknown, or a slot is given twice.
     """
     given: dict[str, Value] = {}
     for name, value in designator.description:
@@ -272,34 +271,26 @@ def given_slots(
 
 
 def arm_names() -> tuple[str, ...]:
-    """Return the names of the current robot's arms; "left" and "right" if none is known."""
+    """Return the names of the current robot's arms; "left" and "right" if its arms are unknown."""
     return tuple(_arms()) or ("left", "right")
 
 
 def default_arm() -> str:
-    """Return the arm for a plan that names none: the only arm, or the left one as in the thesis.
-
-    Raises:
-        BadArgument: The robot has several arms, and none is called "left".
-    """
+    """Return the default arm: the only arm, or "left" as in the thesis; raise BadArgument without such an arm."""
     arms = arm_names()
     return "left" if len(arms) > 1 and "left" in arms else only_arm()
 
 
 def only_arm() -> str:
-    """Return the arm of a robot that has one.
-
-    Raises:
-        BadArgument: It has several.
-    """
+    """Return the only arm of a robot; raise BadArgument for a robot with several arms."""
     arms = arm_names()
     if len(arms) != 1:
-        raise BadArgument("arm", None, f"one of {', '.join(arms)}, as the robot has several")
+        raise BadArgument("arm", None, f"one of {', '.join(arms)}, because the robot has several arms")
     return arms[0]
 
 
 def _arms() -> Mapping[str, Arm]:
-    """Return the arms of the current robot; none if it has no description."""
+    """Return the arms of the current robot; empty without a description."""
     world = BulletWorld.current_bullet_world
     robot = world.robot if world is not None else None
     return robot.description.arms if robot is not None and robot.description is not None else {}
@@ -331,7 +322,7 @@ def _posture(name: str, value: Value) -> Value:
             raise BadArgument(name, value, f"one of {', '.join(described.poses)}, or a list of joint values")
         return value
     if isinstance(value, Mapping) or not isinstance(value, Iterable | np.ndarray):
-        raise BadArgument(name, value, '"park", or a list of the values of all its joints')
+        raise BadArgument(name, value, '"park", or a list with a value for each joint of the arm')
     values = [checks.number(name, item) for item in value]
     if described is not None and len(values) != len(described.joints):
         raise BadArgument(name, value, f"{len(described.joints)} joint values, for {', '.join(described.joints)}")
@@ -363,17 +354,17 @@ OBJECT_TYPE: Final = ValueKind(
     "ObjectDesignator",
 )
 ARM: Final = ValueKind(
-    'An arm\'s name: "left" or "right" on the PR2',
+    'The name of an arm: "left" or "right" on the PR2',
     lambda name, value: checks.one_of(name, checks.text(name, value), arm_names()),
     "str",
 )
 GRASP: Final = ValueKind(
-    'The side from which the gripper comes: "front", "top", "left" or "right"',
+    'The side from which the gripper approaches: "front", "top", "left" or "right"',
     lambda name, value: checks.one_of(name, value, GRASPS),
     "GraspSide",
 )
 DISTANCE: Final = ValueKind(
-    "A distance in m, or an angle in rad for a door that turns, from 0 up",
+    "A distance in m, or the angle of a door in rad; 0 or more",
     lambda name, value: checks.in_range(name, value, 0.0),
     "float",
 )

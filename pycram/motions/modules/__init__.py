@@ -1,6 +1,6 @@
 """The ten process modules of the thesis (table 4.15), for simulated robots with a description.
 
-They serve two execution environments, with different executions of their decisions (:mod:`pycram.motions.execution`).
+They serve two execution environments, with different executions of motions (:mod:`pycram.motions.execution`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ __all__ = [
 
 
 def default_modules(execution: Execution = INSTANT) -> Mapping[str, ProcessModule]:
-    """Return new process modules, by the ``cmd`` that they take; one set serves one robot."""
+    """Return new process modules by the ``cmd`` of their motions; each robot needs a set."""
     return {
         "navigate": Navigation(execution),
         "pick": PickUp(execution),

@@ -1,4 +1,4 @@
-"""Opening and closing drawers and doors by their handle."""
+"""The process module that opens and closes drawers and doors by their handles."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ if TYPE_CHECKING:
     from pycram.reasoning.grasping.handles import HandlePath
     from pycram.world.object import Object
 
-_STEP: Final = 0.1  # m or rad of the joint between two postures
+_STEP: Final = 0.1  # m or rad, maximum motion of the joint between two postures
 _STILL: Final = 0.01  # m or rad, maximum motion of the joint while the hand approaches
 
 
 class Accessing(SimulatedModule):
-    """Grips a handle and moves it along its joint's path to the given distance, together with the contents.
+    """Grips a handle and moves its joint to the given distance, together with the contents; a distance of 0 closes.
 
-    With a distance of 0 it closes. Everything is planned before anything moves, so a failure changes nothing.
+    The whole motion is planned before anything moves, so a failure of planning changes nothing.
     """
 
     failures = (AccessFailed, HandleUnreachable, HandleBlocked, MissingPart)
@@ -74,7 +74,7 @@ class Accessing(SimulatedModule):
                 upper = container.joint_limits(joint)[1]
                 end = handle.closed + solution["distance"]
                 if end > upper + 1e-9:
-                    reason = f"it opens up to {upper:g}, not {end:g}"
+                    reason = f"its upper limit is {upper:g}, less than {end:g}"
                     raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
                 steps = max(1, math.ceil(abs(end - start) / _STEP))
                 values = [start + (end - start) * i / steps for i in range(steps + 1)]
@@ -95,7 +95,7 @@ class Accessing(SimulatedModule):
             with robot.world.lock:
                 now = container.get_joint_position(joint)
                 if abs(now - start) > _STILL:
-                    reason = f"it was moved from {start:.3f} to {now:.3f} while the hand approached; try it again"
+                    reason = f"the joint moved from {start:.3f} to {now:.3f} while the hand approached; try again"
                     raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
                 close = self.execution.close(robot, arm)
             close()
@@ -110,7 +110,7 @@ class Accessing(SimulatedModule):
 
     @staticmethod
     def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> HandlePath:
-        """Return the arm's path; if there is none, try other heights of the torso.
+        """Return the path of the arm; without a path, try other heights of the torso.
 
         Raises:
             HandleUnreachable: The arm doesn't reach the whole path.
@@ -132,12 +132,12 @@ class Accessing(SimulatedModule):
             parking = arms_in_the_way(robot, arm, handle, values, found.pairs)
             hints = [remedy.phrase() for remedy in (*parking, *remedies(robot, arm, handle, values, other))]
         if found.reached is not None and found.reached != values[0]:
-            hints.insert(0, f"from here it would reach {found.reached:.3f}")
-        raise _failure(arm, handle, values[-1], found, hints or ["no other arm or nearby place that was tried helps"])
+            hints.insert(0, f"from here the arm could move the joint to {found.reached:.3f}")
+        raise _failure(arm, handle, values[-1], found, hints or ["other arms and nearby places don't help"])
 
 
 def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequence[str]) -> AccessFailed:
-    """Return the failure: where the arm's path ends, and the remedies."""
+    """Return the failure, which says where the arm's path ends, and which remedies help."""
     details = {
         "handle": handle.link,
         "arm": arm.name,
@@ -161,9 +161,9 @@ def _in_the_way(pairs: Sequence[CollisionPair]) -> str:
 
 
 def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, CollisionPair]]:
-    """Yield obstacles that a drawer or door would push away, each with the joint's value; its contents move along.
+    """Yield obstacles that a drawer or door would push away, and the positions of the joint at the contact.
 
-    Objects in hands are obstacles, because hands don't give way.
+    Contents of the container are no obstacles, because they move along. Objects in hands are obstacles.
     """
     container = handle.container
     moved = attachment.moved_links(container.urdf, [handle.joint])

@@ -1,4 +1,4 @@
-"""Finding objects: with the camera, or in the state of the world."""
+"""Process modules that find objects with the camera, or in the state of the world."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from recorder.records import Plain
 
 RECOGNISABLE: Final = 0.5
-"""Minimum visible share of an object that is recognised."""
+"""Minimum visible share of an object that the robot can recognise."""
 
 
 class Detecting(SimulatedModule):
-    """Finds the object of a type that the robot's camera sees best in its present direction."""
+    """Finds the object of a type of which the robot's camera sees the largest share."""
 
     failures = (PerceptionError, MissingPart)
 
@@ -49,8 +49,9 @@ class Detecting(SimulatedModule):
                         seen.append((float(evidence["share"]), body))
                         choice.reject(body.name, Inferior("share", evidence["share"]))
                     else:
-                        reasons[body.name] = _reason(evidence)
-                        choice.reject(body.name, _unseen(evidence))
+                        unseen = _unseen(evidence)
+                        reasons[body.name] = f"is {unseen_text(unseen.data(), evidence.get('reason', ''))}"
+                        choice.reject(body.name, unseen)
                 if not seen:
                     raise PerceptionError(kind, reasons)
                 best = max(seen, key=lambda item: item[0])[1]
@@ -60,13 +61,8 @@ class Detecting(SimulatedModule):
 
 
 def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str, Plain]:
-    """Return poses of objects as evidence."""
+    """Return the poses of objects as evidence of a choice."""
     return sightings(robot.name, source, {body.name: body.get_position_and_orientation() for body in bodies})
-
-
-def _reason(evidence: dict[str, Any]) -> str:
-    """Return the reason why an object isn't seen."""
-    return f"is {unseen_text(_unseen(evidence).data(), evidence.get('reason', ''))}"
 
 
 def _unseen(evidence: dict[str, Any]) -> Unseen:

@@ -1,4 +1,4 @@
-"""Taking an object with a gripper."""
+"""The process module that picks up an object with a gripper."""
 
 from __future__ import annotations
 
@@ -39,21 +39,21 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import PoseLike
 
-_MAX_SEARCHED: Final = 3  # grasps without a path, after which the search ends
+_MAX_SEARCHED: Final = 3  # number of grasps without a path after which the search ends
 _MOVING: Final = (0.3, 3.0)  # m/s and rad/s, speeds of a falling or rolling object; a rocking object is slower
-_JAMMED: Final = 0.015  # m of overlap, above which free objects can't be at rest
+_JAMMED: Final = 0.015  # m; free objects that overlap more can't be at rest
 _STILL: Final = (0.005, math.radians(5))  # m and rad, maximum motion of the object while the hand approaches
-_FALL: Final = 0.1  # m; what has nothing below it within this distance hangs in the air
+_FALL: Final = 0.1  # m; an object hangs in the air if its support is farther away
 _UPWARD: Final = 0.1  # minimum upward part of the direction from a support
-_TOUCHING: Final = 2e-3  # m, maximum distance to something that holds an object by friction
+_TOUCHING: Final = 2e-3  # m, maximum distance to a body that holds an object by friction
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches, in the tool frame
 
 
 class PickUp(SimulatedModule):
-    """Moves the gripper to an object, closes it and takes the object, with a finger on each side and no other contact.
+    """Moves the gripper to an object, closes it and takes the object, with a finger on each side of the object.
 
-    Everything is planned before anything moves, and checked again before and after the gripper closes. It also takes an
-    object from another hand of the robot: this hand then releases the object and is drawn back.
+    The whole motion is planned before anything moves, and checked again before and after the gripper closes. The module
+    also takes an object from another hand of the robot; this hand then releases the object and is drawn back.
     """
 
     failures = (GraspFailed, DoesNotFit, Unreachable, Blocked, GripperBlocked, MissingPart)
@@ -73,7 +73,7 @@ class PickUp(SimulatedModule):
             ):
                 self._check_free(robot, arm, body, giver)
                 along, left = attachment.taken_along(body)
-                along += [held.body for held in body.carried if held.loose]  # the other hand holds both
+                along += [held.body for held in body.carried if held.loose]  # the other hand holds these, too
                 stood, opened = body.get_position_and_orientation(), arm.gripper.positions("open")
 
                 def approach(posture: Mapping[str, float]) -> Step:
@@ -91,7 +91,7 @@ class PickUp(SimulatedModule):
                 release = None if giver is None else _release(robot, giver, body)
                 if giver is not None:
                     attachment.detach(robot, body)
-                along = [load for load in along if load.alive and load.carrier is None]  # others may have taken some
+                along = [load for load in along if load.alive and load.carrier is None]  # not taken by another hand
                 left = [other for other in left if other.alive and other.carrier is None]
                 attachment.attach(robot, body, arm.tool_frame, None, along=along, left=left)
                 lift = self.execution.lift(robot, arm) if giver is None else None
@@ -110,9 +110,8 @@ class PickUp(SimulatedModule):
         if body.fixed:
             raise GraspFailed(arm.name, body.name, "it is fixed")
         if giver is not None and (giver.name == arm.name or self.held(robot, giver) is not body):
-            which = "is the same gripper" if giver is arm else "doesn't hold it"
-            reason = f"it can't be taken from the {giver.name} gripper, which {which}"
-            raise GraspFailed(arm.name, body.name, reason)
+            why = "both are the same gripper" if giver is arm else f"the {giver.name} gripper doesn't hold it"
+            raise GraspFailed(arm.name, body.name, f"{why}, so it can't be taken from there")
         if giver is None and body.carrier is not None:
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
         held = self.held(robot, arm)
@@ -121,53 +120,49 @@ class PickUp(SimulatedModule):
         velocity = robot.world.engine.velocity(body.handle)
         speed, turning = math.hypot(*velocity[:3]), math.hypot(*velocity[3:])
         if speed > _MOVING[0] or turning > _MOVING[1]:
-            moves = f"it moves at {speed:.2f} m/s and {turning:.1f} rad/s"
+            moves = f"the object moves at {speed:.2f} m/s and {turning:.1f} rad/s"
             raise GraspFailed(arm.name, body.name, f"{moves}; world.settle() waits until it is at rest")
         if giver is None and any(robot.world.gravity) and not _is_held_up(body):
-            hangs = f"it hangs in the air, with nothing within {_FALL * 100:.0f} cm below it"
+            hangs = f"the object hangs in the air, with no support within {_FALL * 100:.0f} cm"
             raise GraspFailed(arm.name, body.name, f"{hangs}; world.settle() lets it fall")
         for other in robot.world.objects:
             if other is body or other.fixed or body in other.attachments:  # furniture may be a hull around its contents
                 continue
             deepest = robot.world.engine.deepest(body.handle, other.handle)
             if deepest is not None and -deepest.distance > (_JAMMED if other.carrier is None else DEEP):
-                inside = f"it is {-deepest.distance * 1e3:.0f} mm inside of {other.name}"
+                inside = f"the object is {-deepest.distance * 1e3:.0f} mm inside {other.name}"
                 why = f"which {other.carrier.name} holds" if other.carrier else "world.settle() lifts them apart"
                 raise GraspFailed(arm.name, body.name, f"{inside}, {why}" if other.carrier else f"{inside}; {why}")
 
     def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike, giver: Arm | None) -> None:
-        """Check that an object hasn't moved while the hand approached, and is free, or still in the other hand."""
+        """Check that an object didn't move while the hand approached, and is free, or still in the other hand."""
         if giver is not None and self.held(robot, giver) is not body:
-            raise GraspFailed(
-                arm.name, body.name, f"the {giver.name} gripper has released it while the hand approached"
-            )
+            reason = f"the {giver.name} gripper released the object while the hand approached"
+            raise GraspFailed(arm.name, body.name, reason)
         if giver is None and body.carrier is not None:
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
         position, turn = body.get_position_and_orientation()
         moved, turned = math.dist(position, stood[0]), geometry.angle(turn, stood[1])
         if moved > _STILL[0] or turned > _STILL[1]:
             by = f"{moved:.3f} m and {math.degrees(turned):.0f} degrees"
-            raise GraspFailed(arm.name, body.name, f"it was moved by {by} while the hand approached; pick it up again")
+            raise GraspFailed(arm.name, body.name, f"the object moved by {by} while the hand approached; try again")
 
     def _holder(self, robot: Object, arm: Arm, body: Object) -> str:
-        """Return the holder of an object, and the ways to hand it over, for messages."""
+        """Return a text: who holds an object, and how the plan can hand the object over."""
         holder = body.carrier
-        assert holder is not None  # noqa: S101  checked by the callers
+        assert holder is not None  # noqa: S101  the callers have checked it
         free = f"{holder.name}.detach({body.name}) releases it"
         for other in self.description(robot).arms.values():
             if self.held(robot, other) is body:
                 if other.name == arm.name:
-                    return f"{holder.name} holds it already, with this arm; place puts it down, {free}"
-                over = (
-                    f"{free}, and {holder.name}.attach({body.name}, {arm.tool_frame!r}) gives it to the {arm.name} arm"
-                )
+                    return f"this arm already holds {body.name}; place puts it down, {free}"
+                attach = f"{holder.name}.attach({body.name}, {arm.tool_frame!r})"
                 return (
-                    f"{holder.name} holds it already, with the {other.name} arm; to hand it over, place it with "
-                    f"the {other.name} arm and pick it up with the {arm.name} arm, or pick it up from the {other.name} "
-                    "arm (slot from); "
-                    f"without moving, {over}"
+                    f"the {other.name} arm already holds {body.name}; to hand it over, place it with the {other.name} "
+                    f"arm and pick it up with the {arm.name} arm, or pick it up with the slot from={other.name!r}; "
+                    f"without a motion, {free}, and {attach} gives it to the {arm.name} arm"
                 )
-        return f"{holder.name} holds it already; {free}"
+        return f"{holder.name} already holds {body.name}; {free}"
 
 
 def _plan(
@@ -179,14 +174,14 @@ def _plan(
     choice: Choice,
     giver: Arm | None,
 ) -> tuple[Step, Mapping[str, float]]:
-    """Return the step to the best grasp of an object, and the posture of the closed gripper there.
+    """Return the step to the best grasp of an object, and the posture of the closed gripper.
 
     The gripper doesn't touch another hand that holds the object.
 
     Raises:
-        GraspFailed: No side fits, or the fingers don't hold the object from any side.
-        Unreachable: No posture brings the gripper there.
-        Blocked: All such postures are in collision.
+        GraspFailed: The fingers can't hold the object from any side.
+        Unreachable: No posture brings the gripper to a grasp.
+        Blocked: All postures that reach a grasp are in collision.
         NoPath: No path to a grasp was found.
     """
     failures: list[PlanFailure] = []
@@ -211,11 +206,11 @@ def _plan(
 
 
 def _is_held_up(body: Object) -> bool:
-    """Return whether an object is on, just above or in something, down to a fixed body or a robot."""
+    """Return whether a fixed body or a robot supports an object, also indirectly, through other objects."""
     engine = body.world.engine
     others = sorted(body.world.objects, key=lambda other: not other.fixed)
     reached = [body]
-    for each in reached:  # the loop appends to it
+    for each in reached:  # the loop appends to the list
         for other in others:
             if other in reached:
                 continue
@@ -230,12 +225,12 @@ def _is_held_up(body: Object) -> bool:
 def _check_sides(robot: Object, arm: Arm, body: Object) -> None:
     sides = fingers.sides_held(robot, arm, body)
     if sides < 2:
-        where = "on one side only" if sides else "nowhere"
-        raise GraspFailed(arm.name, body.name, f"its closed fingers touch it {where}")
+        where = "only one side of" if sides else "no side of"
+        raise GraspFailed(arm.name, body.name, f"the closed fingers touch {where} the object")
 
 
 def _meeting(robot: Object, arm: Arm, giver: Arm, posture: Mapping[str, float]) -> list[CollisionPair]:
-    """Return the contacts between the links of two hands when one takes an object from the other; hulls are tight."""
+    """Return the contacts between the links of two hands while one takes an object from the other."""
     hands = [{each.gripper.palm, *each.gripper.fingers} for each in (arm, giver)]
     opened = arm.gripper.positions("open")
     with CollisionChecker(robot, [*posture, *opened]) as checker:
@@ -249,11 +244,7 @@ def _meeting(robot: Object, arm: Arm, giver: Arm, posture: Mapping[str, float]) 
 
 
 def _release(robot: Object, giver: Arm, body: Object) -> Mapping[str, float]:
-    """Return the posture in which a gripper has released an object.
-
-    Raises:
-        GripperBlocked: Something stops its fingers earlier.
-    """
+    """Return the posture in which a gripper has released an object; raise GripperBlocked if the fingers can't open."""
     motion = fingers.finger_motion(robot, giver, 1.0, release=body)
     if motion.stopped_by and motion.gap < fingers.CLEAR:
         raise GripperBlocked(giver.name, body.name, motion.stopped_by)

@@ -1,4 +1,4 @@
-"""Putting down an object that a gripper holds, and checking where it comes to rest."""
+"""The process module that puts down an object, and checks where the object comes to rest."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike
 
-_AWAY: Final = 0.02  # m, maximum distance from the place of release
+_AWAY: Final = 0.02  # m, maximum distance of the object from the place of its release
 _TURNED: Final = math.radians(10)  # maximum turn from the given orientation, or from upright
 _TOUCHING: Final = 1e-3  # m, maximum gap between touching objects
-_LOAD: Final = 0.01  # share of its weight on a hand, above which the object leans on the hand
-_MAX_SEARCHED: Final = 3  # postures without a path, after which the search ends
-_ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which it is lowered
+_LOAD: Final = 0.01  # share of an object's weight; an object with more on a hand leans on the hand
+_MAX_SEARCHED: Final = 3  # number of postures without a path after which the search ends
+_ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which the object is lowered
 
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """A plan for putting an object down."""
+    """A plan to put an object down."""
 
-    lower: Step  # moves the arm to the place
+    lower: Step  # step that moves the arm to the place
     pose: Pose  # pose of the object at its release
     opened: Mapping[str, float]  # joint values of the open gripper, by name
 
@@ -57,8 +57,8 @@ class _Plan:
 class Place(SimulatedModule):
     """Puts a held object down on its support; upright if no orientation is given.
 
-    It succeeds if all moved objects come to rest again, the object stands where it was released, and its neighbours
-    haven't moved. If it leans on the hand, the hand is drawn back, and the object has to stand afterwards.
+    It succeeds if all objects come to rest, the object stands where it was released, and its neighbours don't move. If
+    the object leans on the hand, the hand is drawn back, and the object must still stand.
     """
 
     failures = (PlaceFailed, Unreachable, MissingPart)
@@ -103,7 +103,7 @@ class Place(SimulatedModule):
                     restless = self.execution.settle(robot.world)
                     reasons = _reasons(body, target, plan.pose, orientation, neighbours, restless)
                 elif leans:
-                    reasons = ["it leans on the gripper, which can't be drawn back"]
+                    reasons = ["the object leans on the gripper, which can't be drawn back"]
             if reasons:
                 raise _failure(body, target, plan.pose, orientation, reasons)
 
@@ -112,7 +112,7 @@ class Place(SimulatedModule):
             raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
 
     def _retreat(self, robot: Object, arm: Arm, body: Object) -> Step | None:
-        """Return the step that draws the hand back from an object that leans on it; None if there is no way."""
+        """Return the step that draws the hand back from an object that leans on the hand; None without a way."""
         with choosing("retreat", robot.world, object=body, arm=arm.name) as choice:
             posture = placing.retreat(robot, arm, choice)
         return None if posture is None else self.execution.move(robot, posture)
@@ -127,21 +127,17 @@ def _plan(
     lower: Callable[[Mapping[str, float], Pose], Step],
     choice: Choice,
 ) -> _Plan:
-    """Return the first plan without collision, also while the fingers open.
+    """Return the first plan without a collision, also while the fingers open; the caller holds the world's lock.
 
     Args:
-        robot: The robot; its world's lock is held.
-        arm: The arm.
-        body: The object.
         target: xyz in m.
         orientation: xyzw; None for upright.
-        lower: Plans the arm's way to a posture, with the tool at a pose.
-        choice: Records the rejected postures.
+        lower: Plans the way of the arm to a posture, given the pose of the tool.
 
     Raises:
-        PlaceFailed: There is no free posture, or no room.
+        PlaceFailed: There is no free posture, or no room for the object.
         NoPath: No path was found to the first postures.
-        Unreachable: No posture brings the object there.
+        Unreachable: No posture brings the object to the target.
     """
     refusals = Refusals()
     for placement in placements(robot, arm, body, target, orientation, refusals, choice):
@@ -154,11 +150,7 @@ def _plan(
 
 
 def _way(lower: Callable[[], Step], name: str, refusals: Refusals, choice: Choice) -> Step | None:
-    """Return the step to a posture; None if no path was found.
-
-    Raises:
-        NoPath: No path was found to several postures; the search ends.
-    """
+    """Return the step to a posture; None without a path. Raise NoPath after several postures without a path."""
     try:
         return lower()
     except NoPath as no_path:
@@ -193,18 +185,17 @@ def _reasons(
     neighbours: Mapping[Object, PoseLike],
     restless: Collection[Object],
 ) -> list[str]:
-    """Return the reasons why a placing failed; none if it succeeded.
+    """Return the reasons why a placement failed; an empty list for a success.
 
     Args:
-        body: The object.
-        target: The given place, xyz in m.
-        wanted: Its pose at the release.
-        orientation: The given orientation; None for upright.
-        neighbours: Objects that it touched at the release, with their poses then.
+        target: The requested position, xyz in m.
+        wanted: Pose of the object at the release.
+        orientation: The requested orientation; None for upright.
+        neighbours: Objects that touched the object at the release, with their poses at that time.
         restless: Objects that still move.
     """
     position, turn = body.get_position_and_orientation()
-    away = min(math.dist(position, wanted[0]), math.dist(position, target))  # it may slide to the given place
+    away = min(math.dist(position, wanted[0]), math.dist(position, target))  # the object may slide to the target
     turned = geometry.angle(turn, wanted[1])
     lean = geometry.lean(turn, wanted[1])
     near = {body.name, *(pair.body for pair in _touching(body, body.world.objects))} if restless else set()
@@ -239,7 +230,7 @@ def _failure(
 
 
 def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
-    """Return a reason for each neighbour that has moved."""
+    """Return a reason of failure for each neighbour that moved."""
     found = []
     for other, (position, turn) in neighbours.items():
         now, turned = other.get_position_and_orientation()
@@ -250,7 +241,7 @@ def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
 
 
 def _load(robot: Object, body: Object) -> float:
-    """Return the share of an object's weight that rests on a robot."""
+    """Return the share of an object's weight that a robot bears."""
     engine = body.world.engine
     force = sum(contact.force for contact in engine.contacts(body.handle) if contact.other == robot.handle.id)
     weight = engine.center_of_mass(body.handle)[1] * math.hypot(*body.world.gravity) if force else 0.0
@@ -258,7 +249,7 @@ def _load(robot: Object, body: Object) -> float:
 
 
 def _touching(body: Object, others: Iterable[Object]) -> list[CollisionPair]:
-    """Return the contacts of an object with others, one pair of links for each."""
+    """Return the contacts of an object with other objects, one pair of links for each."""
     engine = body.world.engine
     found = []
     for other in others:

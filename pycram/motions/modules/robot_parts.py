@@ -1,4 +1,4 @@
-"""Moving parts of the robot: its base, head, arms and grippers."""
+"""Process modules that move parts of the robot: its base, head, arms and grippers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 class Navigation(SimulatedModule):
-    """Moves the robot to a pose, with the objects that it holds. It rejects a pose in collision."""
+    """Moves the robot, with the objects that it holds, to a pose. It rejects a pose in collision."""
 
     failures = (InCollision, NotDrivable)
     failures_in_time = (NoPath, *FOLLOWING)
@@ -73,15 +73,15 @@ class Navigation(SimulatedModule):
 
 
 _ACCURACY: Final = math.radians(0.5)
-_PAN_AND_TILT: Final = 2  # joints that can point the camera anywhere
-_LEVEL: Final = math.radians(15)  # rad by which the tool may lean more than at the start of a level motion
-_TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # degrees about the vertical that are tried
+_PAN_AND_TILT: Final = 2  # number of joints that can point the camera anywhere
+_LEVEL: Final = math.radians(15)  # maximum lean of the tool, relative to the start of a level motion
+_TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # degrees; turns about the vertical that are tried
 
 
 class MoveHead(SimulatedModule):
-    """Points the camera's axis at a point or at the center of an object.
+    """Points the camera's axis at a point, or at the centre of an object.
 
-    A head that only pans or only tilts, or a fixed camera, only has to bring the point into the picture.
+    For a fixed camera, or for a head that only pans or only tilts, it is enough that the picture shows the point.
     """
 
     failures = (LookingFailed, MissingPart)
@@ -107,11 +107,7 @@ class MoveHead(SimulatedModule):
 def _aimed(
     robot: Object, joints: Sequence[str], camera: CameraDescription, looked_at: Mapping[str, Any], choice: Choice
 ) -> Mapping[str, float]:
-    """Return positions of the head's joints from which its camera sees a target or an object.
-
-    Raises:
-        LookingFailed: There are none.
-    """
+    """Return joint positions of the head with which the camera sees a target or an object; or raise LookingFailed."""
     target = looked_at["target"] if "target" in looked_at else center(looked_at["object"])
     point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
     positions, seen = pan_tilt.aim_camera(robot.urdf, joints, camera, point, robot.get_joint_positions())
@@ -125,14 +121,14 @@ def _aimed(
 
 
 def _in_picture(camera: CameraDescription, point: Vector) -> bool:
-    """Return whether an unhidden point, in a camera's frame, is in its picture."""
+    """Return whether a point in the frame of a camera is in the camera's picture, if nothing hides the point."""
     x, y, z = point
     wide, high = (z * math.tan(fov / 2) for fov in (camera.horizontal_fov, camera.vertical_fov))
     return camera.near <= z <= camera.far and abs(x) <= wide and abs(y) <= high
 
 
 class MoveJoints(SimulatedModule):
-    """Moves one or more arms to postures: names such as "park", or joint values."""
+    """Moves arms to postures, given by names such as "park" or by joint values."""
 
     failures = (PostureInCollision,)
     failures_in_time = (NoPath, *FOLLOWING)
@@ -168,7 +164,7 @@ class MoveJoints(SimulatedModule):
 
 
 def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, float] | None:
-    """Return the torso's joint and default height, if the posture is free at this height.
+    """Return the joint and the default height of the torso, if the posture is free at this height.
 
     Opening a drawer near the floor may have left the torso lower.
     """
@@ -180,9 +176,9 @@ def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, flo
 
 
 class MoveTCP(SimulatedModule):
-    """Moves the tool frame of an arm to a position, and to an orientation if one is given.
+    """Moves the tool frame of an arm to a position, and to the orientation if the plan gives one.
 
-    If it has to stay level, the tool leans by at most 15 degrees more than now, also on its way.
+    In a level motion, the tool leans by at most 15 degrees more than at the start.
     """
 
     failures = (Unreachable, Blocked)
@@ -208,11 +204,7 @@ class MoveTCP(SimulatedModule):
     def _level(
         self, robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
     ) -> Step:
-        """Return the step to the first posture that is reached on a level way.
-
-        Raises:
-            Unreachable: No such posture reaches the target, or no way to one is level.
-        """
+        """Return the step to the first posture with a level way; raise Unreachable without such a posture."""
         failures: list[PlanFailure] = []
         for posture in _level_postures(robot, arm, target, orientation, choice, failures):
             try:
@@ -230,10 +222,10 @@ def _level_postures(
     choice: Choice,
     failures: list[PlanFailure],
 ) -> Iterator[Mapping[str, float]]:
-    """Yield joint values that bring the tool to a target as level as now, turned as little as possible.
+    """Yield joint values with the tool at a target, as level as now; small turns first.
 
     Raises:
-        Unreachable: The tool would lean in the orientation.
+        Unreachable: In the requested orientation, the tool would lean.
     """
     now = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
     turns = [geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), now) for degrees in _TURNS]
@@ -243,8 +235,8 @@ def _level_postures(
         change = geometry.product(turns[0], geometry.conjugate(now))  # in the world
         lean = geometry.lean(change, geometry.IDENTITY[1])
         if lean > _LEVEL:
-            more = f"there the tool would lean by {math.degrees(lean):.0f} degrees more than now"
-            raise Unreachable(arm.name, target, None, f"{more}; level motions allow {math.degrees(_LEVEL):.0f}")
+            more = f"at the target the tool would lean by {math.degrees(lean):.0f} degrees more than now"
+            raise Unreachable(arm.name, target, None, f"{more}; the maximum is {math.degrees(_LEVEL):.0f} degrees")
     for turn in turns:
         try:
             yield _posture(robot, arm, target, turn, choice)
@@ -259,7 +251,7 @@ def _posture(
 
     Raises:
         Unreachable: No posture reaches the target.
-        Blocked: All such postures are in collision.
+        Blocked: All postures that reach the target are in collision.
     """
     postures = inverse.postures(robot, arm.tool_frame, target, orientation, thorough=True)
     if not postures[0].reaches():
@@ -281,21 +273,21 @@ class GripperMoved:
     """Result of opening or closing a gripper."""
 
     arm: str  # name of the arm
-    share: float  # how far it is open: 0 is closed, 1 is open
+    share: float  # opening of the gripper, from 0 (closed) to 1 (open)
     stopped_by: Sequence[CollisionPair] = ()  # contacts that stopped the fingers, deepest first
-    released: Object | None = None  # the object that was released
-    settled: bool = True  # whether everything is at rest
+    released: Object | None = None  # the released object
+    settled: bool = True  # whether all objects are at rest
 
     def __record__(self) -> object:
-        """Return its fields, for records."""
+        """Return the names and values of the fields, for records."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 class MoveGripper(SimulatedModule):
     """Opens or closes the gripper of an arm until something stops the fingers; opening releases a held object.
 
-    A released object falls until everything is at rest, for at most 5 s of simulated time. A held object stops closing
-    fingers.
+    After a release, simulated time passes until all objects are at rest, at most 5 s. A held object stops the fingers
+    when they close.
     """
 
     failures = (GripperBlocked, MissingPart)
@@ -330,7 +322,7 @@ class MoveGripper(SimulatedModule):
         return GripperMoved(arm.name, motion.share, motion.stopped_by, held, settled)
 
 
-# Recordings name each module by the file that it was first in.
+# Recordings name each module by the file that contained it first.
 export("pycram.motions.modules.navigation", Navigation)
 export("pycram.motions.modules.head", MoveHead)
 export("pycram.motions.modules.arm", MoveJoints, MoveTCP)

@@ -164,7 +164,7 @@ def test_what_is_not_held_is_not_handed_over(room: Room) -> None:
     before = room.robot.get_joint_positions()
     with pytest.raises(ReasoningError, match="no hand of pr2 holds it"):
         do("handing-over", object=room.cup)
-    with pytest.raises(GraspFailed, match="can't be taken from the left gripper, which doesn't hold it"):
+    with pytest.raises(GraspFailed, match="the left gripper doesn't hold it, so it can't be taken from there"):
         perform(MotionDesignator([("type", "pick-up"), ("object", room.cup), ("arm", "right"), ("from", "left")]))
     assert room.robot.get_joint_positions() == before
 
