@@ -47,15 +47,26 @@ def add(parser: argparse.ArgumentParser) -> None:
         help=f"run the plan again, and follow the values of the failure back to the lines that made them; {AGAIN}",
     )
     parser.add_argument(
+        "--prove",
+        action="store_true",
+        help="test each cause: run the plan again without it, in a fork beside a control run without changes; "
+        f"confirmed causes come first; {AGAIN}",
+    )
+    parser.add_argument("--keep", metavar="DIR", help="with --prove: keep the recordings of the forks in this folder")
+    parser.add_argument(
         "--recorded-source",
         action="store_true",
-        help="with --origins: run the recorded source (default: the files on disk)",
+        help="with --origins or --prove: run the recorded source (default: the files on disk)",
     )
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Print the explanation."""
     why = log.why(options.step)
+    if options.prove:
+        why = _proven(log, why, options)
+    elif options.keep:
+        raise ReplayError("--keep needs --prove")
     origins = _origins(log, why, options)
     code, pictures = _pictures(log, why, options.pictures)
     if options.json:
@@ -68,13 +79,22 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     return code
 
 
+def _proven(log: Recording, why: Why, options: argparse.Namespace) -> Why:
+    """Return the explanation with the verdicts of forks."""
+    require("pybullet")
+    from replay.retrace.prove import prove  # noqa: PLC0415  needs the executor
+
+    keep = Path(options.keep) if options.keep else None
+    return prove(log, why, keep=keep, recorded_source=options.recorded_source)[0]
+
+
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the most frequent causes of failures in a folder; each is explained by its first run."""
     from replay.recording import Recording  # noqa: PLC0415  as above
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
-    if options.step or options.pictures or options.origins:
-        raise ReplayError("a step, --pictures and --origins need a single recording, not a folder")
+    if options.step or options.pictures or options.origins or options.prove:
+        raise ReplayError("a step, --pictures, --origins and --prove need a single recording, not a folder")
     stats = statistics(runs)
     failed = sum(cause.count for cause in stats.causes)
     explained, text = (
@@ -101,8 +121,8 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 def _origins(log: Recording, why: Why, options: argparse.Namespace) -> Origins | None:
     if not options.origins:
-        if options.recorded_source:
-            raise ReplayError("--recorded-source needs --origins")
+        if options.recorded_source and not options.prove:
+            raise ReplayError("--recorded-source needs --origins or --prove")
         return None
     if why.failure is None:
         raise ReplayError("no origins: nothing failed")

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from recorder.tasks import Node
     from replay.explain.causes.case import Cause
+    from replay.explain.causes.trials import Proof
     from replay.file.record_reader import RecordReader
     from replay.history.source import Line, ParsedException
     from replay.history.summary import Summary
@@ -107,6 +108,8 @@ class Why:
     unfinished: tuple[Node, ...] = ()  # the innermost unfinished tasks of a recording that was cut off
     endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
+    case: FailureCase | None = field(default=None, compare=False)  # the facts in which the causes were found
+    proofs: tuple[Proof, ...] = ()  # the verdict on each cause, if the causes were tested in forks
     path: str = ""  # path of the recording, for the commands at the end of the text
 
     def __repr__(self) -> str:
@@ -164,7 +167,8 @@ def why(log: RecordReader, step: int | None = None) -> Why:
         step = log.final_step()
         cut = FailureCase(log, step, Failure(), None, failed, state_at(log, step), None)
         causes = find(cut) if run.outcome == "cut off" and not endless else ()
-        return Why(run, step, None, causes, unfinished=unfinished, endless=endless, path=str(log.path))
+        found = Why(run, step, None, causes, unfinished=unfinished, endless=endless, path=str(log.path))
+        return replace(found, case=cut)
     if root.task is None:
         explained = _plan_failure(log, run, failures(log, root.step) if root.thread else failed, root)
     else:
@@ -254,6 +258,7 @@ def _explained(
         case.step,
         cause.failure,
         causes=find(case),
+        case=case,
         thread=cause.thread,
         exceptions=cause.exceptions,
         world=world,

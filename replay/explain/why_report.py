@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import builtins
 import shlex
+from itertools import zip_longest
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, format_failure
 from recorder.records.text import chosen_name, decision_text, fates_text, foreseen, rejection_lines
 from replay.compare import difference_lines
 from replay.explain.causes.case import Cause
+from replay.explain.causes.trials import TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.scene import InvolvedBody, facing
 from replay.explain.why import TriedAction
@@ -22,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
     from recorder.tasks import Node
+    from replay.explain.causes.trials import Proof
     from replay.explain.why import ChangesSince, Why
     from replay.history.source import Line
 
@@ -47,7 +50,10 @@ def data(why: Why) -> dict[str, object]:
             {"type": error.type, "message": error.message, "lines": report.data(error.lines)}
             for error in why.exceptions
         ],
-        "causes": report.data(why.causes),
+        "causes": [
+            report.data(cause) | ({"proof": report.data(proof)} if proof is not None else {})  # type: ignore[operator]
+            for cause, proof in _with_proofs(why)
+        ],
         "task": report.data(why.task),
         "around": report.data(list(why.task.around()) if why.task else []),
         **report.call_stack(why.call_stack),
@@ -80,6 +86,17 @@ def data(why: Why) -> dict[str, object]:
         "running": report.data(why.unfinished),
         "endless": report.data(why.endless),
     }
+
+
+def _with_proofs(why: Why) -> Iterator[tuple[Cause, Proof | None]]:
+    return zip_longest(why.causes, why.proofs)
+
+
+@report.data.register(TriedTrial)
+def _(tried: TriedTrial) -> dict[str, object]:
+    trial = tried.trial
+    changes = {"step": trial.step, "change": trial.words, "set": trial.settings, "answers": trial.answers}
+    return {**changes, "verdict": tried.verdict, "text": tried.text, "file": tried.file}
 
 
 @report.data.register(Cause)
@@ -130,7 +147,11 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
 
     ``origins`` are lines about the origins of its values; they come first.
     """
-    causes = [line for cause in why.causes for line in cause.lines()]
+    causes = [
+        line
+        for cause, proof in _with_proofs(why)
+        for line in (*cause.lines(), *([f"  {proof.text}"] if proof is not None else []))
+    ]
     yield from _headline(why)
     yield from section("Where the values come from", origins)
     yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))

@@ -108,7 +108,7 @@ def fork(
     if not file.absolute().parent.is_dir():
         raise ReplayError(f"{file}: there is no folder {file.parent}; make the folder first")
     process = PlanProcess(log, plan, arguments, until=step, recorded_source=recorded_source)
-    changes = _changes(log, step, settings, world, answers, seed)
+    changes = changes_of(log, step, settings, world, answers, seed)
     unchanged = None
     if control:
         began = log[0]
@@ -136,9 +136,10 @@ def fork(
         return Fork(file, step, len(forked), succeeded, notes, controlled, guided.unused)
 
 
-def _changes(
+def changes_of(
     log: RecordReader, step: int, given: Sequence[str], world: str | None, answers: Sequence[str], seed: int | None
 ) -> list[Change]:
+    """Return settings, answers and a seed as changes after a step; see :func:`fork`."""
     changes = settings_of(log, step, given, world)
     for text in answers:
         changes.append(Change(step=step, answer=checked_answer(log, step, text)))

@@ -170,11 +170,17 @@ class PlanProcess:
             yield f"the working directory {began.directory} doesn't exist; {self._folder} is used"
 
     def run(
-        self, *, file: Path | None = None, changes: Sequence[Change] = (), take_answers: bool = False
+        self,
+        *,
+        file: Path | None = None,
+        changes: Sequence[Change] = (),
+        take_answers: bool = False,
+        quiet: bool = False,
     ) -> GuidedResult:
         """Run the plan to the first difference, or as a fork to the plan's end.
 
-        With a ``file``, the plan continues after the last compared step into this new recording, and prints to stderr.
+        With a ``file``, the plan continues after the last compared step into this new recording, and prints to stderr,
+        unless it is ``quiet``.
         If the recorded run is a fork itself, its changes are made again, each after its step. With ``changes``, only
         its changes up to the last compared step are made again.
 
@@ -186,7 +192,7 @@ class PlanProcess:
         if until is None:  # after its last own step, the plan may hang
             until = self._interrupted_after if self.log.closed else len(self.log) - 1
         reading, writing = os.pipe()
-        output = os.dup(_STDERR)
+        output = os.open(os.devnull, os.O_WRONLY) if quiet else os.dup(_STDERR)
         with (
             tempfile.TemporaryDirectory(prefix="pycram-retrace-", ignore_cleanup_errors=True) as folder,
             tempfile.TemporaryFile() as errors,

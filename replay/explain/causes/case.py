@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from recorder.records import Failure, Keyframe, Plain, Refusal, Task
     from recorder.tasks import Node
+    from replay.explain.causes.trials import Trial
     from replay.file.record_reader import RecordReader
     from replay.history.blame import Blame
     from replay.history.source import Line, ParsedException
@@ -58,6 +59,10 @@ class Cause:
     def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds ignore it
         """Return whether another cause among ``found`` explains this cause."""
         return False
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:  # noqa: ARG002  most kinds need it
+        """Yield forks in which the cause is taken away, the most direct first; nothing if no fork can do that."""
+        yield from ()
 
     def lines(self) -> Iterator[str]:
         """Yield the text, with indented details."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import Mutation, Query, argument_values, from_json
 from recorder.tasks import Node, State
+from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, about, joints_of, objects_in, result, since
 from replay.explain.causes.lacked import RefusedRequest, Swallowed, lacking
 from replay.explain.causes.physics import Physics
@@ -24,6 +25,8 @@ from replay.state.state import turn
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from replay.explain.causes.trials import Trial
 
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
@@ -74,6 +77,14 @@ class NoLonger(Cause):
         believed = {each.body for each in found if isinstance(each, Misbelief)}
         return isinstance(self.asked, Node) and believed.issuperset(change.body for change in self.changes)
 
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial with all changed bodies as they were at the answer."""
+        bodies = [each.body for each in self.changes if each.how != "removed"]
+        yield from trials.restored(case, list(dict.fromkeys(bodies)), self.steps[0], self.changes[-1].step)
+        for change in self.changes:
+            if change.how == "removed":
+                yield from trials.put_back(case, change)
+
     def _words(self) -> Iterator[str]:
         if isinstance(self.asked, Query):
             said = f"{phrases.question(self.asked)} was answered {phrases.answer(self.asked)} at step {self.asked.seq}"
@@ -117,6 +128,12 @@ class Misbelief(Cause):
         """Return whether physics moved the object."""
         return any(isinstance(each, Physics) and each.body == self.body for each in found)
 
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trials with the object where the robot believed it."""
+        yield from trials.placed(case, self.body, self.position)
+        if self.change is not None:
+            yield from trials.put_back(case, self.change)
+
     def _words(self) -> Iterator[str]:
         moved = f"at step {self.change.step} {self.change}; " if self.change is not None else ""
         was = f"at step {self.steps[-1]} it was {phrases.length(self.distance)} away from that position"
@@ -146,6 +163,10 @@ class Gone(Cause):
         loaded = case.change(reloaded, name, "load") if reloaded is not None else None
         steps = (removed.step, *([loaded.step] if loaded is not None else []), case.step)
         yield Gone(steps, name, removed, loaded)
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial in which the object isn't removed."""
+        yield from trials.put_back(case, self.change)
 
     def _words(self) -> Iterator[str]:
         yield f"{self.body} had been removed at step {self.change.step}{self.change.originator}"
@@ -185,6 +206,13 @@ class HandState(Cause):
             )
             for each in found
         )
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial with the hand in the required state."""
+        if self.precondition == "held":
+            yield from trials.in_hand(case, self.body, self.arm)
+        else:
+            yield from trials.away(case, self.body)
 
     def _words(self) -> Iterator[str]:
         step = f"at step {self.steps[-1]}"

@@ -21,6 +21,7 @@ from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_val
 from recorder.tasks import Node, State
 from recorder.urdf import read_shapes
 from replay.errors import Damaged, NoSuchName
+from replay.explain.causes import trials
 from replay.explain.causes.case import HANDLER, Cause, FailureCase, about, joints_of, objects_in, values
 from replay.explain.causes.raised import is_mistake
 from replay.history.source import Line, syntax_nodes
@@ -30,6 +31,7 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
+    from replay.explain.causes.trials import Trial
     from replay.state.state import Attachment
 
 
@@ -103,6 +105,11 @@ class Swallowed(Cause):
                 yield replace(_swallowing(case, "result", name, "", motion), skipped=line)
         yield from _results(case)
 
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial with the effect of the failed motion, then the trial with another arm."""
+        yield from _effect(case, self.precondition, self.subject, self.arm, self.failed)
+        yield from trials.other_arm(case, self.failed)
+
     def _words(self) -> Iterator[str]:
         failed = self.failed
         lacked = f"{_lacked(_LACKED[self.precondition], self.subject, self.arm)} at step {self.steps[-1]}"
@@ -150,6 +157,23 @@ class RefusedRequest(Cause):
                     found.add(missed)
                     yield _refusal(case, refusal, *missed)
 
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial with the effect of the refused request, as far as that is possible."""
+        given, failure = argument_values(self.asked.arguments), argument_values(self.asked.failure.data)
+        hands = [arm for arm in case.hands if arm == case.given.get("arm")] or list(case.hands)
+        position, value = given.get("position"), failure.get("value", given.get("position"))
+        if self.precondition == "moved" and isinstance(position, list) and len(position) == 3:
+            yield from trials.placed(case, self.subject, [float(str(each)) for each in position])
+        elif self.precondition == "joint-moved":
+            body, positions = next(objects_in(given.get("object")), ""), given.get("positions")
+            for joint in _joints_meant(self.asked, given):
+                wanted = positions.get(joint, value) if isinstance(positions, dict) else value
+                low, high = failure.get("lower", wanted), failure.get("upper", wanted)
+                if all(isinstance(each, int | float) for each in (wanted, low, high)):
+                    yield from trials.joint_at(case, body, joint, min(max(wanted, low), high))  # type: ignore[type-var, arg-type]
+        elif self.precondition in (*_HANDS, "clear"):
+            yield from _effect(case, self.precondition, self.subject, hands[0] if hands else "", None)
+
     def _words(self) -> Iterator[str]:
         asked = self.asked
         inside = f", in {phrases.handler(self.handler)}," if self.handler is not None else ""
@@ -157,6 +181,31 @@ class RefusedRequest(Cause):
         refused = f"{phrases.refused(asked)}{_where(self.line)} was refused at step {asked.seq}{inside}"
         yield f"{refused} and the plan continued{_where(self.went_on)}; {lacked}"
         yield f"the reason: {phrases.failure(asked.failure)}"
+
+
+def _effect(case: FailureCase, precondition: str, subject: str, arm: str, failed: Node | None) -> Iterator[Trial]:
+    """Yield the trial with a precondition fulfilled just before the failure."""
+    given = values(failed) if failed is not None else {}
+    target = given.get("target")
+    if precondition == "held":
+        yield from trials.in_hand(case, subject, arm)
+    elif precondition in ("hand-free", "clear"):
+        yield from trials.away(case, subject)
+    elif precondition == "joint-moved":
+        (body, joint), distance = _accessed_joint(case, given), given.get("distance")
+        if body and isinstance(distance, int | float):
+            yield from trials.joint_at(case, body, joint, distance)
+    elif precondition == "at-pose" and isinstance(target, list) and case.robot is not None:
+        turn = given.get("orientation")
+        pose = [*target, *(turn if isinstance(turn, list) else case.robot.orientation)]
+        yield from trials.placed(case, case.robot.name, [float(str(each)) for each in pose])
+    elif precondition == "posture" and isinstance(given.get(f"{arm}-arm"), list):
+        for joint, value in zip(joints_of(case.robot, arm), given[f"{arm}-arm"], strict=False):  # type: ignore[arg-type]
+            yield from trials.joint_at(case, case.robot.name if case.robot else "", joint, float(str(value)))
+    elif case.failure.type == "PerceptionError" and case.task is not None:
+        yield from trials.seen(case, case.task)
+    elif failed is not None and failed.motion.name in _PERCEIVING:
+        yield from trials.seen(case, failed)
 
 
 def _where(line: Line | None) -> str:

@@ -6,7 +6,9 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from recorder.records import argument_values
 from recorder.records.text import link_text, rejection_lines
+from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, joints_of, since
 from replay.explain.causes.changed import Misbelief, NoLonger
 from replay.explain.causes.lacked import Swallowed
@@ -17,7 +19,8 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from recorder.records import Query
+    from recorder.records import Plain, Query
+    from replay.explain.causes.trials import Trial
 
 
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain the causes in this module
@@ -56,6 +59,12 @@ class ObstructingBody(Cause):
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether physics moved the body."""
         return any(isinstance(each, Physics) and each.body == self.body for each in found)
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trials without the body in the way."""
+        if self.change is not None and self.change.how != "load":
+            yield from trials.put_back(case, self.change)
+        yield from trials.away(case, self.body)
 
     def _words(self) -> Iterator[str]:
         what = link_text(self.body, self.link)
@@ -104,6 +113,12 @@ class UnreachedTarget(Cause):
         """Return whether a change since an earlier success, or a swallowed failure, explains the distance."""
         return any(isinstance(each, _DEEPER) for each in found)
 
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trials with the robot nearer, and without the last changes."""
+        yield from trials.nearer(case, [float(str(each)) for each in case.data["target"]], self.miss or 0.0)  # type: ignore[union-attr]
+        for change in reversed(self.changes):
+            yield from trials.put_back(case, change)
+
     def _words(self) -> Iterator[str]:
         what = self.body or "the target"
         miss = f"; the {self.arm} arm misses it by {phrases.length(self.miss)}" if self.miss is not None else ""
@@ -135,10 +150,22 @@ class NoCandidate(Cause):
         """Return whether another cause explains the choice. The failure's message explains a single candidate."""
         return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
 
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial without the free bodies that the candidates would touch."""
+        touched = [pair for each in self.asked.candidates for pair in _pairs(argument_values(each.data).get("pairs"))]
+        for body in dict.fromkeys(touched):
+            yield from trials.away(case, body)
+
     def _words(self) -> Iterator[str]:
         asked = self.asked
         yield f"{phrases.question(asked)} rejected all {phrases.plural(self.count, 'candidate')} at step {asked.seq}:"
         yield from rejection_lines(asked)
+
+
+def _pairs(recorded: Plain) -> Iterator[str]:
+    for pair in recorded if isinstance(recorded, list) else ():
+        if isinstance(pair, dict):
+            yield str(pair.get("body", ""))
 
 
 def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> ObstructingBody:

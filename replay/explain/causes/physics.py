@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
+from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, about, objects_in, result
 from replay.history.blame import commanded, is_physics
 from replay.report import phrases
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.geometry import Pose
+    from replay.explain.causes.trials import Trial
     from replay.history.source import Line
     from replay.state.state import Body, State
 
@@ -76,6 +78,13 @@ class Physics(Cause):
                 fate = _Fate(case, name)
                 if fate.base is not None:
                     yield from fate.explained()
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trials without the changes that let it move, and with the object where it was before it moved."""
+        for change in self.lets:
+            yield from trials.put_back(case, change)
+        if self.moved_at < case.began:
+            yield from trials.restored(case, [self.body], self.since, case.began)
 
     def _words(self) -> Iterator[str]:
         size = f"by {phrases.length(self.fall if self.how == 'fell' else self.distance)}"

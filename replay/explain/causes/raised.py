@@ -9,8 +9,9 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder import notebook
-from recorder.records import Fluent, Query, Refusal, Task, from_json
+from recorder.records import Fluent, Query, Refusal, Task, argument_values, from_json
 from recorder.records.text import is_choice
+from replay.explain.causes import trials
 from replay.explain.causes.case import Cause
 from replay.report import phrases
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
     from recorder.tasks import Node
     from replay.explain.causes.case import FailureCase
+    from replay.explain.causes.trials import Trial
     from replay.history.source import Line
 
 
@@ -70,6 +72,21 @@ class Raised(Cause):
         judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
         steps = {*(each.seq for each in judged), *_refusal_of(case), case.step}
         yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trials with other answers, longer waits, or another arm; nothing for a mistake in the plan."""
+        for each in reversed(self.answers if self.own else ()):
+            if isinstance(each, Query):
+                yield from trials.other_answer(each)
+            elif isinstance(each, Task) and each.kind == "wait":
+                earlier = (record for record in case.log.backwards(each.seq - 1, Task) if record.task == each.task)
+                started = next(record for record in earlier if record.phase == Task.STARTED)
+                yield from trials.longer(started, argument_values(started.parameters).get("timeout"))
+            elif isinstance(each, Task):
+                failed = next((motion for motion in case.failed.motions if motion.id == each.task), None)
+                if failed is not None:
+                    yield from trials.seen(case, failed)
+                    yield from trials.other_arm(case, failed)
 
     def _words(self) -> Iterator[str]:
         what = "the plan raised the failure" if self.own else f"a mistake in the plan: {self.type}"

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
 from recorder.tasks import Node, State, Tree
+from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, FailureCase, objects_in
 from replay.explain.causes.raised import answers
 from replay.history.source import Line, syntax_nodes
@@ -20,6 +21,7 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from replay.explain.causes.trials import Trial
 
 _NO_LEAF: Final = "timeout"  # the only parameter of a wait that doesn't name a fluent
 _MAX_CHANGES: Final = 5
@@ -164,6 +166,11 @@ class Timeout(Cause):
                 node = tree.nodes[wait.task]
                 single = _pending(case, node, tree, wait.seq)
                 yield _timeout(case, node.parameters.get("timeout"), "wall", (single,), (), case.line_of(node.started))
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial with a longer limit."""
+        limited = case.task if case.task is not None and case.task.kind == "timeout" else self.pending[0].task
+        yield from trials.longer(limited.started, self.seconds)
 
     def _words(self) -> Iterator[str]:
         simulated = " of simulated time" if self.clock == _SIMULATED_TIME else ""

@@ -1,0 +1,210 @@
+"""Changes of a fork that take causes away: a change of the world is undone, a decision forced, or a limit made longer.
+
+Each kind of cause yields its trials (:meth:`replay.explain.causes.case.Cause.trials`); :mod:`replay.retrace.prove` runs
+them.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from replay.errors import NoSuchStep
+from replay.report import phrases
+from replay.report.question import QueryCall, question_of, written
+from replay.state.fold import state_at
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+
+    from recorder.records import Query, Task
+    from recorder.tasks import Node
+    from replay.explain.causes.case import CausingChange, FailureCase
+    from replay.state.state import Body
+
+_FAR: Final = 30.0  # m to which an obstacle is moved away
+_ROOM: Final = 0.1  # m by which the robot is moved nearer than the arm's miss
+_LONGER: Final = 10.0  # factor of a limit
+NONE: Final = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A fork without a cause."""
+
+    step: int  # the last unchanged step
+    words: str  # the change in words
+    settings: tuple[str, ...] = ()  # as for ``fork --set``
+    answers: tuple[str, ...] = ()  # as for ``fork --answer``
+    world: str = ""  # the world of the settings
+
+
+@dataclass(frozen=True, slots=True)
+class TriedTrial:
+    """A fork that ran."""
+
+    trial: Trial
+    verdict: str  # as of a proof
+    text: str  # the outcome in words
+    file: str = ""  # the fork's recording; "" if it wasn't kept
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """The verdict on a cause."""
+
+    #: "confirmed" (without the cause, the failure doesn't come, or another failure comes later), "refuted" (without the
+    #: cause, the same failure comes), or "untested" (no fork decides it)
+    verdict: str
+    text: str  # the verdict in words
+    forks: tuple[TriedTrial, ...] = ()
+
+
+CONFIRMED, REFUTED, UNTESTED = "confirmed", "refuted", "untested"
+
+
+def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
+    """Yield the trial that undoes a change right after it."""
+    before = _body(case, change.body, (change.task.seq if change.task is not None else change.step) - 1)
+    name = written(change.body)
+    if change.how == "removed":
+        yield Trial(change.step - 1, f"{change.body} isn't removed", answers=(f"remove(body={name})=skip",))
+    elif change.how == "gravity":
+        world = state_at(case.log, change.step - 1).worlds[case.log[change.step].world]
+        yield _set(case, change.step, "gravity is as before", {"gravity": world.gravity})
+    elif change.how in ("attached", "detached"):
+        arm = case.holder(change.body, change.step - 1)
+        held = f"the {arm} gripper still holds {change.body}" if arm else f"nothing holds {change.body}"
+        if " " not in arm:
+            yield _set(case, change.step, held, {f"{name}.hand": arm or NONE})
+    elif change.how == "load" or before is None:
+        yield from away(case, change.body, change.step)
+    elif change.joint:
+        value = before.joints[change.joint]
+        text = f"{change.joint} of {change.body} stays at {phrases.number(value)}"
+        yield _set(case, change.step, text, {f"{name}.{change.joint}": value})
+    else:
+        yield _set(case, change.step, f"{change.body} is put back", {f"{name}.position": _pose(before)})
+
+
+def restored(case: FailureCase, names: Sequence[str], then: int, step: int) -> Iterator[Trial]:
+    """Yield the trial that puts bodies after a step to their poses at an earlier step."""
+    bodies = [body for name in names if (body := _body(case, name, then)) is not None]
+    if bodies:
+        where = f"{phrases.names([body.name for body in bodies])} {'is' if len(bodies) == 1 else 'are'}"
+        values: dict[str, object] = {f"{written(body.name)}.position": _pose(body) for body in bodies}
+        joints: dict[str, object] = {
+            f"{written(body.name)}.{joint}": value
+            for body in bodies
+            for joint, value in body.joints.items()
+            if (now := _body(case, body.name, step)) is not None and now.joints.get(joint) != value
+        }
+        yield _set(case, step, f"{where} as at step {then}", values | joints)
+
+
+def placed(case: FailureCase, body: str, position: Sequence[float], step: int | None = None) -> Iterator[Trial]:
+    """Yield the trial with a body at a position just before the failure."""
+    text = f"{body} is at {phrases.vector(position)}"
+    yield _set(case, _before(case) if step is None else step, text, {f"{written(body)}.position": position})
+
+
+def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Trial]:
+    """Yield the trial without a body in the way: it is moved far away."""
+    if case.free_body(body) is None or case.world is None:
+        return
+    x, y, z = case.world.bodies[body].position
+    values: dict[str, object] = {f"{written(body)}.position": (x + _FAR, y + _FAR, z)}
+    if case.world.carrier(body) is not None:
+        values = {f"{written(body)}.hand": NONE} | values
+    yield _set(case, _before(case) if step is None else step, f"{body} is far away", values)
+
+
+def in_hand(case: FailureCase, body: str, arm: str) -> Iterator[Trial]:
+    """Yield the trial with a body in a hand just before the failure."""
+    if body and arm:
+        yield _set(case, _before(case), f"the {arm} gripper holds {body}", {f"{written(body)}.hand": arm})
+
+
+def joint_at(case: FailureCase, body: str, joint: str, value: float) -> Iterator[Trial]:
+    """Yield the trial with a joint at a value just before the failure."""
+    text = f"{joint} of {body} is at {phrases.number(value)}"
+    yield _set(case, _before(case), text, {f"{written(body)}.{joint}": value})
+
+
+def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[Trial]:
+    """Yield the trial with the robot nearer to a target just before the failure."""
+    robot = case.robot
+    if robot is None or robot.fixed_base:
+        return
+    away_x, away_y = target[0] - robot.position[0], target[1] - robot.position[1]
+    distance = (away_x**2 + away_y**2) ** 0.5
+    share = min(1.0, (miss + _ROOM) / distance) if distance else 0.0
+    place = (robot.position[0] + share * away_x, robot.position[1] + share * away_y, robot.position[2])
+    yield _set(
+        case,
+        _before(case),
+        f"{robot.name} is {phrases.length(share * distance)} nearer",
+        {f"{written(robot.name)}.position": place},
+    )
+
+
+def other_answer(query: Query) -> Iterator[Trial]:
+    """Yield the trial with the opposite answer of a query."""
+    answer = json.loads(query.answer_json or "null")
+    if isinstance(answer, bool) or (isinstance(answer, list) and answer):
+        other = json.dumps(not answer) if isinstance(answer, bool) else "[]"
+        question = QueryCall(query.name, (), question_of(query).keywords)
+        said = "nothing" if other == "[]" else "yes" if other == "true" else "no"
+        text = f"{phrases.question(query)} is answered {said}"
+        yield Trial(query.seq - 1, text, answers=(f"{question}={other}",))
+
+
+def seen(case: FailureCase, task: Node) -> Iterator[Trial]:
+    """Yield the trial in which a failed perception sees an object of its type."""
+    kind = task.motion.parameters.get("object-type")
+    world = state_at(case.log, task.started.seq).worlds.get(task.started.world)
+    bodies = [body.name for body in world.bodies.values() if body.type == kind] if world is not None else []
+    for name in bodies[:1]:
+        yield Trial(task.motion.started.seq - 1, f"{name} is seen", answers=(f"visible({written(name)}, ...)=true",))
+
+
+def longer(started: Task, seconds: object) -> Iterator[Trial]:
+    """Yield the trial with a longer limit of a timeout or wait."""
+    if isinstance(seconds, int | float) and seconds > 0:
+        answer = f"timeout(seconds={seconds!r})={seconds * _LONGER!r}"
+        yield Trial(started.seq - 1, f"the limit is {seconds * _LONGER:g} s", answers=(answer,))
+
+
+def other_arm(case: FailureCase, task: Node) -> Iterator[Trial]:
+    """Yield the trial in which a failed motion uses another arm."""
+    motion = task.motion
+    others = [arm for arm in case.hands if arm != motion.parameters.get("arm")]
+    for arm in others[:1] if motion.parameters.get("arm") else ():
+        text = f"{phrases.node(motion)} uses the {arm} arm"
+        yield Trial(motion.started.seq - 1, text, answers=(f"{motion.name}.arm(...)={arm}",))
+
+
+def _set(case: FailureCase, step: int, words: str, values: Mapping[str, object]) -> Trial:
+    texts = [
+        f"{key}={','.join(map(repr, value)) if isinstance(value, list | tuple) else value}"
+        for key, value in values.items()
+    ]
+    return Trial(step, words, tuple(texts), world=case.world.name if case.world is not None else "")
+
+
+def _before(case: FailureCase) -> int:
+    """Return the step at which the failed motion began; without a motion, the step before the failure."""
+    return case.began if case.motion is not None else case.began - 1
+
+
+def _pose(body: Body) -> tuple[float, ...]:
+    return (*body.position, *body.orientation)
+
+
+def _body(case: FailureCase, name: str, step: int) -> Body | None:
+    try:
+        world = state_at(case.log, max(step, 0)).worlds.get(case.world.name if case.world is not None else "")
+    except NoSuchStep:
+        return None
+    return world.bodies.get(name) if world is not None else None

@@ -1,0 +1,158 @@
+"""Causes are tested in forks: true causes are confirmed, wrong causes refuted."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from textwrap import dedent
+from typing import TYPE_CHECKING
+
+import pytest
+
+import replay
+from replay.cli.main import main
+from replay.explain.causes.case import Cause
+from replay.explain.causes.trials import Trial
+from replay.retrace.prove import prove
+from tests.replay.explain.causes.explaining import START, WITH_PR2
+from tests.replay.retrace.test_retrace import record
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from pathlib import Path
+
+    from replay.explain.causes.case import FailureCase
+
+#: A table before the robot, and a milk on it.
+TABLE = (
+    dedent(WITH_PR2)
+    + """
+Object("kitchen", "environment", "kitchen.urdf")
+robot.set_position([0.65, 0.9, 0])
+milk.set_position([1.35, 0.9, 0.96])
+world.settle()
+"""
+)
+#: By name: the plan, the kind of the first cause, and its verdict.
+PLANS = {
+    "the object was moved away": (
+        TABLE + 'milk.set_position([1.35, 2.4, 0.96])\nperform(type="pick-up", object=milk, arm="left")\n',
+        ("out-of-reach", "confirmed"),
+    ),
+    "an obstacle was put there": (
+        TABLE
+        + 'perform(type="pick-up", object=milk, arm="left")\npot = Object("pot", "pot", "pot.stl", [6, 0, 0.1])\n'
+        + 'pot.set_position([1.4, 0.7, 0.95])\nperform(type="place", object=milk, target=[1.4, 0.7, 0.96], arm="left")\n',
+        ("in-the-way", "confirmed"),
+    ),
+    "a failure was swallowed": (
+        TABLE
+        + 'robot.set_position([-1, 0, 0])\ntry:\n    perform(type="pick-up", object=milk, arm="left")\n'
+        + "except PlanFailure:\n    pass\nrobot.set_position([0.65, 0.9, 0])\n"
+        + 'perform(type="place", object=milk, target=[1.4, 0.7, 0.96], arm="left")\n',
+        ("swallowed-failure", "confirmed"),
+    ),
+    "the object was removed": (
+        TABLE + 'milk.remove()\nperform(type="pick-up", object=milk, arm="left")\n',
+        ("removed", "confirmed"),
+    ),
+    "the answer was no": (
+        'milk = Object("milk", "milk", "milk.stl", [0, 0, 0.4])\nif not btr.stable(milk):\n    raise PlanFailure("it falls")\n',
+        ("raised", "confirmed"),
+    ),
+    "the wait was too short": (
+        """\
+milk = Object("milk", "milk", "milk.stl")
+with timeout(0.5, simulated=True):
+    world.simulate(0.3)
+    world.simulate(0.3)
+    milk.set_position([0, 0, 1])
+""",
+        ("timeout", "confirmed"),
+    ),
+    "the support was moved": (
+        TABLE
+        + 'box = Object("box", "cereal", "breakfast_cereal.stl", [1.35, 0.6, 0.98])\nworld.settle()\n'
+        + "cup = Object('cup', 'cup', 'cup.stl', [1.35, 0.6, 1.17])\nworld.settle()\n"
+        + 'box.set_position([1.35, 1.3, 0.98])\nworld.simulate(0.1)\nperform(type="pick-up", object=cup, arm="right")\n',
+        ("physics", "confirmed"),
+    ),
+    "the plan has a mistake": ("milk = None\nmilk.set_position([0, 0, 1])\n", ("raised", "untested")),
+}
+
+
+def recorded(folder: Path, plan: str) -> Path:
+    file = folder / "plan.py"
+    file.write_text(dedent(START) + plan)
+    return record(file)
+
+
+@pytest.mark.costly
+@pytest.mark.parametrize("name", PLANS)
+def test_the_true_cause_is_confirmed(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    plan, expected = PLANS[name]
+    log = recorded(tmp_path, plan)
+    assert main(["why", str(log), "--prove", "--json", "--keep", str(tmp_path / "forks")]) == 0
+    first, *_ = json.loads(capsys.readouterr().out)["causes"]
+    assert (first["kind"], first["proof"]["verdict"]) == expected, first
+    kept = {str(file) for file in (tmp_path / "forks").iterdir()}
+    assert {fork["file"] for fork in first["proof"]["forks"]} <= kept
+
+
+@dataclass(frozen=True, slots=True)
+class Claim(Cause):
+    """A cause that a test makes up."""
+
+    kind = "claim"
+    trial: Trial
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial."""
+        yield self.trial
+
+    def _words(self) -> Iterator[str]:
+        yield "a claim"
+
+
+@pytest.mark.slow
+def test_claims_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = recorded(
+        tmp_path,
+        'milk, cup = (Object(each, each, f"{each}.stl", [x, 0, 0.1]) for x, each in enumerate(("milk", "cup")))\n'
+        "cup.set_position([5, 0, 1])\nmilk.set_position([0, 0, 1])\nif milk.get_position()[2] > 0.5:\n"
+        '    raise PlanFailure(f"milk is at {milk.get_position()}")\nworld.settle()\nraise PlanFailure("later")\n',
+    )
+    with replay.open(log) as recording:
+        why = recording.why()
+        last = why.step - 1  # the milk is moved there
+        set_ = [
+            Trial(last - 1, "the cup is back", ("cup.position=1,0,0.1",)),  # it has nothing to do with it
+            Trial(last, "the milk is back", ("milk.position=0,0,0.1",)),
+            Trial(last, "nothing", ("milk.position=0,0,0.1",), ("stable(milk)=true",)),
+            Trial(last, "no such thing", ("mlik.position=0,0,0.1",)),
+        ]
+        proven, control = prove(recording, replace(why, causes=tuple(Claim((each.step,), each) for each in set_)))
+        assert control.identical
+        found = {cause.trial.words: proof.verdict for cause, proof in zip(proven.causes, proven.proofs, strict=True)}
+        assert found == {
+            "the milk is back": "confirmed",
+            "nothing": "untested",
+            "no such thing": "untested",
+            "the cup is back": "refuted",
+        }
+        assert [*found][:: len(found) - 1] == ["the milk is back", "the cup is back"]
+        assert "later" in proven.proofs[0].text
+
+
+@pytest.mark.costly
+def test_without_a_control_that_repeats_the_recording_nothing_is_proven(tmp_path: Path) -> None:
+    log = recorded(
+        tmp_path,
+        'import time\nmilk = Object("milk", "milk", "milk.stl", [0, 0, 0.4])\nmilk.set_position([0, 0, time.time() % 1])\n'
+        'if not btr.stable(milk):\n    raise PlanFailure("it falls")\n',
+    )
+    with replay.open(log) as recording:
+        proven, control = prove(recording, recording.why())
+        assert not control.identical
+        assert [each.verdict for each in proven.proofs] == ["untested"]
+        assert "doesn't do the same again" in proven.proofs[0].text
