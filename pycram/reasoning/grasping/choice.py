@@ -1,4 +1,4 @@
-"""The choice of a grasp and of the arm's posture for it: the pair that touches least (thesis 4.4.6)."""
+"""The choice of a grasp and of a posture for it: the pair that touches least (thesis 4.4.6)."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ if TYPE_CHECKING:
 
 
 _FREE: Final = (False, 0, 0, 0.0)  # cost of a posture that touches nothing
-_INFINITE: Final = (True, math.inf, math.inf, math.inf)  # higher than the cost of any posture
-_HAND: Final = -1  # stands for the hand alone, which is checked before the postures for a grasp
-_MAX_GRASPS: Final = 6  # grasps that are tried, one after the other
+_INFINITE: Final = (True, math.inf, math.inf, math.inf)  # a higher cost than that of any posture
+_HAND: Final = -1  # replaces the posture's index while only the hand is checked
+_MAX_GRASPS: Final = 6  # maximum number of grasps that are tried
 _DEEPER: Final = (0.004, 0.008)  # m by which a grasp is moved towards the object
-_LEANING: Final = math.radians(5)  # rad, minimum lean of an object that a message mentions
+_LEANING: Final = math.radians(5)  # rad; messages mention a larger lean of an object
 
 
 @dataclass(frozen=True, slots=True)
 class GraspPlan:
-    """A grasp with the arm's posture for it."""
+    """A grasp with a posture of the arm for it."""
 
-    grasp: Grasp | None  # None if no grasp is reached
-    posture: Posture | None  # the nearest miss if no grasp is reached
-    # touches of the arm there by link and object, deepest first
+    grasp: Grasp | None  # None if the arm reaches no grasp
+    posture: Posture | None  # the nearest posture if the arm reaches no grasp
+    # collisions of the arm in the posture, by object; the deepest collision is first
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
-    # pairs of the robot's own links that would touch, if they are why no grasp is reached
+    # pairs of the robot's own links that would touch, if they prevent all grasps
     self_collisions: Sequence[CollisionPair] = ()
-    penetrating: CollisionPair | None = None  # pair of links of the open hand and of the target that would overlap
+    penetrating: CollisionPair | None = None  # links of the open hand and of the target that would overlap
 
     def evidence(self) -> dict[str, object]:
         """Return the plan as evidence for a record."""
@@ -80,17 +80,17 @@ def best_grasp(
     """Return the grasp that touches least. A grasp off the center is chosen only if no other grasp is free.
 
     Args:
-        link: an arm's tool frame; or any other link, which then only has to reach the target's center.
-        names: the allowed sides; all by default.
-        refused: grasps that are left out.
+        link: an arm's tool frame, or another link, which only has to reach the target's center.
+        names: the allowed sides; None for all sides.
+        refused: grasps that are excluded.
         choice: receives the reasons against the other grasps.
-        base: assumed pose of the robot's base; its present pose by default.
-        adjusted: further grasps.
+        base: assumed pose of the robot's base; None for its present pose.
+        adjusted: additional grasps.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     takes = arm if arm is not None and arm.hand is not None else None
     grasping = _Grasping(body, robot, Solver(robot, link), takes, choice, base)
-    if takes is None:  # a link without a gripper reaches a place without grasping
+    if takes is None:  # the link has no gripper, so it only reaches the place
         return grasping.best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
     central = [*candidates(body, robot, takes, names, base=base, choice=choice), *adjusted]
     plan = grasping.best_of([grasp for grasp in central if grasp not in refused and choice.admits(str(grasp))])
@@ -105,8 +105,6 @@ def best_grasp(
 
 @dataclass(frozen=True, slots=True)
 class _Grasping:
-    """The search for the best grasp of one object by one arm."""
-
     body: Object  # the target
     robot: Object
     solver: Solver  # solver of the arm's inverse kinematics
@@ -115,7 +113,6 @@ class _Grasping:
     base: Pose | None  # assumed pose of the robot's base; None for its present pose
 
     def best_of(self, grasps: Sequence[Grasp], limit: Cost = _INFINITE) -> GraspPlan:
-        """Return the grasp that touches least, if its cost is at most ``limit``."""
         if not grasps:
             return GraspPlan(None, None)
         solver = self.solver
@@ -124,7 +121,7 @@ class _Grasping:
                 grasps, solver.search([(grasp.position, None, self.base) for grasp in grasps]), limit
             )
         targets = [(grasp.position, grasp.orientation, self.base) for grasp in grasps]
-        # a long search finds postures at the limit of the arm's reach; only if they are needed
+        # a thorough search finds postures at the limit of the arm's reach; it runs only if it is necessary
         solved = solver.closed_form(targets) if solver.in_closed_form else solver.search(targets, quick=True)
         if any(posture.reaches() for postures in solved for posture in postures):
             quick = not solver.in_closed_form
@@ -136,7 +133,7 @@ class _Grasping:
     def _least_touching(
         self, grasps: Sequence[Grasp], solved: Sequence[Sequence[Posture]], limit: Cost, *, quick: bool = False
     ) -> GraspPlan:
-        """Return the grasp that touches least among those with known postures; a quick miss proves nothing."""
+        """Return the grasp that touches least, from known postures; a ``quick`` miss proves nothing."""
         options = []
         for grasp, postures in zip(grasps, solved, strict=True):
             reaching = [posture for posture in postures if posture.reaches()]
@@ -144,7 +141,7 @@ class _Grasping:
                 options.append((grasp, reaching))
             elif quick:
                 self.choice.reject(str(grasp), Untried())
-            else:  # the closed form doesn't give the distance
+            else:  # the closed form gives no distance
                 nearest = postures[0] if postures else None
                 miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)
                 self.choice.reject(str(grasp), OutOfReach(*miss))
@@ -159,17 +156,17 @@ class _Grasping:
 
 
 class _Choice:
-    """A best-first search for the posture that touches least; the first of several equal postures.
+    """A best-first search for the posture that touches least.
 
-    The search continues with the posture of least known cost, and checks its next pair of links, until that posture is
-    checked completely: no other posture can cost less. For one grasp, all postures bring the hand to the same pose. So
-    the hand is checked once for each grasp, and its cost is a lower bound for these postures.
+    The search takes the posture with the least known cost, and checks its next pair of links. It ends when that posture
+    is checked completely, because no other posture can cost less. All postures for a grasp have the same pose of the
+    hand, so the hand is checked once for each grasp; its cost is a lower bound for the postures.
 
     Args:
-        target: the object; the open hand mustn't be in it.
-        options: grasps, each with the postures for it.
-        opened: joint values of the open gripper.
-        hand: links that all postures for a grasp bring to the same pose.
+        target: the object, which the open hand mustn't overlap.
+        options: grasps with their postures.
+        opened: joint positions of the open gripper.
+        hand: links that have the same pose in all postures for a grasp.
         choice: receives the results for the grasps.
         base: assumed pose of the robot's base; None for its present pose.
     """
@@ -189,36 +186,37 @@ class _Choice:
         self._checker = checker
         self._options = options
         every = [{**posture.positions, **opened} for _, postures in options for posture in postures]
-        candidates = iter(checker.predict(every, base))  # all together: that takes little longer than one
+        candidates = iter(checker.predict(every, base))  # one call for all, because this takes hardly longer
         self._candidates = [list(itertools.islice(candidates, len(postures))) for _, postures in options]
         self._hand = hand
         self._arm = checker.moving - set(hand)
 
     def best(self, limit: Cost) -> GraspPlan:
-        """Return the grasp with its posture and the touched links, if its cost is at most ``limit``."""
+        """Return the best plan, if its cost is at most ``limit``."""
         plan = self._least(limit)
         if self._choice.wanted:
             self._record(plan)
         return plan
 
     def _record(self, plan: GraspPlan) -> None:
-        """Record all results for the best grasp; for each other grasp, the results until it became worse."""
+        """Record all collisions of the best grasp; other grasps were checked only until their costs were higher."""
         for (grasp, postures), tried in zip(self._options, self._candidates, strict=True):
             known = [self._checker.known(candidate) for candidate in tried]
             by_hand = [pair for pair in known[0] if pair.link in self._hand]
             if grasp is plan.grasp:
                 pairs = [collision["pair"] for collision in plan.obstacles.values()]
                 pairs += [plan.penetrating] if plan.penetrating else []
-            else:  # an unchecked posture may be good
+            else:  # a posture that wasn't checked may be good
                 pairs = by_hand or min(known, key=len)
             self._choice.reject(str(grasp), Touching(pairs) if pairs else Untried(), len(postures))
 
     def _least(self, limit: Cost) -> GraspPlan:
-        """Return the plan that touches least."""
         queue: list[tuple[Cost, int, int, dict[Object, float], Iterator[Touch]]] = []
         for option, (first, *_) in enumerate(self._candidates):
             heappush(queue, (_FREE, option, _HAND, {}, self._checker.collisions(first, self._hand)))
-        contorted: dict[tuple[int, int], GraspPlan] = {}  # postures in which the robot touches itself
+        contorted: dict[
+            tuple[int, int], GraspPlan
+        ] = {}  # plans whose postures have collisions of the robot's own links
         while queue:
             cost, option, number, depths, touches = heappop(queue)
             bound = queue[0][:3] if queue else (_INFINITE, 0, 0)
@@ -241,13 +239,13 @@ class _Choice:
         return contorted[max(contorted)] if contorted else GraspPlan(None, None)
 
     def _check(self, touches: Iterator[Touch], depths: dict[Object, float], cost: Cost, enough: Cost) -> Cost:
-        """Check for touches of a posture until its cost exceeds ``enough``, and return the cost.
+        """Check the next touches of a posture until its cost exceeds ``enough``, and return the cost.
 
         Args:
             touches: an iterator, which continues where the last check stopped.
-            depths: depths in m by object; found touches are added.
-            cost: cost of the touches so far.
-            enough: cost above which the other touches don't matter yet.
+            depths: depths in m by object; the new touches are added.
+            cost: cost of the known touches.
+            enough: a cost above which other postures are checked first.
         """
         for (_, _, body, _), points in touches:
             depth = max(-point.distance for point in points)
@@ -259,7 +257,7 @@ class _Choice:
         return cost
 
     def _cost(self, depths: Mapping[Object, float]) -> Cost:
-        """Return the cost of touches. Furniture can't be moved, other objects can; little overlap is better."""
+        """Return the cost of touches: furniture counts more than movable objects, then small overlaps are better."""
         counted = {body: depth for body, depth in depths.items() if body is not self._target}
         furniture = sum(body.fixed for body in counted)
         return self._target in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
@@ -274,15 +272,14 @@ def holding_grasps(
     choice: Choice,
     base: Pose | None = None,
 ) -> Iterator[tuple[Grasp, Posture, Closing]]:
-    """Yield grasps with the arm's posture and the closed gripper; the grasp that touches least comes first.
+    """Yield grasps with a posture of the arm and the closed gripper; the grasp that touches least comes first.
 
     Args:
-        robot: its world is locked.
-        names: the allowed sides; None for all.
-        failures: receives the reasons against other grasps. The caller may add failures; after a few failures the
-            search ends.
+        robot: the robot; the caller holds the world's lock.
+        names: the allowed sides; None for all sides.
+        failures: receives the reasons against other grasps. The caller may add failures; the search ends after a few.
         choice: receives the reasons by grasp.
-        base: assumed pose of the robot's base; its present pose by default.
+        base: assumed pose of the robot's base; None for its present pose.
     """
     refused: list[Grasp] = []
     adjusted: list[Grasp] = []
@@ -305,10 +302,10 @@ def holding_grasps(
 
 
 def _adjusted(robot: Object, grasp: Grasp, closing: Closing) -> Iterator[Grasp]:
-    """Yield grasps of a thin object next to a grasp that doesn't hold it.
+    """Yield grasps near a grasp that doesn't hold a thin object.
 
-    They are higher where the fingers would touch furniture, because part of the object may hang below its surface. They
-    are deeper where the fingers would not touch two sides, because the tips of wide open fingers may reach less far.
+    They are higher if the fingers would touch furniture, because a part of the object may hang below its surface. They
+    are deeper if the fingers would not touch two sides, because the tips of wide open fingers may reach less far.
     """
     if closing.obstacles and all(robot.world.get_object(pair.body).fixed for pair in closing.obstacles):
         x, y, z = grasp.position
@@ -323,13 +320,12 @@ def _adjusted(robot: Object, grasp: Grasp, closing: Closing) -> Iterator[Grasp]:
 def _nothing(
     robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, plan: GraspPlan, base: Pose | None
 ) -> PlanFailure:
-    """Return why there is no grasp."""
     if plan.posture is None:
         tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
         lies = f"because it leans by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
         if arm.gripper.suction:
-            return GraspFailed(arm.name, body.name, f"{lies}it is nowhere flat enough for the suction cup")
-        sides = Choice("grasp", {})  # needed even if nothing is recorded
+            return GraspFailed(arm.name, body.name, f"{lies}no part of it is flat enough for the suction cup")
+        sides = Choice("grasp", {})  # the reasons are necessary even if nothing is recorded
         candidates(body, robot, arm, names, base=base, choice=sides)
         misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
         widths = [misfit.width for misfit in misfits if misfit.width is not None]
@@ -340,16 +336,16 @@ def _nothing(
 
 
 def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
-    """Return why a grasp won't hold the object; None if it will."""
+    """Return why a grasp won't hold the object; None if it will hold it."""
     if plan.obstacles:
         return Blocked(arm.name, center(body), [collision["pair"] for collision in plan.obstacles.values()])
     if plan.penetrating is not None:
         return Blocked(arm.name, center(body), [plan.penetrating])
     if closing is None:
-        return GraspFailed(arm.name, body.name, "its fingers would close on nothing")
+        return GraspFailed(arm.name, body.name, "the fingers would close on nothing")
     if closing.obstacles:
         return Blocked(arm.name, center(body), closing.obstacles, "when the fingers close")
     if closing.sides < 2:
-        where = "on one side only" if closing.sides else "on none of its sides"
-        return GraspFailed(arm.name, body.name, f"its fingers would touch it {where}")
+        where = "on one side only" if closing.sides else "on no side"
+        return GraspFailed(arm.name, body.name, f"the fingers would touch {body.name} {where}")
     return None

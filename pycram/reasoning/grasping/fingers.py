@@ -1,4 +1,4 @@
-"""The motion of fingers until something stops them: computed in a simulation clone before they move."""
+"""Motions of fingers until something stops them, which a simulation clone computes before the fingers move."""
 
 from __future__ import annotations
 
@@ -27,38 +27,38 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
-    #: Depths of overlaps in m, by finger, object, and link of the object.
+    #: Depths of overlaps in m, by finger, object and the object's link.
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
 
-CLEAR: Final = 0.002  # m of air around a released object; the engine pads shapes by less
-_SLACK: Final = 5e-4  # m, minimum overlap that counts as a touch
-_STEPS: Final = 16  # steps between open and closed; no finger of the PR2 moves by more than 3 mm in a step
+CLEAR: Final = 0.002  # m, necessary gap around a released object; the engine pads shapes by less
+_SLACK: Final = 5e-4  # m, minimum overlap of a touch
+_STEPS: Final = 16  # steps between open and closed; fingers of the PR2 move by up to 3 mm in a step
 _HALVINGS: Final = 6  # bisections of a step
-_AT_CUP: Final = 0.004  # m from a suction cup that its lip bridges
+_AT_CUP: Final = 0.004  # m, gap that the lip of a suction cup bridges
 _CLOSING_STEPS: Final = 8  # steps from open to closed, each less than the thickness of a finger
 _CLOSING_HALVINGS: Final = 5  # bisections of a closing step, down to 0.4 mm of the PR2's aperture
 _MANY: Final = 3  # minimum number of moving parts that close one by one; two jaws are one mechanism
-_ALONE: Final = 64  # steps between open and closed for a part that closes on its own
-_REACH: Final = 0.005  # m between two opposite fingers; hand and object each give way by half of that
-_ACROSS: Final = 0.5  # component of a unit normal along the jaws' direction
-_AROUND: Final = 0.4  # likewise for fingers around a centre: two of three touch a carton's edges at 60 degrees to y
+_ALONE: Final = 64  # steps between open and closed for a part that closes alone
+_REACH: Final = 0.005  # m of opposite fingers together, by which the hand and the object give way
+_ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
+_AROUND: Final = 0.4  # as above for fingers around a center; two of three touch a carton's edges at 60 degrees
 _CACHED: Final = 32
-_SWEPT: Final = 8  # steps between open and closed; between them, fingers stay within the margins of their boxes
+_SWEPT: Final = 8  # steps between open and closed; within a step, fingers stay within the margins of their boxes
 
 
 @dataclass(frozen=True, slots=True)
 class FingerMotion:
     """The result of a motion of fingers."""
 
-    positions: Mapping[str, float]  # final joint values of the gripper by name
-    share: float  # how far the gripper is open: 0 is closed, 1 is open
+    positions: Mapping[str, float]  # final joint positions of the gripper by name
+    share: float  # share by which the gripper is open; 0 is closed, 1 is open
     # pairs of links that stop the fingers, deepest first; empty if the fingers reach the goal
     stopped_by: Sequence[CollisionPair] = ()
-    gap: float = 2 * CLEAR  # m of air between the fingers and the released object, at most 2 * CLEAR
+    gap: float = 2 * CLEAR  # m between the fingers and the released object, at most 2 * CLEAR
 
 
 def _share_open(gripper: Gripper, now: Mapping[str, float]) -> float:
-    """Return how far a gripper is open at joint values, which are in rad or m by name: 0 is closed, 1 is open."""
+    """Return the share by which a gripper is open at joint positions (rad or m) by name; 0 is closed, 1 is open."""
     closed, opened = gripper.at(0.0), gripper.at(1.0)
     shares = [(now[name] - at) / (opened[name] - at) for name, at in closed.items() if opened[name] != at]
     return min(1.0, max(0.0, sum(shares) / len(shares))) if shares else 0.0
@@ -74,17 +74,15 @@ def finger_motion(
     pose: Pose | None = None,
     base: Pose | None = None,
 ) -> FingerMotion:
-    """Return how far the fingers of an arm can move.
-
-    Present overlaps don't stop the fingers unless they get deeper.
+    """Return how far the fingers of an arm can move. A present overlap stops the fingers only if it gets deeper.
 
     Args:
-        robot: its world is locked.
-        goal: how far the gripper should be open: 0 is closed, 1 is open.
-        posture: joint values of the arm by name; the present ones by default.
-        release: the object that is released; it doesn't stop the fingers, unlike the objects that it carries.
-        pose: pose of the released object; its present pose by default.
-        base: assumed pose of the robot's base; its present pose by default.
+        robot: the robot; the caller holds the world's lock.
+        goal: share by which the gripper should be open; 0 is closed, 1 is open.
+        posture: joint positions of the arm by name; None for its present posture.
+        release: the released object, which doesn't stop the fingers; objects that it carries do.
+        pose: pose of the released object; None for its present pose.
+        base: assumed pose of the robot's base; None for its present pose.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
@@ -99,7 +97,7 @@ def finger_motion(
     loads = [] if release is None else release.carried
     absent = robot, release, *(load.body for load in loads)
     others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in absent])
-    if not others and release is None:  # in free air no copy of the hand is needed
+    if not others and release is None:  # nothing is near, so the clone isn't necessary
         return FingerMotion(gripper.at(goal), goal)
     engine, hand = clone.engine, clone.body(robot.name)
 
@@ -133,8 +131,8 @@ def finger_motion(
 class Closing:
     """A gripper that has closed on an object."""
 
-    positions: Mapping[str, float]  # joint values of the gripper, by name
-    sides: int  # sides of the object with a finger: 0, 1 or 2; a suction cup counts as 2
+    positions: Mapping[str, float]  # joint positions of the gripper by name
+    sides: int  # number of sides of the object with a finger: 0, 1 or 2; a suction cup counts as 2
     obstacles: Sequence[CollisionPair] = ()  # other links that the fingers would overlap, deepest first
 
 
@@ -143,13 +141,13 @@ def close_around(
 ) -> Closing | None:
     """Return how a gripper closes on an object, from open until the first touch; None if it never touches the object.
 
-    In a hand with many fingers, the other fingers continue until they touch as well, as their motors would.
+    In a hand with many fingers, the other fingers continue until they touch the object, as their motors would.
 
     Args:
-        robot: its world is locked.
-        posture: joint values by name that bring the gripper to the object.
-        body: the object, which stays in its place.
-        base: assumed pose of the robot's base; its present pose by default.
+        robot: the robot; the caller holds the world's lock.
+        posture: joint positions by name, with the gripper at the object.
+        body: the object, which doesn't move.
+        base: assumed pose of the robot's base; None for its present pose.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
@@ -174,7 +172,7 @@ def close_around(
         if gripper.suction:
             at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
             return Closing({}, 2) if at_cup else None
-        # a hollow object may be touched only on the way: the closed fingers would be within it
+        # fingers may touch a hollow object only on the way: the closed fingers would be inside of it
         tried = (step / _CLOSING_STEPS for step in reversed(range(_CLOSING_STEPS)))
         stuck = next((share for share in tried if touches(share)), None)
         if stuck is None:
@@ -203,7 +201,7 @@ def close_around(
 
 
 def sides_held(robot: Object, arm: Arm, body: Object) -> int:
-    """Return on how many sides of an object an arm has fingers now: 0, 1 or 2; see :class:`Closing`."""
+    """Return the number of sides of an object at which an arm has fingers now: 0, 1 or 2; see :class:`Closing`."""
     engine, gripper = robot.world.engine, arm.gripper
     if gripper.suction:
         return 2 if engine.link_closest_points(robot.handle, gripper.palm, body.handle, _AT_CUP) else 0
@@ -211,7 +209,7 @@ def sides_held(robot: Object, arm: Arm, body: Object) -> int:
 
 
 def _sides(engine: Engine, hand: LoadedBody, target: LoadedBody, arm: Arm, parts: int) -> int:
-    """Return on how many sides of a body fingers are. ``parts`` is the number of parts that move on their own."""
+    """Return the number of sides of a body with fingers; ``parts`` is the number of parts that move independently."""
     _, turn = arm.tool_pose(engine.link_pose(hand, arm.tool_frame))
     across = geometry.rotate(turn, (0.0, 1.0, 0.0))
     least = _AROUND if parts >= _MANY else _ACROSS
@@ -224,7 +222,7 @@ def _sides(engine: Engine, hand: LoadedBody, target: LoadedBody, arm: Arm, parts
 
 
 def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]:
-    """Return the parts of a gripper that move on their own: for each its finger links and its joints."""
+    """Return the finger links and the joints of each part of a gripper that moves independently."""
     urdf, opened, closed = robot.urdf, gripper.at(1.0), gripper.at(0.0)
     parts: dict[str, tuple[list[str], list[str]]] = {}
     for finger in gripper.fingers:
@@ -239,7 +237,6 @@ def _parts(robot: Object, gripper: Gripper) -> list[tuple[list[str], list[str]]]
 
 
 def _depths(engine: Engine, hand: LoadedBody, gripper: Gripper, others: Mapping[Part, LoadedBody]) -> Depths:
-    """Return how deep fingers overlap other objects."""
     found: dict[tuple[str, Object, str], float] = {}
     for finger in gripper.fingers:
         for (body, link), copy in others.items():
@@ -264,12 +261,12 @@ def _near(
     there: Mapping[str, float],
     bodies: Sequence[Object],
 ) -> dict[Part, LoadedBody]:
-    """Return the copies of objects that fingers could touch between open and closed.
+    """Return the copies of objects that fingers may touch between open and closed.
 
     Args:
         clone: the clone with the copies.
         palm: pose of the gripper's palm in the world.
-        there: the robot's joint values by name.
+        there: the robot's joint positions by name.
         bodies: the objects to check.
     """
     path = robot.model.path
@@ -280,7 +277,7 @@ def _near(
 @lru_cache(maxsize=_CACHED)
 @notable
 def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
-    """Return the joints of a canonical URDF between palm and fingers that the gripper doesn't move."""
+    """Return the joints of a checked URDF between the palm and the fingers that the gripper doesn't move."""
     urdf = stored_tree(path)
     to_palm = {joint.name for joint in urdf.chain(urdf.root, gripper.palm)}
     to_fingers = {joint.name for finger in gripper.fingers for joint in urdf.chain(urdf.root, finger)}
@@ -294,9 +291,7 @@ def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
 def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) -> Boxes:
     """Return boxes in the palm's frame around the space that fingers sweep between open and closed.
 
-    Args:
-        path: the robot's canonical URDF.
-        others: values of other joints between the palm and the fingers.
+    ``others`` are positions of other joints between the palm and the fingers.
     """
     urdf = stored_tree(path)
     paths: dict[str, list[Pose]] = {finger: [] for finger in gripper.fingers}
@@ -312,7 +307,7 @@ def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) 
 
 
 def _sweep(depths: Callable[[float], Depths], start: float, goal: float) -> tuple[float, Depths]:
-    """Return the last share before something stops the fingers on their way from start to goal, and what stops them."""
+    """Return the last share before something stops the fingers on their way to the goal, and the stopping overlaps."""
     known = depths(start)
 
     def stopping(share: float) -> Depths:

@@ -1,9 +1,8 @@
-"""Candidates for grasps: from which side and where a gripper can take an object.
+"""Candidates for grasps: the sides and positions from which a gripper can take an object.
 
-Ray casts find the candidates: from the front, the top, the left and the right if the object fits between the fingers,
-else from the top over its rim. If the object lies across or leans, the gripper is turned with it. The object is
-centered between the fingers. A suction cup takes a flat place opposite the object's middle. The choice among
-candidates is in :mod:`pycram.reasoning.grasping.choice`.
+Ray casts find candidates from the front, the top, the left and the right if the object fits between the fingers, and
+otherwise from the top over its rim. The gripper is turned with an object that lies across or leans.
+:mod:`pycram.reasoning.grasping.choice` chooses a candidate.
 """
 
 from __future__ import annotations
@@ -35,18 +34,18 @@ if TYPE_CHECKING:
 
 
 FREE: Final = 0.004
-"""Metres of the aperture that must stay free."""
+"""Part of the aperture in m that must stay free."""
 _CLEARANCE: Final = 0.002  # m between the finger tips and the support of the object
-_PADS: Final = (-0.01, 0.0, 0.01)  # m; rays are cast at these places across the finger pads
+_PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where rays are cast
 _STEP: Final = 0.004  # m between rays along the fingers
 _LEVELS: Final = 6  # levels below a rim at which its wall is measured
 _EDGE: Final = 0.004  # m below a rim at which its wall begins
-_UPRIGHT: Final = 0.7  # minimum vertical part of a unit axis that counts as upright
-_FLAT: Final = 0.002  # m by which the surface below a suction cup may be uneven
-_SKEW: Final = math.radians(2)  # rad between object and gripper that are ignored
+_UPRIGHT: Final = 0.7  # minimum vertical component of an upright unit axis
+_FLAT: Final = 0.002  # m, largest unevenness of the surface below a suction cup
+_SKEW: Final = math.radians(2)  # rad; the gripper ignores a smaller angle to the object
 _LONG: Final = 2.0  # ratio of length and width of a long object
-_BESIDE: Final = 0.01  # m from the middle of a long object, seen from the top, that count as another place
-_LEANING: Final = math.radians(5)  # rad, minimum lean of an object with which the gripper leans
+_BESIDE: Final = 0.01  # m from the middle of a long object, seen from the top; a nearer grasp is at the middle
+_LEANING: Final = math.radians(5)  # rad; with a larger lean of the object, the gripper leans, too
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 _biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
@@ -63,13 +62,13 @@ GRASPS: Final[Mapping[str, Quaternion]] = {
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """A pose of the tool that takes an object."""
+    """A pose of the tool in which it takes an object."""
 
     name: str  # the side from which the gripper comes
     position: Vector  # position of the tool frame in the world, m
     orientation: Quaternion  # orientation of the tool frame in the world, xyzw
     width: float  # m between the fingers when they hold the object
-    label: str = ""  # unique among the candidates, such as "top across"; the side if empty
+    label: str = ""  # a unique name among the candidates, such as "top across"; "" for the side
 
     def __str__(self) -> str:
         return self.label or self.name
@@ -88,12 +87,12 @@ def candidates(
     """Return grasps of an object, best first.
 
     Args:
-        robot: its heading defines the front.
-        arm: the arm whose gripper must take it.
-        names: the allowed sides; all by default.
-        off_center: return only grasps of a long object from the top, between its middle and its ends.
-        base: assumed pose of the robot's base; its present pose by default.
-        choice: receives for each side the reason why the object doesn't fit.
+        robot: the robot, whose heading defines the front.
+        arm: the arm with the gripper.
+        names: the allowed sides; None for all sides.
+        off_center: whether to return only grasps of a long object from the top, between its middle and its ends.
+        base: assumed pose of the robot's base; None for its present pose.
+        choice: receives, for each side, why the object doesn't fit.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     if off_center:
@@ -122,7 +121,6 @@ def candidates(
 
 
 def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
-    """Return the grasps with unique labels."""
     seen: dict[str, int] = {}
     found = []
     for grasp in grasps:
@@ -132,7 +130,7 @@ def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
 
 
 def _shifts(offsets: Sequence[Vector], lying: Quaternion | Sequence[float]) -> list[Vector]:
-    """Return the shifts in m of a grasp from the top for offsets in an object's frame; none along an upright object."""
+    """Return shifts in m of a grasp from the top, for offsets along a lying object; an upright object has none."""
     turned = (geometry.rotate(lying, offset) for offset in offsets)
     return [
         (x, y, 0.0)
@@ -142,7 +140,7 @@ def _shifts(offsets: Sequence[Vector], lying: Quaternion | Sequence[float]) -> l
 
 
 def _along_length(body: Object) -> Sequence[Vector]:
-    """Return offsets in m from the middle of a long object to places towards its ends, in its frame."""
+    """Return offsets in m, in a long object's frame, from its middle towards its ends."""
     solids = solids_of(body.model.path)
     size = solids.high.max(axis=0) - solids.low.min(axis=0)
     longest = int(size.argmax())
@@ -180,7 +178,7 @@ def _upright(
     shift: Vector,
     choice: Choice,
 ) -> list[Grasp]:
-    """Return grasps of an object that is treated as upright, in an orientation and moved by a shift."""
+    """Return grasps of an object that is treated as upright; all grasps are moved by ``shift``."""
     beside = " off center" if any(shift) else ""
     dx, dy, _ = shift
     x, y, z = caster.center
@@ -203,7 +201,7 @@ def _upright(
         (_, turn), *_ = options
         tried = list(itertools.islice(fitting, len(options)))
         fit = [grasp for grasp in tried if isinstance(grasp, Grasp)]
-        if fit:  # in the robot's heading, unless the object lies across
+        if fit:  # the robot's heading is preferred, unless the object lies across
             widths = [grasp.width + (grasp.orientation != turn) * FREE for grasp in fit]
             found.append(replace(fit[widths.index(min(widths))], label=label))
         else:
@@ -216,21 +214,21 @@ def _upright(
 
 
 def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
-    """Yield an orientation turned about the vertical such that the fingers close along an axis of the object."""
+    """Yield an orientation, turned about the vertical, in which the fingers close along an axis of the object."""
     x, y, _ = geometry.rotate(turn, (0.0, 1.0, 0.0))
     for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):
         along = geometry.rotate(lying, axis)
         if abs(along[2]) > _UPRIGHT:
             continue
         skew = math.atan2(along[1], along[0]) - math.atan2(y, x)
-        skew = (skew + math.pi / 4) % (math.pi / 2) - math.pi / 4  # the object's faces are alike for fingers
+        skew = (skew + math.pi / 4) % (math.pi / 2) - math.pi / 4  # for fingers, a quarter turn makes no difference
         if abs(skew) > _SKEW:
             yield geometry.product(geometry.from_rpy(0.0, 0.0, skew), turn)
         return
 
 
 def _bias(robot: Object, arm: Arm) -> float:
-    """Return how unevenly the sides of an arm's gripper close, which is computed once for each robot."""
+    """Return by how much the sides of a gripper close unevenly, which is computed once for each robot."""
     known = _biases.setdefault(robot, {})
     if arm.name not in known:
         known[arm.name] = arm.bias(robot.urdf)
@@ -240,7 +238,7 @@ def _bias(robot: Object, arm: Arm) -> float:
 def _between_fingers(
     caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector, bias: float
 ) -> Iterator[Grasp | Misfit]:
-    """Yield for each option the grasp with the object centered between the fingers, or why it doesn't fit."""
+    """Yield for each option the grasp with the object centered between the fingers, or why the object doesn't fit."""
     if not options:
         return
     gripper = arm.gripper
@@ -279,7 +277,7 @@ def _between_fingers(
 
 
 def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | Uneven]:
-    """Yield for each side and orientation the grasp of a suction cup on a flat place, or why there is none."""
+    """Yield for each option the grasp of a suction cup on a flat place, or why there is no flat place."""
     gripper = arm.gripper
     radius = gripper.suction
     for name, turn in options:
@@ -291,7 +289,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
         points = [caster.extents([scan], 3, (across,))[0, :, 0] for across in (-radius, 0.0, radius)]
         uneven = float(np.ptp(points))
         on_surface = geometry.transform(frame, (0.0, float(points[1][1]), 0.0))
-        if uneven <= _FLAT:  # nan outside of the object
+        if uneven <= _FLAT:  # uneven is nan outside of the object
             yield Grasp(name, on_surface, turn, 0.0)
         else:
             yield Uneven(None if math.isnan(uneven) else uneven)
@@ -334,12 +332,12 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice
 
 
 def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Quaternion:
-    """Return the orientation of the tool for a grasp, in the world.
+    """Return the orientation of the tool in the world for a grasp.
 
     Args:
         grasp: "front", "top", "left" or "right".
-        robot: its heading defines the front.
-        base: assumed pose of the robot's base; its present pose by default.
+        robot: the robot, whose heading defines the front.
+        base: assumed pose of the robot's base; None for its present pose.
 
     Raises:
         UnknownName: There is no such grasp.
@@ -350,10 +348,10 @@ def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Qu
 
 
 def heading(robot: Object, base: Pose | None = None) -> Quaternion:
-    """Return a robot's orientation about the vertical, as it stands or with its base at another pose."""
+    """Return a robot's orientation about the vertical, at its present pose or with its base at another pose."""
     return geometry.from_rpy(0.0, 0.0, yaw(robot) if base is None else geometry.yaw_of(base[1]))
 
 
 def yaw(body: Object) -> float:
-    """Return the angle in rad about the vertical of an object's x axis."""
+    """Return the angle in rad of an object's x axis about the vertical."""
     return geometry.yaw_of(body.get_orientation())

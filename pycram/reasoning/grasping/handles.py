@@ -1,9 +1,8 @@
-"""Handles of doors and drawers: how a gripper holds them, and the path of an arm that moves them.
+"""Handles of doors and drawers: how a gripper holds a handle, and the path of an arm that moves it.
 
-A handle is a bar. A gripper takes it from the front, as the robot faces the closed door or drawer, with the fingers
-across the bar; it closes a door in the same way. The gripper may turn about the bar, also during the motion, and may
-hold the bar at some distance from its middle. If an arm has no path, :func:`remedies` finds another arm or another
-place of the robot.
+A handle is a bar. The gripper takes it from the front of the closed door or drawer, with the fingers across the bar.
+The gripper may turn about the bar during the motion, and may hold the bar off its middle. If an arm has no path,
+:func:`remedies` finds another arm or another place of the robot.
 """
 
 from __future__ import annotations
@@ -47,35 +46,35 @@ if TYPE_CHECKING:
 
 
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
-"""Angles in rad about the bar, by which a gripper may be turned from the front."""
+"""Angles in rad about the bar by which a gripper may be turned from the front."""
 
-#: Places along the bar: shares of the way from its middle to where the gripper would reach over its end.
+#: Places along the bar, as shares of the distance from its middle to the last place where the gripper is on the bar.
 _SHIFTS: Final = {"middle": 0.0, "one side": 0.5, "other side": -0.5}
-_MAX_TURN: Final = math.radians(31)  # rad about the bar between neighbouring values of the joint
-_MAX_JUMP: Final = 1.6  # rad of an arm's joint between neighbouring values
-_TURNED: Final = 1.0  # cost of a square rad about the bar, relative to a square rad of a joint
-_TURNING: Final = 1.0  # cost of a square rad about the bar between neighbouring values
+_MAX_TURN: Final = math.radians(31)  # rad, largest turn about the bar between successive joint positions
+_MAX_JUMP: Final = 1.6  # rad, largest motion of an arm's joint between successive joint positions
+_TURNED: Final = 1.0  # cost of a square rad about the bar, relative to a square rad of an arm's joint
+_TURNING: Final = 1.0  # cost of a square rad about the bar between successive joint positions
 _APPROACH: Final = 0.01  # cost of a square rad of a joint from the present to the first posture
-_MAX_PATHS: Final = 40  # paths that are checked
-_MAX_QUICK_PATHS: Final = 8
-_SAME_HEIGHT: Final = 0.02  # m, maximum difference of equal heights
-_STEP: Final = 0.15  # m between places of the robot that are tried
-_STEPS: Final = 5  # places to each side
-_MAX_PLACES: Final = 4  # places for which a path is searched
+_MAX_PATHS: Final = 40  # maximum number of checked paths
+_MAX_QUICK_PATHS: Final = 8  # maximum number of checked paths in a quick search
+_SAME_HEIGHT: Final = 0.02  # m; torso heights with a smaller difference are equal
+_STEP: Final = 0.15  # m between tried places of the robot
+_STEPS: Final = 5  # number of tried places on each side
+_MAX_PLACES: Final = 4  # maximum number of places for which a path is searched
 
 
 @dataclass(frozen=True, slots=True)
 class Grip:
-    """A grip of a gripper on a handle."""
+    """A way in which a gripper holds a handle."""
 
-    name: str  # the part of the bar
-    position: Vector  # the middle of that part, in the handle's frame, m
-    axis: Vector  # direction of the bar, in the handle's frame
+    name: str  # name of the part of the bar
+    position: Vector  # middle of that part in the handle's frame, m
+    axis: Vector  # direction of the bar in the handle's frame
     front: Quaternion  # orientation of the tool from the front, in the handle's frame
     back: float  # m between the tool and the position
 
     def tool(self, angle: float) -> Pose:
-        """Return the pose of the tool in the handle's frame, turned about the bar by an angle in rad."""
+        """Return the pose of the tool in the handle's frame after a turn about the bar by an angle in rad."""
         sine = math.sin(angle / 2)
         x, y, z = self.axis
         turn = geometry.product((x * sine, y * sine, z * sine, math.cos(angle / 2)), self.front)
@@ -83,17 +82,17 @@ class Grip:
 
 
 class Handle:
-    """A handle of a door or drawer, with the furniture as it stands."""
+    """A handle of a door or drawer, in the present state of the furniture."""
 
     def __init__(self, container: Object, joint: str, link: str) -> None:
         self.container, self.joint, self.link = container, joint, link
         self._root = container.get_position_and_orientation()
         self._now = container.get_joint_positions()
-        self._poses: dict[tuple[float, str], Pose] = {}  # cached, because each is needed for many postures of an arm
+        self._poses: dict[tuple[float, str], Pose] = {}  # a cache, because many postures of an arm need each pose
         self.closed = closed_position(container.urdf.joint(joint))
 
     def pose(self, value: float, link: str | None = None) -> Pose:
-        """Return the pose of the handle, or of another link, in the world at a value of the joint."""
+        """Return the pose of the handle, or of another link, in the world at a position of the joint."""
         key = value, link or self.link
         if key not in self._poses:
             at = self.container.urdf.forward_kinematics({**self._now, self.joint: value}, key[1])
@@ -108,7 +107,7 @@ class Handle:
 
     @cached_property
     def contents(self) -> Mapping[Object, tuple[str, Pose]]:
-        """The objects on or in the moved links: for each the link that carries it, and its pose in the link's frame."""
+        """Objects on or in the moved links, with the link that carries each object and the object's pose in it."""
         carrying = attachment.supported_bodies(
             self.container, attachment.moved_links(self.container.urdf, [self.joint])
         )
@@ -119,10 +118,9 @@ class Handle:
         return found
 
     def grips(self, robot: Object, gripper: Gripper, base: Pose | None = None) -> Sequence[Grip]:
-        """Return the grips of a gripper, the most natural first.
+        """Return the grips of a gripper, the most natural grip first.
 
-        Args:
-            base: assumed pose of the robot's base; its present pose by default.
+        ``base`` is an assumed pose of the robot's base; None for its present pose.
         """
         low, high = self._box()
         middle = (low + high) / 2
@@ -142,7 +140,7 @@ class Handle:
         return grips
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest corner of the handle in its frame; the origin if it has no shapes."""
+        """Return the lowest and the highest corner of the handle in its frame; the origin without shapes."""
         shapes = shapes_of(self.container.model.path, "collision")
         if self.link not in shapes.links:
             return np.zeros(3), np.zeros(3)
@@ -151,7 +149,7 @@ class Handle:
 
     @staticmethod
     def _front(robot: Object, turn: Quaternion, size: np.ndarray, base: Pose | None) -> Quaternion:
-        """Return the orientation of the tool in the world: from the front, with the fingers across the bar."""
+        """Return the orientation of the tool in the world, from the front and with the fingers across the bar."""
         corners = np.array(list(itertools.product((-0.5, 0.5), repeat=3))) * size
         width = np.ptp(corners @ geometry.to_matrix(turn).T, axis=0)
         tool = grasp_orientation("front", robot, base)
@@ -164,7 +162,7 @@ class Handle:
 
 @dataclass(frozen=True, slots=True)
 class HandlePath:
-    """An arm's postures, one for each value of the joint, and the torso's height if that must change."""
+    """Postures of an arm, one for each position of the handle's joint; they contain the torso if it must move."""
 
     values: Sequence[float]
     postures: Sequence[Mapping[str, float]]
@@ -172,18 +170,18 @@ class HandlePath:
 
 @dataclass(frozen=True, slots=True)
 class DeadEnd:
-    """The reason why there is no path."""
+    """Why there is no path of an arm."""
 
-    value: float  # value of the joint that the arm doesn't reach
-    reached: float | None  # the last value that the arm reaches; None if it doesn't reach the first
-    position: Vector  # position of the tool at the value, in the world, m
-    orientation: Quaternion  # orientation of the tool at the value when it comes from the front, xyzw
-    distance: float | None = None  # m between the tool and its goal at the nearest posture; None if the arm reaches it
-    turn: float = 0.0  # rad between the tool and its goal at the nearest posture
-    pairs: Sequence[CollisionPair] = ()  # links that would touch where the arm reaches the value
+    value: float  # position of the handle's joint that the arm doesn't reach
+    reached: float | None  # the last position that the arm reaches; None if it reaches none
+    position: Vector  # position of the tool at ``value``, in the world, m
+    orientation: Quaternion  # orientation of the tool from the front at ``value``, xyzw
+    distance: float | None = None  # m between the tool and its goal in the nearest posture; None if the arm reaches it
+    turn: float = 0.0  # rad between the tool and its goal in the nearest posture
+    pairs: Sequence[CollisionPair] = ()  # links that would touch if the arm reaches ``value``
 
     def rejection(self) -> Rejection:
-        """Return the dead end as the reason why a path is rejected."""
+        """Return the reason for a rejection of the path."""
         if self.pairs:
             return Touching(self.pairs)
         return Contorted(self.value) if self.distance is None else OutOfReach(self.distance, self.turn)
@@ -191,9 +189,9 @@ class DeadEnd:
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """Postures for one value of the joint, the nodes of a layer in the graph of the search."""
+    """Postures for one position of the handle's joint: the nodes of one layer in the graph of the search."""
 
-    joints: Array  # (n, joints) joint values of the arm, rad or m
+    joints: Array  # (n, joints) joint positions of the arm, rad or m
     angles: Array  # (n,) angles of the gripper about the bar, rad
 
 
@@ -208,14 +206,14 @@ def plan_path(
     quick: bool = False,
     choice: Choice = UNRECORDED,
 ) -> HandlePath | DeadEnd:
-    """Return the path of an arm that holds a handle while the handle's joint moves through values.
+    """Return the path of an arm that holds a handle while the handle's joint moves through positions.
 
     Args:
-        robot: its world is locked.
-        values: values of the handle's joint, rad or m, beginning with the present value.
-        base: assumed pose of the robot's base; its present pose by default.
-        others: assumed values of other joints, of other arms or the torso, rad or m; their present values by default.
-        quick: search for a short time; a dead end then proves nothing.
+        robot: the robot; the caller holds the world's lock.
+        values: positions of the handle's joint, rad or m; the first is its present position.
+        base: assumed pose of the robot's base; None for its present pose.
+        others: assumed positions of other joints, such as the torso, rad or m; joints without a value don't move.
+        quick: whether to search for a short time; a dead end then proves nothing.
         choice: receives the results for the grips.
     """
     moved = attachment.moved_links(handle.container.urdf, [handle.joint])
@@ -246,7 +244,7 @@ def plan_path(
 def plan_path_with_torso(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> HandlePath | None:
-    """Return a path with the torso at another height, the nearest that allows one; see :func:`plan_path`."""
+    """Return a path at the nearest other height of the torso that allows a path; see :func:`plan_path`."""
     for height in _torso_heights(robot):
         found = plan_path(robot, arm, handle, values, others=height, choice=choice)
         if isinstance(found, HandlePath):
@@ -255,7 +253,7 @@ def plan_path_with_torso(
 
 
 def _torso_heights(robot: Object) -> list[dict[str, float]]:
-    """Return other heights of the torso, if it has one, nearest first: m by its joint."""
+    """Return other heights of the torso, in m by its joint, nearest first; nothing without a torso."""
     torso = robot.description.torso if robot.description else None
     if torso is None:
         return []
@@ -266,7 +264,7 @@ def _torso_heights(robot: Object) -> list[dict[str, float]]:
 
 
 class _Search:
-    """The search for a path; see :func:`plan_path` for the arguments. ``kept`` are the joints except the arm's."""
+    """The search for a path; see :func:`plan_path`. ``kept`` are positions of joints that aren't the arm's."""
 
     def __init__(
         self,
@@ -297,7 +295,7 @@ class _Search:
         self._hand = checker.links_beyond(arm.joints)
 
     def _base_lifted(self, torso: str, height: float) -> Pose:
-        """Return the pose of the base that brings the arm to the same pose without the torso's motion."""
+        """Return the pose of the base that brings the arm to the same pose as a motion of the torso."""
         robot, joint = self._robot, self._robot.urdf.joint(torso)
         base = robot.get_position_and_orientation()
         below = geometry.multiply(geometry.invert(base), robot.get_link_position_and_orientation(joint.parent))
@@ -306,13 +304,13 @@ class _Search:
         return geometry.multiply(self._base or base, lift)
 
     def path(self, grip: Grip, angles: Sequence[float]) -> HandlePath | DeadEnd:
-        """Return a path for one grip, or the dead end of the longest path."""
+        """Return a path for a grip, or the dead end of the longest path."""
         layers = self._rigid(grip) if len(angles) == 1 else self._turning(grip, angles)
         edges = [self._edges(before, after) for before, after in itertools.pairwise(layers)]
-        free = [np.zeros(len(layer.angles)) for layer in layers]  # infinite for nodes with a collision
+        free = [np.zeros(len(layer.angles)) for layer in layers]  # infinity for nodes with a collision
         obstacles: dict[int, list[CollisionPair]] = {}
         nodes: list[int] = []
-        checked: set[tuple[int, int]] = set()  # nodes; paths have most nodes in common
+        checked: set[tuple[int, int]] = set()  # steps and nodes; paths have most nodes in common
         for _ in range(_MAX_QUICK_PATHS if self._quick else _MAX_PATHS):
             nodes = self._cheapest(layers, edges, free)
             rows = (layers[step].joints[node].tolist() for step, node in enumerate(nodes))
@@ -321,7 +319,7 @@ class _Search:
             checked.update((step, nodes[step]) for step in unchecked)
             touching = False
             candidates = self._checker.predict([postures[step] for step in unchecked], self._base)
-            own_pairs = self._checker.self_pairs(candidates)  # all together: that takes little longer than one
+            own_pairs = self._checker.self_pairs(candidates)  # one call for all, because this takes hardly longer
             for step, candidate, own in zip(unchecked, candidates, own_pairs, strict=True):
                 pairs = self._touching(candidate, own, self._values[step])
                 if pairs:
@@ -338,7 +336,7 @@ class _Search:
         return self._end(grip, layers, len(nodes), obstacles)
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
-        """Return the nodes at which some links have one pose: all nodes for the body's links, many for the hand."""
+        """Return the nodes with the same pose of touching links: all nodes for the body's links, many for the hand."""
         robot = self._robot.name
         own = ([pair.link, pair.body_link] if pair.body == robot else [pair.link] for pair in pairs)
         if any(self._links.isdisjoint(links) for links in own):
@@ -350,14 +348,14 @@ class _Search:
         return alike
 
     def _rigid(self, grip: Grip) -> list[_Layer]:
-        """Return layers with the gripper from the front; each search starts from the posture before."""
+        """Return layers with the gripper from the front; each search starts at the posture before."""
         layers = []
         seed = None
         for pose in self._poses:
             position, orientation = geometry.multiply(pose, grip.tool(0.0))
             target = position, orientation, self._lifted
             (found,) = self._solver.closed_form([target], seed)
-            if not found:  # an arm without a closed form, or one that can't reach the pose
+            if not found:  # the arm has no closed form, or can't reach the pose
                 (found,) = self._solver.search([target], seed=seed)
             rows = [posture.positions for posture in found if posture.reaches()]
             layers.append(self._layer([(row, 0.0) for row in rows]))
@@ -367,11 +365,11 @@ class _Search:
         return layers + [self._layer([])] * (len(self._poses) - len(layers))
 
     def _turning(self, grip: Grip, angles: Sequence[float]) -> list[_Layer]:
-        """Return layers with the gripper turned about the bar."""
+        """Return layers with the gripper at several angles about the bar."""
         tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
         targets = [(*tool, self._lifted) for tool in tools]
         found = self._solver.closed_form(targets)
-        if not any(found) and not (self._quick and self._solver.in_closed_form):  # no closed form, or hardly in reach
+        if not any(found) and not (self._quick and self._solver.in_closed_form):  # there may be other postures
             found = self._solver.search(targets, quick=True)
         count = len(angles)
         return [
@@ -392,7 +390,7 @@ class _Search:
         return _Layer(joints, np.array([angle for _, angle in found]))
 
     def _edges(self, before: _Layer, after: _Layer) -> Array:
-        """Return the costs between the nodes of a layer and of the next one; infinite for impossible steps."""
+        """Return the costs between the nodes of two successive layers; infinity for impossible steps."""
         change = self._change(before.joints, after.joints)
         turning = after.angles - before.angles[:, None]
         costs: Array = (change**2).sum(axis=2) + _TURNING * turning**2
@@ -420,22 +418,21 @@ class _Search:
         return nodes[::-1]
 
     def _change(self, before: Array, after: Array) -> Array:
-        """Return the motion (n, m, joints) between postures (n, joints) and (m, joints), rad or m."""
+        """Return the changes (n, m, joints) between postures (n, joints) and (m, joints), rad or m."""
         change: Array = after - before[:, None]
         change[..., self._endless] = (change[..., self._endless] + math.pi) % (2 * math.pi) - math.pi
         return change
 
     def _touching(self, candidate: PostureCandidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
-        """Return the links that would touch at a value of the joint, also of the door or drawer and its contents.
+        """Return the links that would touch at a position of the joint, also those of the moved door or drawer.
 
-        Args:
-            own_pairs: pairs of the robot's links that could touch in the candidate.
+        ``own_pairs`` are pairs of the robot's links that may touch in the candidate.
         """
         robot = self._robot.name
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
         for body, link, part, pose in self._moving_along(value) if not pairs else ():
             self._clone.engine.set_pose(part, pose)
-            depths: dict[str, float] = {}  # two links may touch with several shapes
+            depths: dict[str, float] = {}  # several shapes of two links may touch
             for touch in self._checker.closest_points(candidate, part):
                 gripped = link == self._handle.link and touch.link_a in self._hand
                 if touch.distance <= -DEPTH and not gripped:
@@ -445,7 +442,7 @@ class _Search:
         return pairs or self._checker.self_collisions(candidate, own_pairs)
 
     def _moving_along(self, value: float) -> Iterator[tuple[str, str, LoadedBody, Pose]]:
-        """Yield name, link, copy and pose of everything that the joint moves at a value: links and carried objects."""
+        """Yield name, link, copy and pose of each link or carried object that the joint moves, at a joint position."""
         container = self._handle.container
         for link in self._handle.moved:
             yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
@@ -456,7 +453,7 @@ class _Search:
     def _end(
         self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]
     ) -> DeadEnd:
-        """Return the reason why all paths end at a step."""
+        """Return the dead end at a step where all paths end."""
         position, orientation = geometry.multiply(self._poses[step], grip.tool(0.0))
         reached = self._values[step - 1] if step else None
         if not len(layers[step].angles):
@@ -468,19 +465,19 @@ class _Search:
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """An arm that could move the handle."""
+    """An arm that could move the handle, perhaps from another place."""
 
-    arm: str
+    arm: str  # name of the arm
     base: Vector | None = None  # position of the robot with its present heading, m; None for its present place
     distance: float = 0.0  # m from the robot's present place
-    parked: str = ""  # another arm that must be parked first; "" for none
+    parked: str = ""  # name of another arm that must be parked first; "" for none
 
     def __str__(self) -> str:
         place = "here" if self.base is None else f"[{', '.join(f'{part:.2f}' for part in self.base[:2])}]"
         return f"{self.arm} arm from {place}"
 
     def phrase(self) -> str:
-        """Return the remedy in words."""
+        """Return the remedy as text."""
         if self.parked:
             return f"the {self.arm} arm can do it from here if the {self.parked} arm is parked"
         if self.base is None:
@@ -496,19 +493,19 @@ class InTheWay:
     arm: str
 
     def phrase(self) -> str:
-        """Return the obstacle in words."""
+        """Return the obstacle as text."""
         return f"the {self.arm} arm is in the way even if it is parked"
 
 
 def arms_in_the_way(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
 ) -> list[Remedy | InTheWay]:
-    """Return for each arm that is in the way of another arm whether parking it helps.
+    """Return, for each arm that is in the way of another arm, whether parking it helps.
 
     Args:
-        robot: its world is locked.
+        robot: the robot; the caller holds the world's lock.
         arm: the arm that has no path.
-        values: values of the handle's joint, rad or m, beginning with the present value.
+        values: positions of the handle's joint, rad or m; the first is its present position.
         pairs: links that would touch.
     """
     found: list[Remedy | InTheWay] = []
@@ -520,7 +517,7 @@ def arms_in_the_way(
 
 
 def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
-    """Return whether a pair has a link of an arm or an object in its hand."""
+    """Return whether a pair contains a link of an arm, or an object in its hand."""
     links = attachment.moved_links(robot.urdf, arm.joints)
     own = {pair.link} if pair.mover == robot.name else set()
     own |= {pair.body_link} if pair.body == robot.name else set()
@@ -531,12 +528,12 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
 def remedies(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> list[Remedy]:
-    """Return remedies for an arm without a path, nearest first; an empty list means that there are none nearby.
+    """Return remedies for an arm without a path, nearest first; an empty list if there are none nearby.
 
     Args:
-        robot: its world is locked.
+        robot: the robot; the caller holds the world's lock.
         arm: the arm that has no path.
-        values: values of the handle's joint, rad or m, beginning with the present value.
+        values: positions of the handle's joint, rad or m; the first is its present position.
         choice: receives the results for the remedies.
     """
     description = robot.description
@@ -566,11 +563,14 @@ def remedies(
 
 
 def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> Remedy | None:
-    """Return the nearest place on a grid from which an arm has a path."""
+    """Return the nearest place on a grid around the robot, with its heading, from which an arm has a path."""
     position, heading = robot.get_position_and_orientation()
     now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
+    steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]
+    nearby = sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at))[1:]  # without the present place
+    bases: list[Pose] = [(geometry.transform(now, (x, y, 0.0)), now[1]) for x, y in nearby]
     tried = 0
-    for base in _promising(robot, arm, handle, values, list(_places(now))):
+    for base in _promising(robot, arm, handle, values, bases):
         remedy = Remedy(arm.name, base[0], math.dist(base[0], position))
         touched = checker.touched(robot, {}, base, all_links=True)
         if touched:
@@ -586,18 +586,10 @@ def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[fl
     return None
 
 
-def _places(now: Pose) -> Iterator[Pose]:
-    """Yield places around the robot with its heading, nearest first."""
-    steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]
-    for x, y in sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at)):
-        if (x, y) != (0.0, 0.0):
-            yield geometry.transform(now, (x, y, 0.0)), now[1]
-
-
 def _promising(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], bases: Sequence[Pose]
 ) -> Iterator[Pose]:
-    """Yield places from which the arm can reach the handle at the first, the middle and the last value."""
+    """Yield places from which the arm can reach the handle at the first, the middle and the last joint position."""
     solver = Solver(robot, arm.tool_frame)
     grip = handle.grips(robot, arm.gripper)[0]
     picked = sorted({0, len(values) // 2, len(values) - 1})

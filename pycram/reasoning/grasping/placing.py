@@ -1,4 +1,4 @@
-"""Putting objects down: the height at which an object rests, how an arm puts it there, and the hand's retreat."""
+"""Putting objects down: the height at which an object rests, the arm's posture, and the hand's retreat."""
 
 from __future__ import annotations
 
@@ -30,27 +30,24 @@ if TYPE_CHECKING:
 
 _ABOVE: Final = 0.05  # m by which the support may be higher than the target
 _BELOW: Final = 0.10  # m by which the support may be lower than the target
-_STEP: Final = 0.005  # m between heights that are tried; a gripper stops at thinner objects as well
-_ACCURACY: Final = 2e-4  # m of the resting height
-_BACK: Final = (0.1, 0.15, 0.2)  # m by which a hand is drawn back; fingers are shorter
-_OVERLAP: Final = 2e-4  # m that shapes at rest overlap anyway
+_STEP: Final = 0.005  # m between tried heights; a gripper also stops at thinner objects
+_ACCURACY: Final = 2e-4  # m, accuracy of the resting height
+_BACK: Final = (0.1, 0.15, 0.2)  # m of a hand's retreat; fingers are shorter
+_OVERLAP: Final = 2e-4  # m, usual overlap of shapes at rest
 _LIFTS: Final = (0.005, 0.01, 0.015)  # m, heights from which an object may be dropped
 _MAX_LIFTED: Final = 4  # maximum number of poses from which an object may be dropped
-_FROM_BELOW: Final = 0.5  # minimum upward part of a unit vector if the hand comes from below
+_FROM_BELOW: Final = 0.5  # minimum upward component of a unit vector of a hand that comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
-_YAWS: Final = 12  # orientations about the vertical that are tried
+_YAWS: Final = 12  # number of tried orientations about the vertical
 
 
 def resting_position(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
-    """Return the position at which an object rests.
+    """Return the target at the height at which an object, on its way down, first touches something.
 
     Args:
-        body: robots and the objects that they hold don't count as its support.
+        body: the object; robots and their held objects can't support it.
         target: xyz, m.
         orientation: xyzw of the object at the target.
-
-    Returns:
-        The target, at the height at which the object first touches something on its way down.
 
     Raises:
         PlaceFailed: There is no room, or no support below the target.
@@ -102,7 +99,7 @@ def _resting_height(
     z = target[2]
     high = z + _ABOVE
     blockers = still = touched(high)
-    while still and high - _STEP >= z:  # a hanging object may leave less room, as in a shelf
+    while still and high - _STEP >= z:  # a hanging object, such as a shelf, may leave less room
         high -= _STEP
         still = touched(high)
     if still:
@@ -129,10 +126,9 @@ def _resting_height(
 
 
 def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | None:
-    """Return joint values of an arm that draw its hand back from a released object; None if there are none.
+    """Return joint positions of an arm that draw its hand back from a released object; None if there are none.
 
-    Args:
-        choice: receives the ways back, with the reasons against them.
+    ``choice`` receives the ways back, with the reasons against them.
     """
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     for back in _BACK:
@@ -162,20 +158,20 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
 class Placement:
     """A way to put an object down."""
 
-    name: str  # unique among the placements
-    pose: Pose  # pose of the object when it is released
-    tool: Pose  # pose of the tool when the object is released
-    posture: Mapping[str, float]  # joint values of the arm by name
-    opened: Mapping[str, float]  # joint values of the open gripper by name
+    name: str  # a unique name among the placements
+    pose: Pose  # pose of the object at its release
+    tool: Pose  # pose of the tool at the object's release
+    posture: Mapping[str, float]  # joint positions of the arm by name
+    opened: Mapping[str, float]  # joint positions of the open gripper by name
 
 
 @dataclass(slots=True)
 class Refusals:
-    """The reasons against poses and postures."""
+    """The reasons against poses and postures for a placement."""
 
-    no_room: list[PlaceFailed] = field(default_factory=list)  # poses without room for the object
-    misses: list[float] = field(default_factory=list)  # m between the nearest posture and its goal
-    # links that would touch, by the name of the object in the way
+    no_room: list[PlaceFailed] = field(default_factory=list)  # failures at poses without room for the object
+    misses: list[float] = field(default_factory=list)  # m between the nearest postures and their goals
+    # links that would touch, by name of the object in the way
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
     low: list[Pose] = field(default_factory=list)  # poses in which the hand would touch the support of the object
     no_path: list[NoPath] = field(default_factory=list)  # failed searches for a path to a good posture
@@ -194,17 +190,17 @@ def placements(
     quickly: bool = False,
     rests: dict[Quaternion, Vector | PlaceFailed] | None = None,
 ) -> Iterator[Placement]:
-    """Yield ways for an arm to put down the object that it holds, without a collision even when the fingers open.
+    """Yield ways for an arm to put down its held object without a collision, also when the fingers open.
 
     Args:
-        robot: its world is locked.
+        robot: the robot; the caller holds the world's lock.
         target: xyz in m.
-        orientation: xyzw; None for upright with a natural heading.
+        orientation: xyzw; None for upright with a natural yaw.
         refusals: receives the reasons against other poses and postures.
         choice: receives the reasons by pose.
-        base: assumed pose of the robot's base; its present pose by default.
-        quickly: search for a short time; an empty result then proves nothing.
-        rests: known results by orientation: the resting position, or why there is none; receives new results.
+        base: assumed pose of the robot's base; None for its present pose.
+        quickly: whether to search for a short time; an empty result then proves nothing.
+        rests: resting positions by orientation, or why there is none; new results are added.
     """
     body_T_tool = geometry.multiply(
         geometry.invert(body.get_position_and_orientation()),
@@ -249,9 +245,9 @@ def placements(
 
 
 def _pressed(checker: CollisionChecker, candidate: PostureCandidate, arm: Arm, body: Object) -> list[CollisionPair]:
-    """Return the links of the arm, except the hand's, that would push the released object: a wrist may overlap it.
+    """Return the links of the arm, without its hand, that would push the released object.
 
-    While the arm holds the object, such overlaps are allowed, as between neighbouring links.
+    While the arm holds the object, these overlaps are allowed; a wrist, for example, may overlap the object.
     """
     robot = checker.robot
     points = checker.closest_points(candidate, clone_of(robot.world, "reach").body(body.name))
@@ -274,13 +270,13 @@ def _poses(
     choice: Choice,
     rests: dict[Quaternion, Vector | PlaceFailed],
 ) -> Iterator[tuple[Pose, bool, float]]:
-    """Yield poses in which an object may be put down for a quick search, then all of them again for a thorough search.
+    """Yield poses in which an object may be put down: first for a quick search, then again for a thorough search.
 
-    The last poses are a little higher. From these the object is dropped, because only the hand would touch the
-    support: an object may stick out on both sides of a narrow support, and hang lower there than the fingers.
+    The last poses are a little higher, and the object is dropped from them. An object may stick out on both sides of a
+    narrow support and hang lower than the fingers, so the hand would touch the support.
 
     Yields:
-        The pose, whether to search quickly, and its height in m above the resting position.
+        The pose, whether the search is quick, and the pose's height in m above the resting position.
     """
     tried: list[Pose] = []
     for turn in turns:
@@ -290,7 +286,7 @@ def _poses(
             except PlaceFailed as failure:
                 rests[turn] = failure
         position = rests[turn]
-        if isinstance(position, PlaceFailed):  # there may be room in other orientations
+        if isinstance(position, PlaceFailed):  # other orientations may have room
             refusals.no_room.append(position)
             choice.reject(_name(turn), NoRoom(position.reason))
             continue
@@ -303,7 +299,7 @@ def _poses(
 
 
 def _name(turn: Quaternion) -> str:
-    """Return a name that is unique among the orientations of an object."""
+    """Return a unique name among the orientations of an object."""
     x, y, _ = geometry.rotate(turn, (1.0, 0.0, 0.0))
     upside_down = geometry.rotate(turn, (0.0, 0.0, 1.0))[2] < 0.0
     return f"yaw {math.degrees(math.atan2(y, x)):.0f}{' upside down' if upside_down else ''}"
@@ -312,7 +308,7 @@ def _name(turn: Quaternion) -> str:
 def _orientations(
     robot: Object, body: Object, body_T_tool: Pose, orientation: Sequence[float] | None, base: Pose | None
 ) -> Iterator[Quaternion]:
-    """Yield orientations in which an object may be put down, the most natural for the arm first.
+    """Yield orientations in which an object may be put down; the arm's most natural orientation comes first.
 
     An object that was taken upside down stays upside down if the hand would otherwise have to come from below.
     """
