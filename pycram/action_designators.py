@@ -30,18 +30,18 @@ def closing(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Closes a drawer or door by its handle, from a place where an arm can hold it all the way.
+    """Closes a drawer or door by its handle.
 
     Args:
-        container: A container of furniture, its name, or the furniture itself with joint and handle.
-        joint: Name of its joint, if the furniture itself is given.
-        handle: Link of its handle, if the furniture itself is given.
-        arm: Name of the arm; by default any arm that reaches.
-        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
-        orientation: A quaternion [x, y, z, w] of the robot's base there.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        container: A container of furniture, its name, or the furniture itself.
+        joint: Name of the container's joint, if ``container`` is the furniture.
+        handle: Link of the container's handle, if ``container`` is the furniture.
+        arm: Name of the arm; by default any arm within reach.
+        place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
+        orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -67,16 +67,16 @@ def delivering(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Drives to a place where it reaches a target, puts down an object that a hand holds, and folds the arms.
+    """Drives to a place within reach of a target, puts down an object that a hand holds, and folds the arms.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
-        put: The exact place, a LocationDesignator with a position; by default the places of the target.
-        place: Place of the robot, a LocationDesignator; by default places from which it reaches the target.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        put: Exact place of the object, a LocationDesignator with a position; by default places of the target.
+        place: Place of the robot, a LocationDesignator; by default places within reach of the target.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -101,17 +101,18 @@ def fetching(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Drives to a place where it reaches an object, and takes it; clears obstacles away.
+    """Drives to a place within reach of an object, and takes the object; clears obstacles away.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         arm: Name of the arm; by default all free arms are tried.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
-        place: Place of the robot, a LocationDesignator; by default places from which it reaches the object.
+        grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
+            side.
+        place: Place of the robot, a LocationDesignator; by default places within reach of the object.
         clear: Whether to clear obstacles away first; by default only after they caused a failure.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -137,22 +138,22 @@ def handing_over(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Passes an object from one hand to another hand, in front of the robot, and returns it.
+    """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The other hand grasps it next to the first hand, which then releases it. If the robot doesn't hold the object, or
-    has no other gripper, the action fails before anything moves.
+    The other hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
+    object, or has no other gripper, the action fails before anything moves.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
-        arm: Name of the arm that takes it; by default any other arm.
+        arm: Name of the arm that takes the object; by default any other arm.
         target: Place of the giving hand's tool, [x, y, z] in m, or an Object (its middle); by default a place that both
             arms reach.
-        orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
-        place: Place of the robot, a LocationDesignator; by default its present place; if necessary, it turns away from
+        orientation: Orientation of the giving hand's tool at that place, a quaternion [x, y, z, w].
+        place: Place of the robot, a LocationDesignator; by default its present place, if necessary turned away from
             obstacles.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -202,9 +203,9 @@ def looking(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         target: A LocationDesignator, the name of a surface (to its middle), an Object, or [x, y, z] in m, world frame.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("looking", object=object, target=target, budget=budget, projected=projected))
 
@@ -219,12 +220,12 @@ def navigating(
     """Drives to a place, unless the robot is there.
 
     Args:
-        target: A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame.
-        orientation: A quaternion [x, y, z, w] of its base, world frame; by default the orientation of the place; if it
-            has none, unchanged.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        target: A LocationDesignator for the robot, or the position [x, y, z] of its base in m, world frame.
+        orientation: Orientation of the base, a quaternion [x, y, z, w] in the world frame; by default that of the
+            place, else unchanged.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -249,19 +250,20 @@ def opening(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Opens a drawer or door by its handle, from a place where an arm can hold it all the way; returns the arm.
+    """Opens a drawer or door by its handle; returns the name of the arm.
 
     Args:
-        container: A container of furniture, its name, or the furniture itself with joint and handle.
-        joint: Name of its joint, if the furniture itself is given.
-        handle: Link of its handle, if the furniture itself is given.
-        arm: Name of the arm; by default any arm that reaches.
-        distance: Width in m, or angle in rad of a door; by default up to 0.4 m or 1.2 rad, or down to half of this.
-        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
-        orientation: A quaternion [x, y, z, w] of the robot's base there.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        container: A container of furniture, its name, or the furniture itself.
+        joint: Name of the container's joint, if ``container`` is the furniture.
+        handle: Link of the container's handle, if ``container`` is the furniture.
+        arm: Name of the arm; by default any arm within reach.
+        distance: Width of a drawer in m, or angle of a door in rad; by default 0.4 m or 1.2 rad, or at least half of
+            it.
+        place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
+        orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -285,13 +287,13 @@ def parking_arms(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Folds the arms that aren't folded, together if possible, with the objects that they hold.
+    """Folds the arms, if possible together, and with the objects that they hold.
 
     Args:
-        arm: Name of the arm; all by default.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        arm: Name of the arm; by default all arms.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("parking-arms", arm=arm, budget=budget, projected=projected))
 
@@ -302,16 +304,16 @@ def perceiving(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Turns the camera to the believed place of an object, and detects it there; returns the object.
+    """Turns the camera to the believed place of an object, detects the object and returns it.
 
-    Without a belief, the object is detected in the present view. A robot without a camera gets its place from the state
-    of the world. The action fails with PerceptionError if the object isn't seen.
+    Without a belief, the action detects the object in the present view. Without a camera, it uses the state of the
+    world. The action fails with PerceptionError if the robot doesn't see the object.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("perceiving", object=object, budget=budget, projected=projected))
 
@@ -329,10 +331,11 @@ def picking_up(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         arm: Name of the arm; by default all free arms are tried.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
+            side.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -359,10 +362,10 @@ def placing(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
-        orientation: A quaternion [x, y, z, w] of the object there, world frame; upright by default.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        orientation: Orientation of the object, a quaternion [x, y, z, w] in the world frame; by default upright.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(
@@ -382,18 +385,18 @@ def searching(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Searches an object until the camera sees it, and returns it.
+    """Searches an object until the camera sees it, and returns the object.
 
-    The search begins at the object's believed place. Then it covers all surfaces, the nearest first: from the robot's
-    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside (if
-    necessary, from the front) and closes them again. The action fails with ObjectNotFound, which names the searched
-    places. A robot without a camera asks the state of the world.
+    The search begins at the believed place of the object. Then the robot looks at all surfaces, the nearest first: from
+    its present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside and
+    closes them. The action fails with ObjectNotFound, which names the searched places. A robot without a camera uses
+    the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("searching", object=object, budget=budget, projected=projected))
 
@@ -410,20 +413,21 @@ def transporting(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Fetches an object and delivers it; opens its drawer or door, and closes it finally.
+    """Fetches an object and delivers it; opens the drawer or door of the object, and closes it at the end.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         target: Its new place: a LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m,
             world frame.
         arm: Name of the arm; by default all free arms are tried.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
-        place: Place of the robot when it takes the object, a LocationDesignator; by default places within reach.
+        grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
+            side.
+        place: Place of the robot for taking the object, a LocationDesignator; by default places within reach.
         clear: Whether to clear obstacles away first.
-        close: Whether to close opened drawers and doors finally, if possible.
-        budget: Number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries
-            of the action around it.
-        projected: Whether the best choices are imagined first; False by default.
+        close: Whether to close opened drawers and doors at the end, if possible.
+        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
+            the outer action.
+        projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(
         filled(

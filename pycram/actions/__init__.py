@@ -1,11 +1,11 @@
-"""Actions of a robot, by goal (CRAM): designators of actions, objects and places, and functions that perform them.
+"""Actions of a robot (CRAM): designators of actions, objects and places, and functions that perform actions.
 
 ``perform(ActionDesignator(type="transporting", object=..., target=...))`` chooses an arm, a grasp and a place to stand.
-When a choice fails, it tries the next choice, until its budget is spent; then its failure lists the tries. Each action
-is a function, written in the plan language; ``@action("transporting")`` replaces it.
+If a choice fails, the action tries the next choice until its budget is spent; then its failure lists the tries. Each
+action is a function in the plan language; ``@action("transporting")`` replaces the function.
 """
 
-from pycram.actions import (  # noqa: F401  they register the actions
+from pycram.actions import (  # noqa: F401  these modules register the actions
     carrying,
     containers,
     hands,

@@ -1,8 +1,7 @@
 """Actions: goals of a robot, as plain functions of the plan language (CRAM).
 
-``@action("fetching")`` makes a function the action of that type, in place of an earlier function. Its signature and
-docstring define slots, defaults and units. Its *choices* yield values for the open slots, the best first, each found
-when it is needed.
+``@action("fetching")`` makes a function the action of that type, and replaces an earlier function. Its signature and
+docstring define slots, defaults and units. Its *choices* yield values for the open slots on demand, the best first.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 Result_co = TypeVar("Result_co", covariant=True)
-#: Called with an action's slots; yields values for the open slots, or other values.
+#: A function that is called with an action's slots; it yields values for the open slots.
 Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
 
 
@@ -98,7 +97,7 @@ def _place_for_the_robot(name: str, value: Any) -> Any:
 def _portable(name: str, value: Any) -> Any:
     wanted = thing(name, value)
     if all(body.fixed for body in candidates_of(wanted)):
-        raise BadArgument(name, value, "an object that can be taken; robots and the environment can't")
+        raise BadArgument(name, value, "an object that a gripper can take, so no robot and no environment")
     return wanted
 
 
@@ -121,17 +120,17 @@ def _flag(name: str, value: Any) -> Any:
     return value
 
 
-_ANYTHING: Final = ValueKind("Whatever the action takes", _anything)
+_ANYTHING: Final = ValueKind("Any value that the action accepts", _anything)
 _LOCATION: Final = ValueKind("A LocationDesignator", _location, "LocationDesignator")
 _FLAG: Final = ValueKind("True or False", _flag, "bool")
-_BUDGET: Final = ValueKind("A whole number from 0 up", _budget, "int")
+_BUDGET: Final = ValueKind("A whole number, 0 or more", _budget, "int")
 _THING: Final = "Object | ObjectDesignator | str"
 _PLACE: Final = "LocationDesignator | Surface | Object | str | Sequence[float]"
 
-#: An object that a gripper can take: neither a robot nor furniture.
-portable: Final = ValueKind("An object that can be taken", _portable, _THING)
-#: A place where an object can be put down.
-place_for_an_object: Final = ValueKind("A place where an object can be put", _place_for_an_object, _PLACE)
+#: An object that a gripper can take, so no robot and no furniture.
+portable: Final = ValueKind("An object that a gripper can take", _portable, _THING)
+#: A place where the robot can put down an object.
+place_for_an_object: Final = ValueKind("A place where the robot can put the object", _place_for_an_object, _PLACE)
 #: A place where the robot can stand.
 place_for_the_robot: Final = ValueKind(
     "A place where the robot can stand", _place_for_the_robot, "LocationDesignator | Sequence[float]"
@@ -144,7 +143,7 @@ looked_at: Final = ValueKind(
     _PLACE,
 )
 
-#: The checks of the slots of PyCRAM's own actions, by name.
+#: The checks of the slots of PyCRAM's actions, by the names of slots.
 _BY_SLOT: Final[Mapping[str, Check]] = {
     "object": ValueKind("An Object of a world, an ObjectDesignator, or a type of objects", thing, _THING),
     "target": ValueKind("A LocationDesignator, a surface, an Object, or [x, y, z] in m, world frame", _place, _PLACE),
@@ -160,10 +159,10 @@ _COMMON: Final = (
     Slot(
         "budget",
         _BUDGET,
-        text="number of tries that may fail, including tries of its subactions; by default 20, or the remaining tries "
-        "of the action around it",
+        text="number of tries that may fail, including tries of subactions; by default 20, or the remaining tries "
+        "of the outer action",
     ),
-    Slot("projected", _FLAG, text="whether the best choices are imagined first; False by default"),
+    Slot("projected", _FLAG, text="whether to try the best choices in projections first; False by default"),
 )
 
 
@@ -174,20 +173,20 @@ _COMMON: Final = (
 class ActionType(SlotTable):
     """A type of actions."""
 
-    function: Callable[..., Any]  # performs it when everything is chosen
-    choices: Choices | None = None  # finds values of open slots; None if there is nothing to choose
-    prepare: Callable[..., Any] | None = None  # called before choices are found
+    function: Callable[..., Any]  # performs the action with values for all slots
+    choices: Choices | None = None  # yields values of open slots; None if the action has nothing to choose
+    prepare: Callable[..., Any] | None = None  # called before ``choices``
     text: str = ""  # the first lines of the function's docstring
 
     @property
     def recorded_as(self) -> str:
-        """The function's name in records; for PyCRAM's own actions it doesn't depend on their file."""
+        """Name of the function in records; for PyCRAM's actions, the name doesn't depend on the file."""
         if self.function.__module__.startswith(f"{__package__}."):
             return f"{__package__}.{self.function.__name__}.{self.function.__name__}"
         return qualified_name(self.function)
 
     def call(self, slots: Mapping[str, Any]) -> Any:
-        """Perform it with all slots chosen, and return the function's result."""
+        """Perform the action with values for all slots, and return the result."""
         return self.function(**arguments(self.function, slots))
 
 
@@ -201,11 +200,11 @@ class Action(Protocol[P, Result_co]):
     """A function that performs the actions of a type."""
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> Result_co:
-        """Perform it with all slots chosen."""
+        """Perform the action with values for all slots."""
 
     @staticmethod
     def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
-        """Return a designator of the action, with the function's arguments as slots; None leaves a slot open."""
+        """Return a designator whose slots are the arguments of the function; None leaves a slot open."""
 
 
 TYPES: Final[dict[str, ActionType]] = {}
@@ -219,17 +218,17 @@ def action(
     checked: Mapping[str, Check] | None = None,
     one_of: Sequence[str] = (),
 ) -> Callable[[Callable[P, Result_co]], Action[P, Result_co]]:
-    """Decorate a function that performs the actions of a type, in place of an earlier function.
+    """Decorate a function that performs the actions of a type. It replaces an earlier function.
 
-    The function gets an attribute ``designator``: a function with the same parameters, which returns a designator of
-    the action, such as ``perform(tidying_up.designator(object=milk))``.
+    The function gets an attribute ``designator``: a function with the same parameters that returns a designator of the
+    action, as in ``perform(tidying_up.designator(object=milk))``.
 
     Args:
-        name: The type, such as "fetching".
-        choices: A generator function that yields values of slots by name, the best first; each is tried in turn. It
-            is called with the slots that are its parameters. Other slots keep their values if they are given.
-        prepare: Called with its slots before choices are found, for example to search an object. If it is a generator
-            function, the code after its only ``yield`` runs when the action has succeeded or failed.
+        name: Type of the actions, such as "fetching".
+        choices: A generator function that yields values of slots by name, the best first; the action tries them in
+            order. The parameters of the function are names of slots. Other slots keep the values that the plan gave.
+        prepare: Called with its slots before ``choices``, for example to search an object. If it is a generator
+            function, the code after its only ``yield`` runs after the action.
         checked: Checks of slots by name; PyCRAM knows the slots of its own actions.
         one_of: Slots of which exactly one is required.
 
@@ -243,9 +242,9 @@ def action(
 
         def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
             given = inspect.signature(function).bind_partial(*args).arguments
-            return ActionDesignator(filled(name, **given, **kwargs))  # performing it checks its slots
+            return ActionDesignator(filled(name, **given, **kwargs))  # perform() checks the slots
 
-        with suppress(AttributeError):  # bound methods have no attributes of their own
+        with suppress(AttributeError):  # bound methods can't have further attributes
             cast("Any", function).designator = wraps(function)(designator)
         return cast("Action[P, Result_co]", function)
 
@@ -256,10 +255,10 @@ def action(
 def replaced(
     name: str, function: Callable[..., Any], *, choices: Choices | None = None
 ) -> Iterator[Callable[..., Any]]:
-    """Let a function perform the actions of a type in the ``with`` block.
+    """Let a function perform the actions of a type during the ``with`` block.
 
     Raises:
-        BadArgument: The function lacks slots of the action that it replaces.
+        BadArgument: The function lacks slots of the replaced action.
     """
     before = TYPES.get(name)
     taken = {slot_name(parameter) for parameter in inspect.signature(function).parameters}
@@ -289,7 +288,7 @@ def _type(
     table = []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind not in (parameter.KEYWORD_ONLY, parameter.POSITIONAL_OR_KEYWORD):
-            raise BadArgument("function", qualified_name(function), "a function whose parameters have names")
+            raise BadArgument("function", qualified_name(function), "a function that takes keyword arguments")
         slot = slot_name(parameter.name)
         required = parameter.default is parameter.empty
         check = checked.get(slot) or _BY_SLOT.get(slot, _ANYTHING)
@@ -308,7 +307,7 @@ def _type(
 
 
 def _texts(function: Callable[..., Any]) -> dict[str, str]:
-    """Return the texts of a function's parameters in its docstring."""
+    """Return the texts about a function's parameters in its docstring."""
     _, _, section = (inspect.getdoc(function) or "").partition("Args:\n")
     found: dict[str, str] = {}
     name = ""
@@ -328,9 +327,9 @@ class ActionDesignator(ResolvedDesignator):
 
     ``help(pycram.action_designators)`` lists PyCRAM's types of actions and their slots.
 
-    Its solutions are its slots with all open slots chosen, the best choice first. The action itself resolves the
-    designators among its slots, because it may have to search an object first. A resolver's solutions have the type of
-    the action in ``action``.
+    A solution has the given slots and values for the open slots; the best solution comes first. The action itself
+    resolves designators in its slots, because it may have to search an object first. If a resolver is added, its
+    solutions have the type of the action in ``action``.
     """
 
     performed_by = "pycram.actions.perform"
@@ -340,7 +339,7 @@ class ActionDesignator(ResolvedDesignator):
         return resolve
 
     def check(self) -> None:
-        """Check its slots as far as possible without a search."""
+        """Check the slots as far as possible without a search."""
         _checked(self)
 
 
@@ -352,10 +351,10 @@ def _checked(designator: ActionDesignator) -> tuple[ActionType, dict[str, Any]]:
 
 
 def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
-    """Prepare an action before its choices are found; after the ``with`` block, finish the preparation."""
+    """Prepare an action; after the ``with`` block, run the rest of its generator function ``prepare``."""
     try:
         kind, given = _checked(designator)
-    except DesignatorError:  # a resolver of the plan may know its slots
+    except DesignatorError:  # a resolver of the plan may know the slots
         return nullcontext()
     if kind.prepare is None:
         return nullcontext()
@@ -375,7 +374,7 @@ def resolve(designator: ActionDesignator) -> Iterator[Solution]:
 
 
 def _open_choices(kind: ActionType, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield the choices of an action, without values for given slots that its ``choices`` doesn't know about."""
+    """Yield the choices of an action, without values for given slots that aren't parameters of ``choices``."""
     if kind.choices is None:
         yield {}
         return
@@ -383,17 +382,13 @@ def _open_choices(kind: ActionType, given: Mapping[str, Any]) -> Iterator[Mappin
     nothing_left = False
     for choice in kind.choices(**arguments(kind.choices, given)):
         left = {slot: value for slot, value in choice.items() if slot in known or slot not in given}
-        if left or not choice or not nothing_left:  # choices of given slots alone are all the same
+        if left or not choice or not nothing_left:  # choices that only repeat given slots are equal
             yield left
         nothing_left |= bool(choice) and not left
 
 
 def type_of(solution: Solution) -> ActionType:
-    """Return the type of a solution's action.
-
-    Raises:
-        DesignatorError: There is no such type, or it has no such slots.
-    """
+    """Return the type of a solution's action; raise DesignatorError for an unknown type or an unknown slot."""
     name = solution.get("action")
     if not isinstance(name, str) or name not in TYPES:
         problem = f"the solution has the unknown action {name!r}{did_you_mean(name, TYPES)}"

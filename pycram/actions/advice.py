@@ -1,6 +1,6 @@
-"""Advice on an object that no arm could take: to turn it, or to slide it to an edge.
+"""Advice on an object that no arm could take: to turn the object, or to slide it to an edge.
 
-Each move is tried in a copy of the process. Only reasoning runs there, no code of the plan, and nothing is recorded.
+A copy of the process tries each move. Only reasoning runs in the copy, no code of the plan, and nothing is recorded.
 """
 
 from __future__ import annotations
@@ -44,18 +44,18 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
 
 _TURNS: Final = (30, 60, 90, 120, 150)  # degrees about the vertical
-_FAR: Final = (90, 30)  # likewise, if the robot may drive: each try searches for a place of the robot
-_ON: Final = 0.02  # m between an object's underside and the surface on which it lies
-_INSIDE: Final = 0.02  # m from an edge to the middle of an object that is slid there; it doesn't fall
-_EDGES: Final = 4  # nearest edges that are tried; half of them if the robot may drive
-_SETTLES: Final = STEPS_PER_SECOND // 4  # steps until it is at rest
-_MOVED: Final = 0.02  # m, and rad, by which it may move on its way to rest
-_LEANT: Final = math.radians(10)
-_SAME: Final = 1e-3  # m between an object and a target at it
+_FAR: Final = (90, 30)  # degrees, if the robot may drive; fewer, because each try searches for a place of the robot
+_ON: Final = 0.02  # m, maximum distance between an object's underside and its surface
+_INSIDE: Final = 0.02  # m, distance of a slid object's middle from the edge
+_EDGES: Final = 4  # number of nearest edges that are tried; half as many if the robot may drive
+_SETTLES: Final = STEPS_PER_SECOND // 4  # simulated steps until a moved object is at rest
+_MOVED: Final = 0.02  # m, maximum motion of the object while it comes to rest
+_LEANT: Final = math.radians(10)  # maximum turn of the object while it comes to rest
+_SAME: Final = 1e-3  # m, maximum distance between an object and a target at the object
 
 
 def advice(failure: PlanFailure, action: ActionDesignator) -> str:
-    """Return the moves of an action's object after which the robot can take it, in words; "" if no tried move helps."""
+    """Return texts of moves after which the robot can take an action's object; "" if no tried move helps."""
     slots, failures = dict(action.description), list(_failures(failure))
     robot, given = BulletWorld.current_robot(), candidates_of(thing("object", unwrap(slots["object"])))
     untaken = [body for body in given if failures and all(_untaken(each, body) for each in failures)]
@@ -76,21 +76,21 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
     for moves in (turns, slides) if free else ():
         helps = first_true([partial(_helps, robot, body, pose, free, grasp, moves_base) for _, pose in moves])
         found += [moves[helps][0].replace("{}", "it" if found else body.name, 1)] if helps is not None else []
-    return f"{' or '.join(found)}, then it can be taken" if found else ""
+    return f"{' or '.join(found)}, then the robot can take it" if found else ""
 
 
 def _failures(failure: BaseException) -> Iterator[BaseException]:
-    """Yield the failures of an action's tries, and of the tries of its subactions; the action's own without tries."""
+    """Yield the failures of the tries of an action and of its subactions; without tries, the action's failure."""
     tried = getattr(failure, "tried", ())
     for each in tried:
-        if not isinstance(each.failure, ReasoningError):  # what is in the way couldn't be cleared away
+        if not isinstance(each.failure, ReasoningError):  # skip obstacles that couldn't be cleared away
             yield from _failures(each.failure)
     if not tried:
         yield failure
 
 
 def _untaken(failure: BaseException, body: Object) -> bool:
-    """Return whether a failure says that an arm couldn't take an object as it lies."""
+    """Return whether a failure means that an arm couldn't take an object in its present pose."""
     if isinstance(failure, NoPlace):
         return failure.last == f"reach {body.name}"
     if isinstance(failure, GraspFailed):
@@ -99,7 +99,7 @@ def _untaken(failure: BaseException, body: Object) -> bool:
 
 
 def _turned(body: Object, turns: Sequence[int]) -> Iterator[tuple[str, Pose]]:
-    """Yield poses of an object without its lean, turned about its middle, with the advice; {} is for its name."""
+    """Yield advice, and poses of an upright object that is turned about its middle; {} represents its name."""
     x, y, z = center(body)
     from_middle = geometry.multiply(((-x, -y, -z), geometry.IDENTITY[1]), body.get_position_and_orientation())
     for degrees in turns:
@@ -108,7 +108,7 @@ def _turned(body: Object, turns: Sequence[int]) -> Iterator[tuple[str, Pose]]:
 
 
 def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
-    """Yield poses of an object slid straight to the nearest edges of the surface below it, with the advice."""
+    """Yield advice, and poses of an object after sliding straight to the nearest edges of its surface."""
     here = body.get_position_and_orientation()
     middle, bottom = body.world.engine.center_of_mass(body.handle)[0], body.get_AABB()[0][2]
     moves = []
@@ -119,7 +119,7 @@ def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
             if abs(bottom - pose[0][2]) > _ON or geometry.margin_in_polygon(surface.outline, (x, y)) < 0.0:
                 continue
             for a, b in itertools.pairwise([*surface.outline, surface.outline[0]]):
-                u, v = (b[1] - a[1]) / math.dist(a, b), (a[0] - b[0]) / math.dist(a, b)  # outward, unit vector
+                u, v = (b[1] - a[1]) / math.dist(a, b), (a[0] - b[0]) / math.dist(a, b)  # unit vector, outward
                 way = (a[0] - x) * u + (a[1] - y) * v - _INSIDE
                 moves.append((way, geometry.rotate(pose[1], (way * u, way * v, 0.0)), surface.name))
     for way, move, name in sorted(moves)[:_EDGES]:
@@ -130,8 +130,8 @@ def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
 
 
 def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, moves_base: bool) -> bool:
-    """Move an object in a copy of the process, and return whether it comes to rest there and can be taken."""
-    engine = body.world.engine  # no change of a world for the plan: none of its handlers is called
+    """Move an object, in a copy of the process; return whether it comes to rest and the robot can take it."""
+    engine = body.world.engine  # not by a transaction, which would call handlers of the plan
     with body.world.lock:
         there = resting_position(body, *pose), pose[1]
         engine.set_pose(body.handle, there)

@@ -1,4 +1,4 @@
-"""Carrying objects: transporting fetches and delivers; fetching clears obstacles away."""
+"""Carrying objects: the actions fetching, delivering and transporting."""
 
 from __future__ import annotations
 
@@ -37,24 +37,21 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
-_MAX_PLACES: Final = 6  # places with room for the hand that are tried before others
-_MOVED: Final = 0.05  # m between an object and its belief, above which the belief is wrong
-_IN_THE_WAY: Final = 2  # objects that are cleared away, one after the other
+_MAX_PLACES: Final = 6  # maximum number of places from which fetching is tried
+_MOVED: Final = 0.05  # m; a belief with a larger error is wrong
+_IN_THE_WAY: Final = 2  # maximum number of times that obstacles are cleared away
 _BESIDE: Final = 0.5  # m, maximum distance of an obstacle from an object
-_NEAREST: Final = 3  # surfaces to which an obstacle may be cleared away
-_STANCES: Final = 2  # places of the robot that are tried for a place of the object
-_MAX_UNREACHABLE: Final = 6  # unreachable places of the object, after which the search ends
-_CLOSING_TRIES: Final = 4  # failed tries of closing
+_NEAREST: Final = 3  # number of surfaces that may receive an obstacle
+_STANCES: Final = 2  # number of places of the robot that are tried for each place of the object
+_MAX_UNREACHABLE: Final = 6  # number of unreachable places of the object after which the search ends
+_CLOSING_TRIES: Final = 4  # budget of closing
 
-#: Objects that wait until other objects are cleared away, outermost first.
+#: Objects that can't be taken before other objects are cleared away, the outermost first.
 _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=())
 
 
 def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
-    """Find an object, open its container and fold the arms; return the opened containers.
-
-    The search for places of the robot needs folded arms.
-    """
+    """Find an object, open its container, and fold the arms for the search for places; return opened containers."""
     arms()
     closed = [access for access, _ in containers() if access.is_closed]
     body = _found(object)
@@ -67,7 +64,7 @@ def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
 
 
 def _found(thing: Any) -> Any:
-    """Return the object of a designator, after a search if its place is unknown."""
+    """Return the object of a designator; search the object if its place is unknown."""
     if isinstance(thing, ObjectDesignator):
         try:
             body = object_of(thing)
@@ -76,7 +73,7 @@ def _found(thing: Any) -> Any:
             return object_of(thing)
         belief = believed(body)
         if belief is not None and math.dist(belief.position, body.get_position()) > _MOVED:
-            perform(ActionDesignator(type="searching", object=body))  # looks there first
+            perform(ActionDesignator(type="searching", object=body))  # begins at the believed place
         return body
     return thing
 
@@ -87,7 +84,7 @@ def _fetching_choices(
     place: LocationDesignator | None = None,
     grasp: str | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places of the robot and arms to take an object; last, places that need obstacles cleared away."""
+    """Yield arms and places of the robot for taking an object; at last, choices that clear obstacles away."""
     body = object_of(object)
     if holder(body) is not None:
         yield {}
@@ -102,7 +99,7 @@ def _fetching_choices(
     except NoPlace as failure:
         nowhere = failure
     if holder(body) is None and _crowded(body):
-        if not drives(BulletWorld.current_robot()):  # the robot can only stay where it is
+        if not drives(BulletWorld.current_robot()):  # the robot can't choose its place
             yield from ({"arm": each, "clear": True} for each in free)
         else:
             with suppress(NoPlace):
@@ -114,7 +111,7 @@ def _fetching_choices(
 def _from_places(
     body: Object, free: Sequence[str], reach: Target, grasp: str | None = None
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places from which a target is reachable, and arms, until an arm has taken the object."""
+    """Yield arms, and places from which they reach a target, until an arm has taken the object."""
     robot = BulletWorld.current_robot()
     for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free, grasp=grasp), _MAX_PLACES):
         for arm in spot.arms:
@@ -135,13 +132,14 @@ def fetching(
     place: Any = None,
     clear: bool = False,
 ) -> Any:
-    """Drives to a place where it reaches an object, and takes it; clears obstacles away.
+    """Drives to a place within reach of an object, and takes the object; clears obstacles away.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         arm: Name of the arm; by default all free arms are tried.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
-        place: Place of the robot, a LocationDesignator; by default places from which it reaches the object.
+        grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
+            side.
+        place: Place of the robot, a LocationDesignator; by default places within reach of the object.
         clear: Whether to clear obstacles away first; by default only after they caused a failure.
     """
     body = object_of(object)
@@ -153,7 +151,7 @@ def fetching(
     for attempt in failure_handling(_IN_THE_WAY).on(Blocked, lambda _: _clear_away(body, arm)):
         with attempt:
             go(place)
-            with suppress(PlanFailure):  # if the object is hidden from here, its belief is used
+            with suppress(PlanFailure):  # if the object is hidden, the robot uses its belief
                 perform(ActionDesignator(type="perceiving", object=body))
             perform(ActionDesignator(type="picking-up", object=body, arm=arm, grasp=grasp))
     park()
@@ -161,17 +159,17 @@ def fetching(
 
 
 def _crowded(body: Object) -> bool:
-    """Return whether there is a possible obstacle near an object."""
+    """Return whether another movable object, a possible obstacle, is near an object."""
     others = [each for each in body.world.objects if each is not body and not each.fixed and not each.is_robot]
     free = [each for each in others if each.carrier is None and each not in _waiting.get()]
     return any(math.dist(each.get_position(), body.get_position()) < _BESIDE for each in free)
 
 
 def _clear_away(body: Object, arm: str | None) -> None:
-    """Put the objects that block an arm's way to an object elsewhere.
+    """Move the objects that block an arm's way to an object to other surfaces.
 
     Raises:
-        ReasoningError: The blocking objects can't be moved, or wait for this object itself.
+        ReasoningError: No blocking object can be moved, or a blocking object can't be taken before this object.
     """
     robot = BulletWorld.current_robot()
     description = robot.description
@@ -180,19 +178,19 @@ def _clear_away(body: Object, arm: str | None) -> None:
     movable = [each for each in in_the_way if not each.fixed]
     if not movable:
         names = ", ".join(each.name for each in in_the_way)
-        raise ReasoningError(f"obstacles of {body.name} can't be cleared away: {names or 'none of them can be moved'}")
+        raise ReasoningError(f"obstacles of {body.name} can't be cleared away: {names or 'no obstacle is movable'}")
     waiting = (*_waiting.get(), body)
     for other in movable:
         if other in waiting:
             circle = " and ".join(each.name for each in waiting[waiting.index(other) :])
-            raise ReasoningError(f"{circle} block each other, so none can be cleared away first")
+            raise ReasoningError(f"{circle} block each other, so the robot can't begin with any of them")
         elsewhere = LocationDesignator(on=_surfaces_beside(body), away_from=body)
         with Binding(_waiting, waiting):
             perform(ActionDesignator(type="transporting", object=other, target=elsewhere))
 
 
 def _surfaces_beside(body: Object) -> list[Surface]:
-    """Return the nearest surfaces to an object that are outside of containers and extend beyond the object."""
+    """Return the nearest surfaces outside containers that have room at a distance from an object."""
     position = body.get_position()
     found = [
         (math.dist(furniture.surface_pose(surface)[0], position), surface)
@@ -204,7 +202,7 @@ def _surfaces_beside(body: Object) -> list[Surface]:
 
 
 def _beyond(furniture: Object, surface: Surface, position: Sequence[float]) -> bool:
-    """Return whether a surface extends beyond the neighbourhood of a position; the top of a small fridge doesn't."""
+    """Return whether a surface is larger than the neighbourhood of a position, unlike the top of a small fridge."""
     pose = furniture.surface_pose(surface)
     corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
     return any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
@@ -215,7 +213,7 @@ def _delivering_choices(
     target: Any,
     place: LocationDesignator | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places for the object and places of the robot; end with an empty choice if a try has lost the object."""
+    """Yield places for the object and for the robot; end with an empty choice if a try has lost the object."""
     body, robot = object_of(object), BulletWorld.current_robot()
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []
@@ -230,7 +228,7 @@ def _delivering_choices(
             for found in itertools.islice(standing_places(robot, reach=[goal], arms=[arm.name]), _STANCES):
                 reached = True
                 yield {"put": there, "place": _stance(found)}
-                if holder(body) is None:  # it fell or leans: fetch it again, perhaps with another arm
+                if holder(body) is None:  # the object fell or leans: fetch it again, perhaps with another arm
                     yield {}
                     return
         except NoPlace as failure:
@@ -243,16 +241,16 @@ def _delivering_choices(
 
 @action("delivering", choices=_delivering_choices, prepare=park, checked={"target": place_for_an_object})
 def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> Any:  # noqa: A002  the slot's name
-    """Drives to a place where it reaches a target, puts down an object that a hand holds, and folds the arms.
+    """Drives to a place within reach of a target, puts down an object that a hand holds, and folds the arms.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
-        put: The exact place, a LocationDesignator with a position; by default the places of the target.
-        place: Place of the robot, a LocationDesignator; by default places from which it reaches the target.
+        put: Exact place of the object, a LocationDesignator with a position; by default places of the target.
+        place: Place of the robot, a LocationDesignator; by default places within reach of the target.
     """
     body = object_of(object)
-    if holder(body) is None:  # it was put down, but at a wrong place
+    if holder(body) is None:  # a try has put the object down at a wrong place
         perform(ActionDesignator(type="fetching", object=body))
         return perform(ActionDesignator(type="delivering", object=body, target=target, put=put, place=place))
     go(place)
@@ -262,7 +260,7 @@ def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> 
 
 
 def _prepare_transporting(object: Any, target: Any, close: bool = True) -> Iterator[None]:  # noqa: A002  the slot's name
-    """Check that the target has room before the object is fetched; finally close the opened containers."""
+    """Check that the target has room before fetching the object; at the end, close opened containers."""
     arms()
     check_target(candidates_of(object)[0], target)
     opened = _find_and_open(object)
@@ -275,7 +273,7 @@ def _prepare_transporting(object: Any, target: Any, close: bool = True) -> Itera
 
 
 def _close(opened: Sequence[Access]) -> None:
-    """Close containers; a container that can't be closed from any place stays open."""
+    """Close containers; a container that the robot can't close stays open."""
     for access in opened:
         with suppress(PlanFailure):
             perform(ActionDesignator(type="closing", container=access.name, budget=_CLOSING_TRIES))
@@ -294,26 +292,27 @@ def transporting(
     grasp: GraspSide | None = None,
     place: Any = None,
     clear: bool = False,
-    close: bool = True,  # noqa: ARG001  used by _prepare_transporting
+    close: bool = True,  # noqa: ARG001  _prepare_transporting uses it
 ) -> Any:
-    """Fetches an object and delivers it; opens its drawer or door, and closes it finally.
+    """Fetches an object and delivers it; opens the drawer or door of the object, and closes it at the end.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         target: Its new place: a LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m,
             world frame.
         arm: Name of the arm; by default all free arms are tried.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
-        place: Place of the robot when it takes the object, a LocationDesignator; by default places within reach.
+        grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
+            side.
+        place: Place of the robot for taking the object, a LocationDesignator; by default places within reach.
         clear: Whether to clear obstacles away first.
-        close: Whether to close opened drawers and doors finally, if possible.
+        close: Whether to close opened drawers and doors at the end, if possible.
     """
     body = object_of(object)
     perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp, place=place, clear=clear))
     deliver = ActionDesignator(type="delivering", object=body, target=target)
     try:
         return perform(deliver)
-    except (NoPlace, ActionFailed):  # the holding arm doesn't reach the target
+    except (NoPlace, ActionFailed):  # the holding arm may not reach the target
         if holder(body) is None or not any(held_by(other) is None for other in arms()):
             raise
         perform(ActionDesignator(type="handing-over", object=body))  # another arm may reach farther

@@ -1,4 +1,4 @@
-"""Drawers and doors: finding them by name, opening and closing them by their handles."""
+"""The actions opening and closing, for drawers and doors with handles."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
     from pycram.motions.slots import Check
 
 
-_PLACES: Final = 3  # places of the robot to try for each width
-_SAME: Final = (0.005, math.radians(0.5))  # m and rad, maximum distance of a robot that is at a place
-_CLOSED: Final = 0.1  # m or rad, maximum opening that counts as closed
+_PLACES: Final = 3  # number of places of the robot that are tried for each width
+_SAME: Final = (0.005, math.radians(0.5))  # m and rad, maximum distance of a robot from its place
+_CLOSED: Final = 0.1  # m or rad, maximum opening of a closed drawer or door
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,29 +40,29 @@ class Access:
     """A drawer or door, with its joint and handle."""
 
     name: str
-    body: Object  # the furniture
+    body: Object  # the furniture with the drawer or door
     joint: str
-    handle: str  # link
-    closed: float  # position of the joint, rad or m
-    open: float  # position of the joint at its widest, rad or m
+    handle: str  # link of the handle
+    closed: float  # position of the joint when closed, rad or m
+    open: float  # position of the joint when fully open, rad or m
 
     def __record__(self) -> object:
-        """Return its name."""
+        """Return the name of the drawer or door."""
         return self.name
 
     @property
     def position(self) -> float:
-        """Position of the joint now, rad or m."""
+        """Present position of the joint, rad or m."""
         return self.body.get_joint_position(self.joint)
 
     @property
     def is_closed(self) -> bool:
-        """Whether the opening is too narrow for a hand or a camera."""
+        """Whether the opening is too narrow for a hand and for the view of a camera."""
         return abs(self.position - self.closed) < _CLOSED
 
 
 def _known_container(name: str, value: Any) -> Any:
-    """Check a container: of furniture, its name, or an Object, whose joint or handle selects the container."""
+    """Return the Access of a container or of its name; an Object, whose joint or handle selects it, is only checked."""
     if isinstance(value, Object):
         return BODY(name, value)
     known = containers()
@@ -84,7 +84,7 @@ _CHECKS: Final[Mapping[str, Check]] = {
 
 
 def containers() -> list[tuple[Access, Any]]:
-    """Return the drawers and doors of the robot's world, each with its container."""
+    """Return the drawers and doors of the robot's world, and their containers."""
     return [
         (Access(each.name, body, each.joint, each.handle, each.closed, each.open), each)
         for body in BulletWorld.current_robot().world.objects
@@ -93,12 +93,12 @@ def containers() -> list[tuple[Access, Any]]:
 
 
 def enclosing(body: Object) -> Any:
-    """Return the closed container of an object; None if there is none."""
+    """Return the closed container around an object; None if no closed container is around it."""
     return enclosing_at(center(body))
 
 
 def enclosing_at(position: Sequence[float]) -> Any:
-    """Return the closed container at a position in the world frame, m; None if there is none."""
+    """Return the closed container around a position in the world frame, m; None without such a container."""
     x, y, z = position
     for access, container in containers():
         if not access.is_closed:
@@ -113,11 +113,11 @@ def enclosing_at(position: Sequence[float]) -> Any:
 
 
 def _access_of(container: Access | Object, joint: str | None, handle: str | None) -> Access:
-    """Return the drawer or door of the slots.
+    """Return the drawer or door that the slots describe.
 
     Raises:
         BadArgument: The slots are ambiguous.
-        UnknownName: There is no such joint or link.
+        UnknownName: The joint or the link of the handle doesn't exist.
     """
     if isinstance(container, Access):
         return container
@@ -136,11 +136,8 @@ def _access_of(container: Access | Object, joint: str | None, handle: str | None
             raise BadArgument("handle", handle, f"a link of {body.name} that a joint moves")
     if joint is None or handle is None:
         names = ", ".join(access.name for access in meant) or "none"
-        raise BadArgument(
-            "container",
-            body.name,
-            f"one of its containers, or the object with a joint and a handle; containers: {names}",
-        )
+        expected = f"also the slots joint and handle, or a container of {body.name}: {names}"
+        raise BadArgument("container", body.name, expected)
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
 
@@ -151,18 +148,17 @@ def _handle_choices(
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield arms and places from which a handle can be held all the way.
+    """Yield arms and places from which a handle can be held on its whole way.
 
     Args:
-        access: The drawer or door.
-        arm: The arm; None for any.
-        values: Target positions of its joint, rad or m, the best first.
+        arm: Name of the arm; None for any arm.
+        values: Target positions of the joint, rad or m, the best first.
         place: Place of the robot, m; None to search places.
-        orientation: Orientation of its base there; its present orientation by default.
+        orientation: Orientation of the robot's base at that place; by default its present orientation.
 
     Raises:
         AccessFailed: No arm is free.
-        NoPlace: There is no place for any of the values.
+        NoPlace: There is no place for any target position.
     """
     robot = BulletWorld.current_robot()
     arms = _free_arms(robot, access, arm)
@@ -193,19 +189,19 @@ def _choice(
 
 
 def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
-    """Return all arms, or only the given arm, that have a gripper and hold nothing."""
+    """Return the names of all arms, or only the wanted arm, that have a gripper and hold no object."""
     arms = robot.description.arms.values() if robot.description else ()
     chosen = [arm for arm in arms if wanted in (None, arm.name) and arm.hand is not None]
     held = {each.carrier_link: each.body.name for each in robot.carried}
     free = [arm.name for arm in chosen if arm.tool_frame not in held]
     if not free:
         full = ", ".join(f"the {arm.name} gripper holds {held[arm.tool_frame]}" for arm in chosen)
-        raise AccessFailed(access.joint, full or "the robot has no gripper for it", handle=access.handle)
+        raise AccessFailed(access.joint, full or "the robot has no gripper", handle=access.handle)
     return free
 
 
 def _move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:
-    """Drive to a place, move the handle from there, and park the arm."""
+    """Drive to a place, move the handle, and park the arm."""
     robot = BulletWorld.current_robot()
     position, turn = robot.get_position_and_orientation()
     if math.dist(position, place) > _SAME[0] or geometry.angle(turn, orientation) > _SAME[1]:
@@ -224,8 +220,8 @@ def _move(access: Access, arm: str, distance: float, place: Sequence[float], ori
         perform(MotionDesignator([("type", "move-arm-joints"), (f"{arm}-arm", "park")]))
 
 
-_WIDE: Final = {True: 0.4, False: 1.2}  # opening of a drawer in m, so that its back can be reached, or of a door in rad
-_SHARES: Final = (1.0, 0.75, 0.5)  # shares of this width, which are tried in order
+_WIDE: Final = {True: 0.4, False: 1.2}  # default opening of a drawer in m, or of a door in rad
+_SHARES: Final = (1.0, 0.75, 0.5)  # shares of the default opening, in the order of the tries
 
 
 def _opening_choices(
@@ -253,16 +249,17 @@ def opening(
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
 ) -> str:
-    """Opens a drawer or door by its handle, from a place where an arm can hold it all the way; returns the arm.
+    """Opens a drawer or door by its handle; returns the name of the arm.
 
     Args:
-        container: A container of furniture, its name, or the furniture itself with joint and handle.
-        joint: Name of its joint, if the furniture itself is given.
-        handle: Link of its handle, if the furniture itself is given.
-        arm: Name of the arm; by default any arm that reaches.
-        distance: Width in m, or angle in rad of a door; by default up to 0.4 m or 1.2 rad, or down to half of this.
-        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
-        orientation: A quaternion [x, y, z, w] of the robot's base there.
+        container: A container of furniture, its name, or the furniture itself.
+        joint: Name of the container's joint, if ``container`` is the furniture.
+        handle: Link of the container's handle, if ``container`` is the furniture.
+        arm: Name of the arm; by default any arm within reach.
+        distance: Width of a drawer in m, or angle of a door in rad; by default 0.4 m or 1.2 rad, or at least half of
+            it.
+        place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
+        orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
     """
     assert arm is not None and distance is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen
     _move(_access_of(container, joint, handle), arm, distance, place, orientation)
@@ -291,15 +288,15 @@ def closing(
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
 ) -> None:
-    """Closes a drawer or door by its handle, from a place where an arm can hold it all the way.
+    """Closes a drawer or door by its handle.
 
     Args:
-        container: A container of furniture, its name, or the furniture itself with joint and handle.
-        joint: Name of its joint, if the furniture itself is given.
-        handle: Link of its handle, if the furniture itself is given.
-        arm: Name of the arm; by default any arm that reaches.
-        place: Place of the robot's base, [x, y, z] in m; by default where the handle can be held all the way.
-        orientation: A quaternion [x, y, z, w] of the robot's base there.
+        container: A container of furniture, its name, or the furniture itself.
+        joint: Name of the container's joint, if ``container`` is the furniture.
+        handle: Link of the container's handle, if ``container`` is the furniture.
+        arm: Name of the arm; by default any arm within reach.
+        place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
+        orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
     """
     assert arm is not None and place is not None and orientation is not None  # noqa: S101, PT018  chosen
     _move(_access_of(container, joint, handle), arm, 0.0, place, orientation)

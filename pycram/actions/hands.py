@@ -1,4 +1,4 @@
-"""The current robot's hands: picking up, placing, and handing an object over to the other hand."""
+"""Actions of the robot's hands: picking up, placing, and handing an object over to another hand."""
 
 from __future__ import annotations
 
@@ -34,11 +34,7 @@ if TYPE_CHECKING:
 
 
 def arms() -> list[Arm]:
-    """Return the arms of the current robot that have a gripper.
-
-    Raises:
-        MissingPart: It has none.
-    """
+    """Return the arms of the current robot that have a gripper; raise MissingPart without such an arm."""
     robot = BulletWorld.current_robot()
     found = [] if robot.description is None else [arm for arm in robot.description.arms.values() if arm.hand]
     if not found:
@@ -47,21 +43,17 @@ def arms() -> list[Arm]:
 
 
 def held_by(arm: Arm) -> Object | None:
-    """Return the object that an arm of the current robot holds, or None."""
+    """Return the object that an arm of the current robot holds; None for an empty hand."""
     return attachment.attached_to(BulletWorld.current_robot(), arm.tool_frame)
 
 
 def holder(body: Object) -> Arm | None:
-    """Return the arm of the current robot that holds an object, or None."""
+    """Return the arm of the current robot that holds an object; None if no arm holds it."""
     return next((arm for arm in arms() if held_by(arm) is body), None)
 
 
 def holding_arm(body: Object) -> Arm:
-    """Return the arm of the current robot that holds an object, to put it down.
-
-    Raises:
-        PlaceFailed: No arm holds it.
-    """
+    """Return the arm of the current robot that holds an object; raise PlaceFailed if no arm holds it."""
     arm = holder(body)
     if arm is None:
         raise PlaceFailed(body.name, body.get_position(), f"{BulletWorld.current_robot().name} doesn't hold it")
@@ -69,7 +61,7 @@ def holding_arm(body: Object) -> Arm:
 
 
 def free_arms(name: str | None = None) -> list[str]:
-    """Return the names of all arms that hold nothing, or only of the given arm.
+    """Return the names of the arms that hold no object; consider all arms, or only the arm with a ``name``.
 
     Raises:
         MissingPart: The robot has no arm.
@@ -83,19 +75,19 @@ def free_arms(name: str | None = None) -> list[str]:
     return found
 
 
-_AHEAD: Final = (0.55, 0.45, 0.65)  # m before the shoulders
+_AHEAD: Final = (0.55, 0.45, 0.65)  # m in front of the shoulders
 _DOWN: Final = (0.2, 0.35, 0.05)  # m below the shoulders
 _TURNS: Final = (30, 60, 0, 90)  # degrees by which the giving hand points inward
-_EACH: Final = 4  # poses of the giving hand that are tried before the robot turns
+_EACH: Final = 4  # number of poses of the giving hand that are tried before the robot turns
 _AWAY: Final = (180, 90, -90)  # degrees by which the robot turns away from obstacles
 
 
 def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
-    """Yield poses of the giving hand, each with the taking arm; last, with the robot turned away from obstacles."""
+    """Yield poses of the giving hand, and the taking arm; at last, with the robot turned away from obstacles."""
     body = object_of(object)
     robot = BulletWorld.current_robot()
     giver = _giver(robot, body)
-    assert robot.description is not None  # noqa: S101  it has arms
+    assert robot.description is not None  # noqa: S101  the robot has arms
     others = [each for each in robot.description.arms.values() if each is not giver and each.hand is not None]
     takers = [each for each in others if arm in (None, each.name)]
     if arm == giver.name:
@@ -130,18 +122,18 @@ def handing_over(
     orientation: Sequence[float] | None = None,
     place: Any = None,
 ) -> Object:
-    """Passes an object from one hand to another hand, in front of the robot, and returns it.
+    """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The other hand grasps it next to the first hand, which then releases it. If the robot doesn't hold the object, or
-    has no other gripper, the action fails before anything moves.
+    The other hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
+    object, or has no other gripper, the action fails before anything moves.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
-        arm: Name of the arm that takes it; by default any other arm.
+        arm: Name of the arm that takes the object; by default any other arm.
         target: Place of the giving hand's tool, [x, y, z] in m, or an Object (its middle); by default a place that both
             arms reach.
-        orientation: A quaternion [x, y, z, w] of the giving hand's tool there.
-        place: Place of the robot, a LocationDesignator; by default its present place; if necessary, it turns away from
+        orientation: Orientation of the giving hand's tool at that place, a quaternion [x, y, z, w].
+        place: Place of the robot, a LocationDesignator; by default its present place, if necessary turned away from
             obstacles.
     """
     body = object_of(object)
@@ -160,7 +152,7 @@ def _giver(robot: Object, body: Object) -> Arm:
 
 
 def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
-    """Yield free poses of the robot, turned in place."""
+    """Yield collision-free poses of the robot that are turned in place."""
     for degrees in _AWAY if drives(robot) else ():
         place = geometry.multiply(here, ((0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, math.radians(degrees))))
         with robot.world.lock:
@@ -170,11 +162,14 @@ def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
 
 
 def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, blocked: list[Blocked]) -> Iterator[Pose]:
-    """Yield poses of the giving hand without collision, in the robot's frame, for a place of the robot (None: its own).
+    """Yield collision-free poses of the giving hand in the robot's frame; append other poses' obstacles to ``blocked``.
 
-    The obstacles of other poses are appended to ``blocked``.
+    ``place`` is the place of the robot, None for its present place.
     """
-    for pose in _between(robot, giver, taker):
+    middle, inward = _middle(robot, giver, taker)
+    for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
+        turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
+        pose = (middle[0] + ahead, middle[1], middle[2] - down), turn
         target = geometry.multiply(robot.get_position_and_orientation(), pose)
         pairs: Sequence[CollisionPair] = ()
         for posture in postures(robot, giver.tool_frame, *target, quick=True):
@@ -188,19 +183,8 @@ def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, block
             blocked.append(Blocked(giver.name, target[0], pairs))
 
 
-def _between(robot: Object, giver: Arm, taker: Arm) -> Iterator[Pose]:
-    """Yield poses of the giving hand, ahead of the middle between the shoulders, in the robot's frame."""
-    middle, inward = _middle(robot, giver, taker)
-    for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
-        turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
-        yield (middle[0] + ahead, middle[1], middle[2] - down), turn
-
-
 def _middle(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
-    """Return the middle between the shoulders in the robot's frame, and the sign of an inward turn of the giving arm.
-
-    The sign is 1 for the right arm, whose hand points inward after a turn to the left.
-    """
+    """Return the middle between the shoulders in the robot's frame, and the sign of the giving hand's inward turn."""
     base = geometry.invert(robot.get_position_and_orientation())
     shoulders = []
     for arm in (giver, taker):
@@ -221,7 +205,8 @@ def picking_up(object: Any, arm: str | None = None, grasp: GraspSide | None = No
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         arm: Name of the arm; by default all free arms are tried.
-        grasp: The side from which the gripper comes: "front", "top", "left" or "right"; by default the freest side.
+        grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
+            side.
     """
     return perform(MotionDesignator(type="pick-up", object=object_of(object), arm=arm, grasp=grasp))
 
@@ -230,45 +215,42 @@ _UPRIGHT: Final = [geometry.from_rpy(0.0, 0.0, step * math.pi / 6) for step in r
 
 
 def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Mapping[str, Any]]:
-    """Yield places of an object at a target: ``position`` and ``orientation``, None for any.
+    """Yield places of an object at a target, the value of a slot ``target``: ``position`` and ``orientation``.
 
-    Args:
-        body: The object.
-        target: The value of a slot ``target``.
-        arm: The arm of the current robot that must reach the place; None for any arm.
+    The orientation is None if any will do. ``arm`` is the arm that must reach the place; None for any arm.
     """
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}
         return
-    wanted = target.prop_value("orientation")  # the found orientation is one of many
+    wanted = target.prop_value("orientation")  # a found orientation is only one of many
     if target.for_objects:
         reached = [] if arm is None else [("reachable-for", BulletWorld.current_robot()), ("arm", arm.name)]
         target = target.copy([("for", body), *reached])
     for place in target.solutions():
         yield {"position": place["position"], "orientation": wanted}
         if arm is not None and held_by(arm) is not body:
-            return  # it was put down, but not as wanted
+            return  # the object was put down, but at a wrong place
 
 
 def check_target(body: Object, target: Any) -> None:
-    """Check, before anything moves, that a target has room for an object, for any arm.
+    """Check, before anything moves, that a target has room for an object.
 
     Raises:
         NoPlace: The surfaces are too small, too full or closed, or constraints exclude each other.
-        PlaceFailed: There is no support below, or the place is occupied.
+        PlaceFailed: The place has no support, or is occupied.
     """
     closed = _closed_at(target)
     place: Mapping[str, Any] = {}
     try:
         place = next(places_for(body, target))
     except NoPlace as failure:
-        if not closed or failure.last != "room":  # what is closed has no room anywhere
+        if not closed or failure.last != "room":  # a closed container has no room
             raise
     if closed:
         last = f"{' and '.join(closed)}, which {'is' if len(closed) == 1 else 'are'} closed: open it first"
         raise NoPlace(body.name, {}, last)
     if isinstance(target, LocationDesignator) and target.for_objects:
-        return  # as was checked
+        return  # the search for places has checked the room
     turns = [place["orientation"]] if place["orientation"] is not None else _UPRIGHT
     for number, turn in enumerate(turns):
         try:
@@ -288,7 +270,7 @@ def _closed_at(target: Any) -> list[str]:
         return [] if container is None else [container.name]
     owners = {(body, surface.container) for body, surface in target.surfaces()}
     if any(not name for _, name in owners):
-        return []  # other surfaces are open
+        return []  # at least one surface isn't in a container
     return [access.name for access, _ in containers() if access.is_closed and (access.body, access.name) in owners]
 
 
@@ -305,7 +287,7 @@ def placing(object: Any, target: Any, orientation: Sequence[float] | None = None
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
-        orientation: A quaternion [x, y, z, w] of the object there, world frame; upright by default.
+        orientation: Orientation of the object, a quaternion [x, y, z, w] in the world frame; by default upright.
     """
     body = object_of(object)
     perform(MotionDesignator(type="place", object=body, target=target, orientation=orientation))

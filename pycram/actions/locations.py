@@ -1,4 +1,4 @@
-"""Location designators: descriptions of places for the robot to stand, or for an object to be put down."""
+"""Location designators: descriptions of places where the robot stands, or where it puts down an object."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pycram.motions.slots import Description
     from pycram.reasoning.places import FoundPlace
 
-#: Surfaces with their furniture.
+#: Pairs of furniture and a surface.
 Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
 _THING: Final = "Object | ObjectDesignator | str"
 _ON: Final = "Surface | Object | str"
@@ -87,7 +87,7 @@ def _near(name: str, value: Any) -> Any:
 def _side(name: str, value: Any) -> Any:
     side, of = value if isinstance(value, list | tuple) and len(value) == 2 else (value, None)
     if side not in SIDES:
-        raise BadArgument(name, value, f"one of {', '.join(SIDES)}, or one of these and an object")
+        raise BadArgument(name, value, f"one of {', '.join(SIDES)}, or a pair (side, object)")
     return side if of is None else (side, thing(name, of))
 
 
@@ -105,7 +105,7 @@ _SLOTS: Final = SlotTable(
         Slot(
             "on",
             ValueKind("", _surfaces, f"{_ON} | Sequence[{_ON}]"),
-            text="A surface, its name, furniture (all of its surfaces that are in no container), an object such as a "
+            text="A surface, its name, furniture (all its surfaces outside containers), an object such as a "
             "plate (its top), or a list of these",
         ),
         Slot(
@@ -113,7 +113,7 @@ _SLOTS: Final = SlotTable(
             ValueKind("", _inside, "Container | Object | str"),
             text="A container, its name, or an object with containers",
         ),
-        Slot("for", ValueKind("", thing, _THING), text="the object to put there; by default the object of the action"),
+        Slot("for", ValueKind("", thing, _THING), text="the object to put down; by default the object of the action"),
         Slot(
             "near",
             ValueKind("", _near, f"{_THING} | Sequence[float]"),
@@ -122,13 +122,13 @@ _SLOTS: Final = SlotTable(
         Slot(
             "side",
             ValueKind("", _side, f"Side | tuple[Side, {_THING}]"),
-            text='Side of the surface, or (side, object), as the robot sees it: "front", "back", "left" or "right"',
+            text='Side of the surface, or (side, object), seen from the robot: "front", "back", "left" or "right"',
         ),
         Slot(
             "reachable-for",
             ValueKind("", _reachable, f"{_THING} | Sequence[float] | PutDown"),
-            text="For a place of the robot, the target that it must reach: an object, or [x, y, z] in m; for a place "
-            "of an object, the robot that must reach it",
+            text="For a place of the robot, the target within reach: an object, or [x, y, z] in m; for a place "
+            "of an object, the robot that must reach the place",
         ),
         Slot(
             "visible-for",
@@ -138,24 +138,24 @@ _SLOTS: Final = SlotTable(
         Slot(
             "away-from",
             ValueKind("", _near, f"{_THING} | Sequence[float]"),
-            text="an object or a point; the place is at least 0.4 m away from it",
+            text="an object or a point; its distance from the place is at least 0.4 m",
         ),
         Slot("arm", ARM, text="the arm that must reach the target; by default any arm"),
     ),
     one_of=("position", "on", "in", "near", "reachable-for", "visible-for"),
     designator="a LocationDesignator",
 )
-_AWAY: Final = 0.4  # m
-_MAX_NEAR: Final = 20  # places in a row that are too near, after which the search ends
+_AWAY: Final = 0.4  # m, minimum distance of a place that is away from a point
+_MAX_NEAR: Final = 20  # number of successive places too near to the point after which the search ends
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
 
 
 class LocationDesignator(ResolvedDesignator):
-    """A place: for putting down an object, if ``on`` or ``in`` is given, else for the robot to stand.
+    """A place. With the slot ``on`` or ``in``, it is a place for an object, else a place where the robot stands.
 
-    Examples: ``LocationDesignator(on="island", near=[-0.8, 1])``, ``LocationDesignator(reachable_for=milk)``. Its
-    solutions have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach the place. They are
-    found one by one, the best first.
+    Examples: ``LocationDesignator(on="island", near=[-0.8, 1])``, ``LocationDesignator(reachable_for=milk)``. Solutions
+    have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach the place. They are found on
+    demand, the best first.
     """
 
     takes: ClassVar[SlotTable] = _SLOTS
@@ -171,27 +171,27 @@ class LocationDesignator(ResolvedDesignator):
         return resolve
 
     def check(self) -> None:
-        """Check its slots: the surfaces and objects exist, and the slots don't exclude each other."""
+        """Check that the surfaces and objects exist, and that no slot excludes another slot."""
         _checked(self)
 
     @property
     def for_objects(self) -> bool:
-        """Whether it is a place where an object can be put down."""
+        """Whether it is a place for an object."""
         return any(slot_name(name) in ("on", "in") for name, _ in self._slots)
 
     def middle(self) -> list[float]:
-        """Return the middle of the largest surface of a place for objects, xyz in m in the world."""
+        """Return the middle of the largest surface of a place for an object, xyz in m in the world."""
         body, surface = max(self.surfaces(), key=lambda each: math.prod(each[1].size))
         return list(body.surface_pose(surface)[0])
 
     def surfaces(self) -> Surfaces:
-        """Return the surfaces of a place for objects, each with its furniture."""
+        """Return the surfaces of a place for an object, with their furniture."""
         slots = _checked(self)
         found: Surfaces = slots.get("on") or slots["in"]
         return found
 
     def values_for(self, slot: str, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-        """Yield its possible places, with the orientations there."""
+        """Yield the possible places, and the orientations at these places."""
         body = given.get("object")
         needs_body = self.for_objects and self.prop_value("for") is None and body is not None
         for solution in (self.copy([("for", body)]) if needs_body else self).solutions():
@@ -212,8 +212,8 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
     """Yield the places that a designator describes, the best first.
 
     Raises:
-        DesignatorError: A slot is missing, unknown or wrong, or two exclude each other.
-        NoPlace: There is no place; the failure counts the places that each constraint excluded.
+        DesignatorError: A slot is missing, unknown or wrong, or two slots exclude each other.
+        NoPlace: No place was found. The failure counts the places that each constraint excluded.
     """
     slots = _checked(designator)
     if "position" in slots:
@@ -231,7 +231,7 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
 def _objects_places(slots: Mapping[str, Any]) -> Iterator[FoundPlace]:
     if "for" not in slots:
         known = sorted({body.type for body in _furniture() if not body.is_environment})
-        problem = f"missing slot for: the object to put there; {suggestion('', known)}"
+        problem = f"missing slot for: the object to put down; {suggestion('', known)}"
         raise _SLOTS.error(problem, "for")
     side, near = slots.get("side"), slots.get("near")
     robot = slots.get("reachable-for")
@@ -276,5 +276,5 @@ def _far_from(point: Sequence[float], places: Iterator[FoundPlace], robot: Objec
 
 
 def _point(near: Any) -> Any:
-    """Return the given point, or the position of an object."""
+    """Return a point unchanged, or the position of an object."""
     return object_of(near).get_position() if isinstance(near, Object | ObjectDesignator) else near

@@ -1,4 +1,4 @@
-"""Driving to a place, with folded arms."""
+"""The actions navigating and parking-arms: driving to a place, and folding the arms."""
 
 from __future__ import annotations
 
@@ -19,10 +19,8 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from pycram.models.robots.description import Arm
 
-
-_THERE: Final = (1e-3, 1e-3)  # m and rad, maximum distance of a robot that is at a place
+_THERE: Final = (1e-3, 1e-3)  # m and rad, maximum distance of a robot from its place
 _PARKED: Final = 0.01  # rad or m, maximum deviation of a joint of a parked arm
 
 
@@ -43,9 +41,9 @@ def navigating(target: Any, orientation: Sequence[float] | None = None) -> None:
     """Drives to a place, unless the robot is there.
 
     Args:
-        target: A LocationDesignator for the robot, or [x, y, z] of its base in m, world frame.
-        orientation: A quaternion [x, y, z, w] of its base, world frame; by default the orientation of the place; if it
-            has none, unchanged.
+        target: A LocationDesignator for the robot, or the position [x, y, z] of its base in m, world frame.
+        orientation: Orientation of the base, a quaternion [x, y, z, w] in the world frame; by default that of the
+            place, else unchanged.
     """
     position, turn = BulletWorld.current_robot().get_position_and_orientation()
     there = orientation is None or geometry.angle(turn, orientation) < _THERE[1]
@@ -55,7 +53,7 @@ def navigating(target: Any, orientation: Sequence[float] | None = None) -> None:
 
 
 def go(place: LocationDesignator | None) -> None:
-    """Fold the arms and drive to a place, if it isn't None and the robot drives."""
+    """Fold the arms and drive to a place, if ``place`` isn't None and the robot can drive."""
     description = BulletWorld.current_robot().description
     if place is not None and description is not None and description.drives:
         park()
@@ -63,21 +61,27 @@ def go(place: LocationDesignator | None) -> None:
 
 
 def park() -> None:
-    """Fold the arms; if this fails, they keep their posture."""
+    """Fold the arms; ignore a failure."""
     with suppress(PlanFailure):
         perform(ActionDesignator(type="parking-arms"))
 
 
 @action("parking-arms")
 def parking_arms(arm: str | None = None) -> None:
-    """Folds the arms that aren't folded, together if possible, with the objects that they hold.
+    """Folds the arms, if possible together, and with the objects that they hold.
 
     Args:
-        arm: Name of the arm; all by default.
+        arm: Name of the arm; by default all arms.
     """
     description = BulletWorld.current_robot().description
     every = [] if description is None else [each for each in description.arms.values() if "park" in each.poses]
-    open_ = [each.name for each in every if arm in (None, each.name) and not _is_parked(each)]
+    now = BulletWorld.current_robot().get_joint_positions()
+    open_ = [
+        each.name
+        for each in every
+        if arm in (None, each.name)
+        and any(abs(now[joint] - value) >= _PARKED for joint, value in each.posture("park").items())
+    ]
     if not open_:
         return
     try:
@@ -87,8 +91,3 @@ def parking_arms(arm: str | None = None) -> None:
             raise
         for name in open_:
             perform(MotionDesignator([("type", "move-arm-joints"), (f"{name}-arm", "park")]))
-
-
-def _is_parked(arm: Arm) -> bool:
-    robot = BulletWorld.current_robot()
-    return all(abs(robot.get_joint_position(joint) - value) < _PARKED for joint, value in arm.posture("park").items())

@@ -1,4 +1,4 @@
-"""Object designators: descriptions of objects, resolved by the robot's beliefs."""
+"""Object designators: descriptions of objects; the robot's beliefs resolve them."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ _SLOTS: Final = SlotTable(
 
 
 class ObjectDesignator(ResolvedDesignator):
-    """An object, such as ``ObjectDesignator(type="milk")``, resolved by the robot's beliefs, the latest look first.
+    """An object, such as ``ObjectDesignator(type="milk")``. The robot's beliefs resolve it, the latest belief first.
 
-    Its solutions have ``object``, ``position`` and ``orientation``: the object, and its believed pose.
+    Solutions have ``object``, ``position`` and ``orientation``: the object, and its believed pose.
     """
 
     takes: ClassVar[SlotTable] = _SLOTS
@@ -49,25 +49,21 @@ class ObjectDesignator(ResolvedDesignator):
         return resolve
 
     def check(self) -> None:
-        """Check its slots, and that the world has such an object.
-
-        Raises:
-            DesignatorError: A slot is unknown or wrong, or the world has no object like that.
-        """
+        """Raise DesignatorError if a slot is unknown or wrong, or if the world has no such object."""
         _candidates(self)
 
     def values_for(self, slot: str, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:  # noqa: ARG002
-        """Yield its possible objects."""
+        """Yield the possible objects."""
         for solution in self.solutions():
             yield {slot: solution["object"]}
 
 
 def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
-    """Yield the beliefs about the objects of a designator, the latest first.
+    """Yield the beliefs about the objects of a designator, the latest belief first.
 
     Raises:
-        DesignatorError: There are none in the world.
-        PerceptionError: There is no belief about them.
+        DesignatorError: The world has no such object.
+        PerceptionError: The robot has no belief about such an object.
     """
     candidates = _candidates(designator)
     known = [belief for belief in beliefs() if belief.object in candidates]
@@ -79,11 +75,7 @@ def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
 
 
 def _candidates(designator: ObjectDesignator) -> list[Object]:
-    """Return the objects of the world that a designator describes.
-
-    Raises:
-        DesignatorError: There are none.
-    """
+    """Return the objects of the world that a designator describes; raise DesignatorError without such an object."""
     given = {key: unwrap(value) for key, value in designator.description if value is not None}
     wanted = _SLOTS.checked(given)
     world = BulletWorld.current_robot().world
@@ -93,7 +85,8 @@ def _candidates(designator: ObjectDesignator) -> list[Object]:
         found = [body for body in found if getattr(body, slot) == value]
         if not found:
             problem = f"the world has no object of {slot} {value!r}; {suggestion(value, known)}"
-            raise DesignatorError(problem, type="object", slot=slot, value=value, takes=f"it has: {', '.join(known)}")
+            takes = f"the world has: {', '.join(known)}"
+            raise DesignatorError(problem, type="object", slot=slot, value=value, takes=takes)
     return found
 
 
@@ -106,11 +99,7 @@ def candidates_of(thing: Object | ObjectDesignator) -> list[Object]:
 
 
 def object_of(thing: Object | ObjectDesignator) -> Object:
-    """Return the given object, or the first solution of a designator.
-
-    Raises:
-        PerceptionError: There is no belief about it.
-    """
+    """Return the given object, or the first solution of a designator; raise PerceptionError without a belief."""
     if not isinstance(thing, ObjectDesignator):
         return thing
     found: Object = thing.reference()["object"]
@@ -118,7 +107,7 @@ def object_of(thing: Object | ObjectDesignator) -> Object:
 
 
 def thing(name: str, value: Any) -> Any:
-    """Check an object of a plan: an Object of a world, an ObjectDesignator, or a type of objects."""
+    """Return a checked Object or ObjectDesignator; a type of objects becomes an ObjectDesignator."""
     if isinstance(value, Object):
         return BODY(name, value)
     designator = ObjectDesignator(type=value) if isinstance(value, str) else value

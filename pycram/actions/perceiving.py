@@ -1,4 +1,4 @@
-"""Perceiving: turning the camera to objects and places, and searching objects on surfaces and in containers."""
+"""The actions perceiving, looking and searching: turning the camera, and searching surfaces and containers."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike, Quaternion, Vector
 
 
-_FAR: Final = 3.0  # m, maximum distance of a look from the robot's present place
-_NEAR: Final = 1.6  # m, maximum distance of a look from a place near the surface
-_STRIDE: Final = 0.8  # m between points of a surface; a camera sees this much from 1 m
-_PLACES: Final = 2  # places of the robot that are tried for a point
-_SEEING: Final = 4  # places of the robot that are examined for a view of hidden points
+_FAR: Final = 3.0  # m, maximum distance from the robot's present place to a point that it looks at
+_NEAR: Final = 1.6  # m, maximum distance from a place near a surface to a point that the robot looks at
+_STRIDE: Final = 0.8  # m between points of a surface; a camera sees this width from 1 m
+_PLACES: Final = 2  # number of places of the robot that are tried for a point
+_SEEING: Final = 4  # number of places of the robot that are examined for a view of hidden points
 _TRIES: Final = 4  # budget of opening and of closing
 
 
 @action("perceiving")
 def perceiving(object: Any) -> Object:  # noqa: A002  the slot's name
-    """Turns the camera to the believed place of an object, and detects it there; returns the object.
+    """Turns the camera to the believed place of an object, detects the object and returns it.
 
-    Without a belief, the object is detected in the present view. A robot without a camera gets its place from the state
-    of the world. The action fails with PerceptionError if the object isn't seen.
+    Without a belief, the action detects the object in the present view. Without a camera, it uses the state of the
+    world. The action fails with PerceptionError if the robot doesn't see the object.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -63,10 +63,10 @@ def has_camera() -> bool:
 
 
 def detected(bodies: Sequence[Object]) -> Object:
-    """Return which of several objects the robot's camera sees best in its present direction.
+    """Return the object that the robot's camera sees best in its present direction.
 
     Raises:
-        PerceptionError: It sees none of these objects.
+        PerceptionError: The camera sees none of the objects.
     """
     kind = bodies[0].type
     sees = has_camera()
@@ -100,8 +100,8 @@ class ObjectNotFound(PerceptionError):
 
     Attributes:
         object_type: Type of the object.
-        looked: The searched places, in order, each with the reason why the object wasn't seen there.
-        reasons: The message of the last failed look at each place, by place.
+        looked: The searched places, in order, and the failures to see the object there.
+        reasons: Messages of the last failure at each place, by place.
     """
 
     def __init__(self, object_type: str, looked: Sequence[tuple[str, BaseException]]) -> None:
@@ -110,7 +110,7 @@ class ObjectNotFound(PerceptionError):
         seen = dict.fromkeys(where for where, failure in looked if isinstance(failure, PerceptionError))
         vain = [where for where in dict.fromkeys(where for where, _ in looked) if where not in seen]
         text = f"the robot looked {', '.join(seen)}" if seen else "there was no place to look at"
-        rest = f"; it couldn't look {', '.join(vain)}" if vain else ""
+        rest = f"; the robot couldn't look {', '.join(vain)}" if vain else ""
         self.args = (f"no {object_type} found: {text}{rest}",)
 
 
@@ -121,19 +121,19 @@ export("pycram.actions", ObjectNotFound)
 class _Point:
     """A point of a surface."""
 
-    where: str  # its name in messages, such as "on the island"
+    where: str  # words for messages, such as "on the island"
     position: Vector  # world frame, m
-    container: str  # container that holds the surface; "" for none
+    container: str  # "BODY/CONTAINER" around the surface; "" without a container
 
 
 @action("searching")
 def searching(object: Any) -> Object:  # noqa: A002  the slot's name
-    """Searches an object until the camera sees it, and returns it.
+    """Searches an object until the camera sees it, and returns the object.
 
-    The search begins at the object's believed place. Then it covers all surfaces, the nearest first: from the robot's
-    present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside (if
-    necessary, from the front) and closes them again. The action fails with ObjectNotFound, which names the searched
-    places. A robot without a camera asks the state of the world.
+    The search begins at the believed place of the object. Then the robot looks at all surfaces, the nearest first: from
+    its present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside and
+    closes them. The action fails with ObjectNotFound, which names the searched places. A robot without a camera uses
+    the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -149,7 +149,7 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
         search.in_containers,
     )
     for step in steps:
-        for _ in step():  # one look after the other
+        for _ in step():  # each iteration looks at one point
             if search.found is not None:
                 return search.found
     raise ObjectNotFound(bodies[0].type, search.looked)
@@ -160,13 +160,13 @@ class _Search:
 
     def __init__(self, bodies: Sequence[Object]) -> None:
         self.found: Object | None = None
-        self.looked: list[tuple[str, BaseException]] = []  # places of failed looks, with the failures
+        self.looked: list[tuple[str, BaseException]] = []  # places without the object, and the failures there
         self._bodies = bodies
         self._robot = BulletWorld.current_robot()
         self._stood: list[Vector] = []
 
     def where_believed(self) -> Iterator[None]:
-        """Look at the believed places of the objects: from here, then from nearby."""
+        """Look at the believed places of the objects: from the present place, then from nearby."""
         for belief in [belief for belief in beliefs() if belief.object in self._bodies]:
             point = _Point(f"where {belief.object.name} was {belief.source}", belief.position, "")
             self._look(point)
@@ -175,7 +175,7 @@ class _Search:
                 yield from self._beside(point, [point])
 
     def from_here(self) -> Iterator[None]:
-        """Look at all near surfaces."""
+        """Look at all near surfaces from the present place."""
         for point in self._open_points():
             if self._distance(point.position) < _FAR:
                 self._look(point)
@@ -189,7 +189,7 @@ class _Search:
                 yield from self._beside(point, points)
 
     def in_containers(self) -> Iterator[None]:
-        """Open each closed container, look into it, and close it if the object isn't found."""
+        """Open each closed container, look into it, and close it if the object isn't there."""
         closed = [access for access, _ in containers() if access.is_closed]
         closed.sort(key=lambda access: self._distance(access.body.get_link_position(access.handle)))
         for access in closed:
@@ -216,7 +216,7 @@ class _Search:
             self.looked.append((point.where, failure))
 
     def _open(self, access: Access) -> Mapping[str, Any] | None:
-        """Open a container, and return the slots with which to close it; None if it can't be opened."""
+        """Open a container; return the slots of closing it, or None if the robot can't open it."""
         try:
             arm = perform(ActionDesignator(type="opening", container=access.name, budget=_TRIES))
         except PlanFailure as failure:
@@ -227,7 +227,7 @@ class _Search:
 
     @staticmethod
     def _close(access: Access, opened: Mapping[str, Any]) -> None:
-        """Close a container from the same place, else from another place; if that fails too, it stays open."""
+        """Close a container from the same place, else from another place; ignore failures."""
         for slots in (opened, {}):
             with suppress(PlanFailure):
                 perform(ActionDesignator(type="closing", container=access.name, budget=_TRIES, **slots))
@@ -280,7 +280,7 @@ class _Search:
             return in_sight(self._robot, point.position, base)
 
     def _open_points(self) -> list[_Point]:
-        """Return points of the surfaces in no closed container, the nearest first."""
+        """Return points of the surfaces outside closed containers, the nearest first."""
         closed = {(access.body.name, access.name) for access, _ in containers() if access.is_closed}
         points = [point for point in _points(self._robot) if tuple(point.container.split("/", 1)) not in closed]
         return sorted(points, key=lambda point: self._distance(point.position))
@@ -293,7 +293,7 @@ class _Search:
 
 
 def _facing(place: FoundPlace, point: _Point) -> Quaternion:
-    """Return the orientation in which a robot at a place faces a point."""
+    """Return the orientation of a robot at a place that faces a point."""
     across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
     return geometry.from_rpy(0.0, 0.0, math.atan2(along, across))
 
@@ -314,7 +314,7 @@ def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
 
 
 def _spread(outline: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-    """Yield points of a surface in its frame, m, dense enough that a camera sees all of it."""
+    """Yield points of a surface in the surface's frame, m; at these points a camera sees the whole surface."""
     sides = []
     for axis in (0, 1):
         low, high = min(corner[axis] for corner in outline), max(corner[axis] for corner in outline)

@@ -1,6 +1,6 @@
-"""Performing actions: choices are tried in order, each a task, until one succeeds or the budget is spent.
+"""Performing actions: choices are tried in order until a choice succeeds or the budget is spent. Each try is a task.
 
-In ``projecting()``, the best choices are tried in forks first, and the first success is performed (thesis 6.3).
+In ``projecting()``, projections in forks first try the best choices; then the first success is performed (thesis 6.3).
 """
 
 from __future__ import annotations
@@ -39,22 +39,22 @@ if TYPE_CHECKING:
 
 
 BUDGET: Final = 20
-"""Default number of tries that may fail, of an action and its subactions."""
+"""Default number of tries of an action and its subactions that may fail."""
 
-_ENDLESS: Final = 10**9  # retries; only the budget limits them
-_MAX_REASONS: Final = 4  # kinds of failures in the message of an ActionFailed
-_MAX_IMAGINED: Final = 8  # choices of an action that are imagined by default
-#: Choices that are imagined in parallel: in the first batch, because the best choice mostly succeeds, and later.
-#: The numbers don't depend on the number of cores, so a run has the same records everywhere.
+_ENDLESS: Final = 10**9  # number of retries; the budget is the only limit
+_MAX_REASONS: Final = 4  # maximum number of different failures in the message of ActionFailed
+_MAX_IMAGINED: Final = 8  # default number of an action's choices that are projected
+#: Number of choices that are projected in parallel: in the first batch, because the best choice mostly succeeds, and in
+#: later batches. It doesn't depend on the number of cores, so a run has the same records on all computers.
 _IN_PARALLEL: Final = (1, 4)
 
 
 @dataclass(frozen=True, slots=True)
 class Thinking:
-    """Limits of imagining choices."""
+    """Limits of the projection of choices."""
 
-    budget: int = _MAX_IMAGINED  # choices of an action
-    seconds: float | None = None  # simulated time of all choices; None for no limit
+    budget: int = _MAX_IMAGINED  # maximum number of projected choices of an action
+    seconds: float | None = None  # maximum simulated time of all choices; None for no limit
 
 
 _thinking: ContextVar[Thinking | None] = ContextVar("pycram_thinking", default=None)
@@ -62,40 +62,39 @@ _ended: ContextVar[bool] = ContextVar("pycram_thought", default=False)
 
 
 def projecting(budget: int = _MAX_IMAGINED, *, seconds: float | None = None) -> Binding[Thinking | None]:
-    """Imagine the best choices of the actions in the ``with`` block before one is performed.
+    """Project the best choices of the actions in the ``with`` block before a choice is performed.
 
     For example::
 
         with projecting(budget=4):
             perform(ActionDesignator(type="transporting", object=milk, target="island"))
 
-    They run in copies of the process, on all cores, and the first success in their order is performed. If all fail,
-    the action fails, and nothing has moved.
+    Choices are tried in copies of the process, on all cores, and the first success in their order is performed. If all
+    fail, the action fails, and nothing has moved.
 
     Args:
-        budget: Maximum number of imagined choices of an action.
-        seconds: Simulated time after which no more choices are imagined.
+        budget: Maximum number of projected choices of an action.
+        seconds: Simulated time after which no more choices are projected.
 
     Raises:
-        BadArgument: A limit is wrong.
+        BadArgument: A limit is out of range.
     """
     if isinstance(budget, bool) or not isinstance(budget, int) or budget < 1:
-        raise BadArgument("budget", budget, "a whole number of choices, from 1 up")
+        raise BadArgument("budget", budget, "a whole number of choices, 1 or more")
     if seconds is not None and checks.number("seconds", seconds) <= 0:
-        raise BadArgument("seconds", seconds, "seconds of simulated time, more than 0")
+        raise BadArgument("seconds", seconds, "a simulated time of more than 0 s")
     return Binding(_thinking, Thinking(budget, seconds))
 
 
 def not_projecting() -> Binding[bool]:
-    """Imagine nothing in the ``with`` block, even if its actions ask for it."""
+    """Project no choices in the ``with`` block, even if a slot ``projected`` is True."""
     return Binding(_ended, True)
 
 
 def thinking(*, wanted: bool | None) -> Thinking | None:
-    """Return the limits of imagining an action's choices here; None if they are not imagined.
+    """Return the limits of projecting an action's choices; None if they aren't projected.
 
-    Args:
-        wanted: The action's slot ``projected``; None if it isn't given.
+    ``wanted`` is the slot ``projected`` of the action; None without this slot.
     """
     if _ended.get() or wanted is False:
         return None
@@ -103,13 +102,13 @@ def thinking(*, wanted: bool | None) -> Thinking | None:
 
 
 def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]) -> list[Outcome]:
-    """Perform choices of an action in copies of this process, up to the first success; return their outcomes.
+    """Perform choices of an action in copies of this process, up to the first success; return the outcomes.
 
     Args:
-        candidates: The action, its solution, and the chosen slots for records; in the order of preference.
+        candidates: For each choice, the best first: the action, its solution, and the chosen slots for records.
 
     Raises:
-        NotProjectable: The process can't be copied here.
+        NotProjectable: The process can't be copied.
         BaseException: The error of a choice, if it isn't a plan failure.
     """
     outcomes = project_all([partial(_Imagined(kind, solution), **choice) for kind, solution, choice in candidates])
@@ -120,7 +119,7 @@ def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]
 
 
 class _Imagined:
-    """An action with a solution, as a function to project."""
+    """An action with a solution, as a function for a projection."""
 
     def __init__(self, kind: ActionType, solution: Solution) -> None:
         self.__qualname__ = kind.type
@@ -137,8 +136,8 @@ class Try:
     """A choice that failed."""
 
     choice: Mapping[str, Any]  # chosen values by slot
-    failure: BaseException
-    imagined: bool = False  # whether it was only tried in a projection
+    failure: BaseException  # failure of the choice
+    imagined: bool = False  # whether only a projection tried the choice
 
 
 class ActionFailed(PlanFailure):
@@ -152,16 +151,16 @@ class ActionFailed(PlanFailure):
         remedy = _remedy(tried)
         super().__init__(f"{action} failed after {count}, {ending}{_summary(tried, last)}{remedy and '; ' + remedy}")
         self.action = action  # type of the action
-        self.tried = list(tried)  # the failed choices, in order, each with its failure
-        self.spent = spent  # whether the budget was spent: there may be other choices
-        self.last = last  # why no further choice was found; None if there are no further choices
+        self.tried = list(tried)  # the failed choices in order, with their failures
+        self.spent = spent  # whether the budget was spent, so that untried choices may exist
+        self.last = last  # failure of the search for further choices; None if the search didn't fail
 
 
 export("pycram.actions", ActionFailed)
 
 
 def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
-    """Return the failures of tries as text, the commonest first; equal failures are counted."""
+    """Return the failures of tries as text, the most frequent first; equal failures are counted."""
     groups: dict[str, int] = {}
     for each in tried:
         reason = _reason(each.failure)
@@ -174,7 +173,7 @@ def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
 
 
 def _remedy(tried: Sequence[Try]) -> str:
-    """Return the advice to move objects aside that were in the way in each try; "" without such objects."""
+    """Return the advice to move aside the objects that blocked every try; "" without such objects."""
     world = BulletWorld.current_bullet_world
     blocking = [getattr(each.failure, "bodies", None) for each in tried]
     if world is None or not blocking or not all(blocking):
@@ -184,14 +183,14 @@ def _remedy(tried: Sequence[Try]) -> str:
 
 
 def _reason(failure: BaseException) -> str:
-    """Return a failure as one line; for a failed action, its first failure."""
+    """Return a failure as one line; for a failed action, the failure of its first try."""
     while isinstance(failure, ActionFailed) and failure.tried:
         failure = failure.tried[0].failure
     return format_error(failure).partition("\n")[0]
 
 
 class _Budget:
-    """The number of tries that may still fail, of an action and of the actions around it."""
+    """The number of tries of an action and of its outer actions that may still fail."""
 
     def __init__(self, tries: int, around: _Budget | None) -> None:
         self._left = tries
@@ -208,18 +207,18 @@ class _Budget:
 
 
 _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
-_takes: ContextVar[bool] = ContextVar("pycram_takes", default=False)  # whether an action around has an object
+_takes: ContextVar[bool] = ContextVar("pycram_takes", default=False)  # whether an outer action has an object
 
 
 def perform(designator: ActionDesignator | MotionDesignator) -> Any:
-    """Perform an action or a motion, and return its result, or a future in the body of a block with branches.
+    """Perform an action or a motion; return its result or, in the body of a block with branches, a future.
 
-    An action's choices are tried in order, until one succeeds.
+    The choices of an action are tried in order until a choice succeeds.
 
     Raises:
-        DesignatorError: It isn't a designator of an action or motion, or a slot is missing, unknown or wrong.
-        ActionFailed: No choice succeeded, or the budget is spent.
-        PlanFailure: The failure of an action without choices, or the reason why no choice was found.
+        DesignatorError: The argument isn't an action or motion, or a slot is missing, unknown or wrong.
+        ActionFailed: All choices failed, or the budget is spent.
+        PlanFailure: The failure of an action without choices, or of the search for choices.
     """
     if isinstance(designator, MotionDesignator):
         return ProcessModule.perform(designator)
@@ -240,7 +239,7 @@ def _act(designator: Designator) -> _Act:
     BulletWorld.current_robot()
     kinds = [cls for cls in type(designator).__mro__ if issubclass(cls, ActionDesignator)]
     if next(designator.branches(), None) is None and not any(cls.resolvers for cls in kinds):
-        designator.check()  # a resolver of the plan could know other slots
+        designator.check()  # not if a resolver of the plan may know other slots
     return _Act(designator)
 
 
@@ -253,7 +252,7 @@ class _Act:
         self._designator = designator
 
     def carry_out(self) -> Any:
-        """Wait for the futures in its slots, and try its choices."""
+        """Wait for the futures in the slots, and try the choices."""
         for branch in self._designator.branches():
             branch.result()
         checkpoint()
@@ -263,7 +262,7 @@ class _Act:
             try:
                 return self._carried_out(slots)
             except PlanFailure as failure:
-                with suppress(PycramError):  # the world may have ended
+                with suppress(PycramError):  # the world may be closed
                     if outermost and (helps := advice(failure, self._designator)):
                         failure.args = (f"{failure}; {helps}",)
                 raise
@@ -277,7 +276,7 @@ class _Act:
             first = next(solutions)
             kind = type_of(first)
             solutions = itertools.chain([first], solutions)
-            if not _chosen(first, slots):  # there may be nothing to choose
+            if not _chosen(first, slots):  # the action may have nothing to choose
                 some, rest = _taken(solutions, 2)
                 if len(some) == 1:
                     return kind.call(first)
@@ -285,7 +284,7 @@ class _Act:
             return _Tries(kind, slots, solutions, budget, ahead).carried_out()
 
     def _solutions(self) -> Iterator[Solution]:
-        """Yield its solutions; record the search for the first solution."""
+        """Yield the solutions; record the search for the first solution."""
         self.span.solution = first = self._designator.reference()
         found = self._designator.resolution()
         self.span.decision = Decision(
@@ -301,14 +300,10 @@ class _Act:
 
 
 class _Tries(FailureHandling):
-    """The choices of an action, tried in order.
+    """The tries of an action's choices, in order.
 
-    Args:
-        kind: The action.
-        given: Its given slots; its solutions choose values for the others.
-        solutions: Its solutions, at least one.
-        budget: The number of tries that may still fail.
-        ahead: The limits of imagining choices first; None if they are not imagined.
+    ``solutions`` yields at least one solution. ``ahead`` are the limits of projecting choices first; None without
+    projections.
     """
 
     def __init__(
@@ -319,7 +314,7 @@ class _Tries(FailureHandling):
         budget: _Budget,
         ahead: Thinking | None,
     ) -> None:
-        super().__init__(_ENDLESS)  # the budget ends it
+        super().__init__(_ENDLESS)  # the budget ends the tries
         self._kind = kind
         self._given = given
         self._budget = budget
@@ -327,29 +322,21 @@ class _Tries(FailureHandling):
         self._found = solutions
         self._solutions = solutions if ahead is None else self._imagined(ahead)
         self._solution: Solution = {}
-        self._spent = False  # whether the limits left out choices
+        self._spent = False  # whether the limits of projections excluded choices
 
     @property
     def fields(self) -> dict[str, object]:
-        """The parameters of its node of the task tree."""
+        """The parameters of the node of the task tree."""
         return {"action": self._kind.type, "budget": self._budget.left}
 
     def carried_out(self) -> Any:
-        """Try the choices in order, and return the result of the first success.
-
-        Raises:
-            ActionFailed: None succeeded.
-        """
+        """Try the choices in order; return the result of the first success, or raise ActionFailed."""
         self.parameters = self._next()
-        with not_projecting():  # subactions of imagined choices imagine nothing
+        with not_projecting():  # subactions don't project choices
             return self.run(lambda **_: type_of(self._solution).call(self._solution))
 
     def recover(self, failure: BaseException) -> Mapping[str, Any]:
-        """Return the choice of the next attempt.
-
-        Raises:
-            ActionFailed: There is none, or the budget is spent.
-        """
+        """Return the next choice; raise ActionFailed if there is no next choice, or if the budget is spent."""
         self._tried.append(Try(self._choice(self._solution), failure))
         self._budget.spend()
         if self._budget.left <= 0:
@@ -384,16 +371,16 @@ class _Tries(FailureHandling):
                     self._found = itertools.chain(batch[len(outcomes) :], self._found)
                     yield solution
                 else:
-                    assert outcome.failure is not None  # noqa: S101  it hasn't succeeded
+                    assert outcome.failure is not None  # noqa: S101  a choice without success has a failure
                     self._tried.append(Try(self._choice(solution), outcome.failure, imagined=True))
         self._spent = True
 
 
 def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], Iterator[Solution]]:
-    """Return the next solutions, and the rest; a failure to find more is raised from the rest."""
+    """Return the next solutions and an iterator over the rest, which raises a failure of the search."""
     found: list[Solution] = []
     try:
-        found.extend(itertools.islice(solutions, size))  # keeps the solutions before an error
+        found.extend(itertools.islice(solutions, size))  # not list(), which loses the solutions before an error
     except PlanFailure as failure:
         if not found:
             raise
@@ -402,7 +389,7 @@ def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], It
 
 
 def _chosen(solution: Solution, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a solution for the action's open slots."""
+    """Return the values of a solution for the slots that the plan left open."""
     chosen: dict[str, Any] = {}
     for slot, value in solution.items():
         asked = given.get(slot)

@@ -449,7 +449,7 @@ def test_an_object_that_can_t_be_taken_is_advised_to_be_turned_or_slid_where_tha
     before, stands = counter.sim_step, thing.get_position_and_orientation()
     with recorder.record(tmp_path / "run.mcap"), pytest.raises(PlanFailure) as raised:
         perform(picking_up(object=thing, **slots))
-    assert str(raised.value).endswith(f"; {advice}, then it can be taken")
+    assert str(raised.value).endswith(f"; {advice}, then the robot can take it")
     assert (counter.sim_step, thing.get_position_and_orientation()) == (before, stands)
     with replay.open(tmp_path / "run.mcap") as log:
         assert "projection" not in {task.kind for task in log.records(Task)}
@@ -478,7 +478,7 @@ def test_a_robot_with_a_fixed_base_advises_to_slide_what_it_would_fetch(world: B
         assert room.settle()
         with pytest.raises(NoPlace) as raised:
             perform(fetching(object="milk"))
-        advice = "slide milk by 88 cm to [0.00, 0.88], at an edge of table, then it can be taken"
+        advice = "slide milk by 88 cm to [0.00, 0.88], at an edge of table, then the robot can take it"
         assert str(raised.value).endswith(f"bring it at least 28 cm closer; {advice}")
         moved_as_advised(raised.value, milk)
         assert perform(fetching(object=milk)) is milk

@@ -139,7 +139,7 @@ def test_what_is_told_wrong_moves_nothing(shared_scene: BulletWorld) -> None:
         transport("milk", LocationDesignator(on="island", side="above"))
     with pytest.raises(DesignatorError, match="a place for an object: a position"):
         transport("milk", LocationDesignator(near="cereal"))
-    with pytest.raises(DesignatorError, match="an object that can be taken"):
+    with pytest.raises(DesignatorError, match="an object that a gripper can take"):
         transport("environment", "island")
     with pytest.raises(DesignatorError, match="a place where the robot can stand"):
         perform(ActionDesignator(type="navigating", target="island"))
