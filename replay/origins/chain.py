@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _MAX_FACTS: Final = 400  # largest number of facts of a value
 _MAX_DEPTH: Final = 14
+_MAX_BEFORE: Final = 2  # largest number of listed statements before a call
 _MAX_CHANGES: Final = 3  # largest number of listed changes of a container
 _PLAIN: Final = (bool, int, float, str, type(None), list, tuple, dict)
 _COMPREHENSIONS: Final = ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp
@@ -33,7 +34,7 @@ _COMPREHENSIONS: Final = ast.ListComp | ast.SetComp | ast.DictComp | ast.Generat
 class Fact:
     """A value, where the plan made it, and the facts about what it was made from."""
 
-    kind: str  # "value", "argument", "default", "item", "read", "answer", "returned", "change", "condition" or "call"
+    kind: str  # see :class:`replay.origins.origin.Origin`
     name: str  # the expression
     value: str
     number: Any  # its value as JSON data, if it consists of numbers; otherwise None
@@ -41,7 +42,9 @@ class Fact:
     line: int
     text: str  # the line's text
     step: int  # the last step before it
+    own: float  # how much of its own the line has: 1 for numbers, 0.5 for texts, 0 if it only passes values on
     body: str = ""  # name of the object that was read
+    remark: str = ""  # what is unusual about it, in words
     parts: list[Fact] = field(default_factory=list)
 
 
@@ -83,6 +86,8 @@ class Tracer:
         if code.co_name == "<module>":
             self._modules.setdefault(code.co_filename, note.frame)
         if note.kind == "bind":
+            if isinstance(node, ast.Lambda) and note.parent is not None:
+                self._returns.setdefault(note.parent.time, note)
             for at, name in enumerate(bound_names(node)):
                 self._binds[note.frame, name].append((note.time, note, at))
         elif note.kind == "return" and note.parent is not None:
@@ -115,7 +120,11 @@ class Tracer:
         text = lines[line - 1].strip() if 0 < line <= len(lines) else ""
         self._count += 1
         number = None if value is None else _numbers_in(value.copy)
-        fact = Fact(kind, name, "" if value is None else shown(value.copy), number, file, line, text, step)
+        parts_of_line = [*_own_nodes(node)]
+        constants = [each.value for each in parts_of_line if isinstance(each, ast.Constant)]
+        numbers = any(isinstance(each, int | float) for each in constants)
+        own = 1.0 if numbers or any(isinstance(each, ast.operator) for each in parts_of_line) else 0.5 * bool(constants)
+        fact = Fact(kind, name, "" if value is None else shown(value.copy), number, file, line, text, step, own)
         fact.parts = [] if parts is None else list(parts)
         return fact
 
@@ -127,7 +136,7 @@ class Tracer:
         self._count = 0
         node, place = self._node(note), Place(note.frame, note.time)
         arguments = joined.from_iterable(self._arguments(note))
-        facts = [*arguments, *self._receivers(node, place), *self._conditions(node, place)]
+        facts = [*arguments, *self._receivers(node, place), *self._conditions(node, place), *self._before(node, place)]
         outer = note.parent
         while outer is not None:
             facts += self._conditions(self._node(outer), Place(outer.frame, outer.time))
@@ -153,6 +162,17 @@ class Tracer:
         facts = [fact for each in parts for fact in self._inputs(each, place)]
         facts += self._conditions(statement, place)
         return self._fact("call", statement, "", None, self._notes.step, iter(facts))
+
+    def _before(self, node: ast.AST, place: Place) -> Facts:
+        """Yield the calls in the statements just before a node, nearest first."""
+        statement = next(each for each in (node, *self._parents(node)) if isinstance(each, ast.stmt))
+        around = self._around.get(id(statement))
+        bodies = (body for _, body in ast.iter_fields(around)) if around is not None else ()
+        block = next((body for body in bodies if isinstance(body, list) and statement in body), [])
+        for each in block[: block.index(statement)][: -_MAX_BEFORE - 1 : -1] if block else ():
+            called = getattr(each, "value", None)
+            if isinstance(called, ast.Call) and (note := self._noted(called, place)) is not None:
+                yield self._fact("before", called, ast.unparse(called.func), note.result, note.step)
 
     def _conditions(self, node: ast.AST, place: Place) -> Facts:
         """Yield the conditions of the branches and loops around a node, innermost first."""
@@ -263,16 +283,19 @@ class Tracer:
         node, held = self._node(note), note.values[at]
         if isinstance(held.ref, ModuleType | type | FunctionType) or self._is_known(note.time, name):
             return
-        before, parts = Place(note.frame, note.time), list(self._changed(held.ref, note.time, place.time))
+        before = Place(note.frame, note.time)
+        parts = [*self._changed(held.ref, note.time, place.time), *self._conditions(node, before)]
         if isinstance(node, FUNCTIONS):
             yield from self._argument(name, note, held, parts)
             return
-        kind, source = "value", getattr(node, "value", None)
+        kind, source, remark = "value", getattr(node, "value", None), self._remark(name, note, place)
         if isinstance(node, ast.For | ast.AsyncFor | ast.comprehension):
             kind, source = "item", node.iter
             element = self._element(node.iter, held, before)
             if element is not None:
-                yield self._fact(kind, element, name, held, note.step, joined(parts, self._inputs(element, before)))
+                fact = self._fact(kind, element, name, held, note.step, joined(parts, self._inputs(element, before)))
+                fact.remark = remark
+                yield fact
                 return
         elif isinstance(node, ast.With | ast.AsyncWith):
             source = node.items[0].context_expr
@@ -283,7 +306,28 @@ class Tracer:
             source = _matching(node.targets[0], node.value, name)
         located = node.target if isinstance(node, ast.comprehension) else node
         made = () if source is None else self._inputs(source, before)
-        yield self._fact(kind, located, name, held, note.step, joined(parts, made))
+        fact = self._fact(kind, located, name, held, note.step, joined(parts, made))
+        fact.remark = remark or self._rounding(source, before)
+        yield fact
+
+    def _remark(self, name: str, note: Note, place: Place) -> str:
+        """Return what is unusual about a name: it outlived its loop, or hides another one."""
+        node, code = self._node(note), self._notes.codes[note.frame]
+        if isinstance(node, ast.For) and note.frame != place.frame:
+            return "as the loop left it"
+        outer = self._in_module(self._file(node), name, place.time) if code.co_name != "<module>" else None
+        if outer is not None and outer[0] is not note and name in bound_names(node):
+            return f"hides {name} of line {getattr(self._node(outer[0]), 'lineno', 0)}"
+        return ""
+
+    def _rounding(self, source: ast.AST | None, place: Place) -> str:
+        for each in ast.walk(source) if source is not None else ():
+            if isinstance(each, ast.BinOp) and isinstance(each.op, ast.FloorDiv):
+                values = [self.value(side, place) for side in (each.left, each.right)]
+                numbers = [_numbers_in(held.copy) for held in values if held is not None]
+                if len(numbers) == 2 and None not in numbers and numbers[1] and numbers[0] % numbers[1]:
+                    return f"{ast.unparse(each)} rounds {shown(numbers[0] / numbers[1])} down"
+        return ""
 
     def _argument(self, name: str, note: Note, held: Held, changes: list[Fact]) -> Facts:
         """Yield how a function got an argument."""
@@ -312,8 +356,11 @@ class Tracer:
             rest = [*packed, *(each for each in passed.args if isinstance(each, ast.Starred))]
         default = _default(node, name)
         if given is None and default is not None and not rest:
+            changes = [*changes, *self._changed(held.ref, -1, note.time)]
             made = self._inputs(default, Place(note.frame, note.time))
-            yield self._fact("default", default, name, held, note.step, joined(changes, made))
+            fact = self._fact("default", default, name, held, note.step, joined(changes, made))
+            fact.remark = "kept from earlier calls" if changes else ""
+            yield fact
             return
         inner = joined.from_iterable(self._inputs(each, before) for each in rest)
         if isinstance(given, ast.Name) and given.id == name:
@@ -359,10 +406,10 @@ class Tracer:
         name = ast.unparse(node)
         if (returned := self._returns.get(note.time)) is not None:
             if not self._is_known(returned.time, "return"):
-                place = Place(returned.frame, returned.time)
-                parts = joined(
-                    self._inputs(self._node(returned).value, place), self._conditions(self._node(returned), place)
-                )
+                place = Place(returned.frame, note.end)
+                made = self._node(returned)
+                made = made.body if isinstance(made, ast.Lambda) else made.value
+                parts = joined(self._inputs(made, place), self._conditions(self._node(returned), place))
                 yield self._fact("returned", self._node(returned), name, note.result, note.last_step, parts)
             return
         inner = joined(joined.from_iterable(self._arguments(note)), self._receivers(node, place))
@@ -433,7 +480,8 @@ class Tracer:
                 name = ast.unparse(node)
                 if not isinstance(node.slice, ast.Constant):
                     name += f", {ast.unparse(node.slice)} = {shown(key.copy)}"
-                parts = joined(self._inputs(node.slice, place), self._inputs(found, at))
+                changes = self._changed(held.ref, at.time, place.time)
+                parts = joined(changes, self._inputs(node.slice, place), self._inputs(found, at))
                 yield self._fact("item", found, name, held, -1 if note is None else note.step, parts)
                 return
         yield from self._inputs(node.value, place)
@@ -494,6 +542,14 @@ def shown(value: Any) -> str:
     text = described(value)
     name = getattr(value, "name", None) if text.startswith("<Object ") else None
     return str(name or (text if len(text) <= 60 else f"{text[:57]}..."))
+
+
+def _own_nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes of an expression or of a statement without its body."""
+    yield node
+    for each in ast.iter_child_nodes(node):
+        if not isinstance(each, ast.stmt):
+            yield from _own_nodes(each)
 
 
 def _numbers_in(value: Any) -> Any:

@@ -13,8 +13,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _MAX_ROWS: Final = 12  # largest number of lines of the plan that are shown
-_MAX_EARLIER: Final = 6  # of which at most this number are about earlier calls
-_WIDTH: Final = 110
+_EARLIER: Final = 1.5  # rank of calls before the failed one; if they decided, they come before it
+_LATER: Final = 0.2  # added for each call before it
+_SUSPECT: Final = 3.0  # by how much a remark or a guess raises a line
 _WORDS: Final = {
     "default": " by default",
     "read": ", read after step {}",
@@ -27,7 +28,8 @@ class Origin:
     """A value of the plan, the line that made it, and the values that it was made from."""
 
     #: "call", "value", "argument", "default", "item" (of a container or loop), "returned", "condition", "change" (of a
-    #: container or object), "read" (of an object's state) or "answer" (of a query or motion)
+    #: container or object), "read" (of an object's state) or "answer" (of a query or motion),
+    #: or "before" (a call in the statements just before)
     kind: str
     name: str  # the expression
     value: str  # its value as text; "" if it is unknown
@@ -36,9 +38,16 @@ class Origin:
     line: int
     text: str  # text of the line
     step: int  # the last step before it; -1 if unknown
+    own: float  # how much of its own the line has: 1 for numbers, 0.5 for texts, 0 if it only passes values on
     body: str  # name of the object that was read
+    remark: str  # what is unusual about the value, in words
     parts: tuple[Origin, ...]  # the values that it was made from
     moved: str = ""  # how the object that was read has moved since then, in words
+
+    @property
+    def place(self) -> tuple[str, int]:
+        """The file and the number of the line."""
+        return self.file, self.line
 
     @classmethod
     def of(cls, data: dict[str, Any], moved: tuple[str, str]) -> Origin:
@@ -48,63 +57,68 @@ class Origin:
 
 
 @dataclass(frozen=True, slots=True)
+class Guess:
+    """A mistake that would explain a number."""
+
+    text: str
+    file: str
+    line: int
+
+    @property
+    def place(self) -> tuple[str, int]:
+        """The file and the number of its line."""
+        return self.file, self.line
+
+
+@dataclass(frozen=True, slots=True)
 class Origins:
     """The origins of a failure's values."""
 
     failed: Origin | None  # the call or line that failed; None if it isn't in the plan's files
-    earlier: tuple[Origin, ...]  # calls of the plan that made the causes
-    guesses: tuple[str, ...] = ()  # possible mistakes that would explain a number
+    earlier: tuple[Origin, ...]  # calls of the plan that led to it
+    decided: int = 0  # how many of these made a cause that explains the failure
+    guesses: tuple[Guess, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
 
     def lines(self) -> Iterator[str]:
-        """Yield the plan's lines that made the values, nearest first, and the guesses."""
-        known: set[tuple[str, int]] = set()
-        rows = [row for each in self.earlier for row in _rows(each, known, _MAX_EARLIER)]
-        own = [] if self.failed is None else [*_rows(self.failed, known, _MAX_ROWS - min(len(rows), _MAX_EARLIER))]
-        yield from own
-        yield from rows[: _MAX_ROWS - len(own)]
-        yield from (f"perhaps {each}" for each in self.guesses)
+        """Yield the plan's lines that made the values, the likeliest first, and the guesses."""
+        ranks: dict[tuple[str, int], float] = {}
+        facts: dict[tuple[str, int], list[Origin]] = defaultdict(list)
+        guessed = {each.place for each in self.guesses}
+        for number, call in enumerate((self.failed, *self.earlier)):
+            start = _EARLIER if number > self.decided else -_EARLIER if number else 0.0
+            for rank, each in _walk(call, start + _LATER * number) if call is not None else ():
+                place = each.place
+                facts[place].append(each)
+                ranks[place] = min(ranks.get(place, rank), rank - _SUSPECT * (place in guessed))
+        for place in sorted(ranks, key=lambda place: ranks[place])[:_MAX_ROWS]:
+            values = dict.fromkeys(filter(None, map(_said, facts[place])))
+            comment = f"  # {phrases.short('; '.join(values))}" if values else ""
+            yield f"{phrases.place(Line(*place))}  {facts[place][0].text}{comment}"
+            remarks = (f"{each.name}: {said}" for each in facts[place] for said in (each.remark, each.moved) if said)
+            yield from (f"    {each}" for each in dict.fromkeys(remarks))
+        yield from (f"perhaps {each.text}{phrases.at(Line(*each.place))}" for each in self.guesses)
         yield from (f"note: {each}" for each in self.notes)
 
 
-# --- as text ----------------------------------------------------------------------------------------------------------
-
-
-def _rows(origin: Origin, known: set[tuple[str, int]], count: int) -> Iterator[str]:
-    """Yield the nearest lines of the plan, each with its values."""
-    ranks: dict[tuple[str, int], float] = {}
-    facts: dict[tuple[str, int], list[Origin]] = defaultdict(list)
-    for depth, each in _walk(origin, 0):
-        place = each.file, each.line
-        facts[place].append(each)
-        ranks[place] = min(ranks.get(place, depth), depth)
-    fresh = [place for place in sorted(ranks, key=lambda place: ranks[place]) if place not in known]
-    for place in fresh[:count]:
-        known.add(place)
-        text, values = facts[place][0].text, dict.fromkeys(filter(None, map(_said, facts[place])))
-        at = phrases.place(Line(*place))
-        yield f"{at}  {text}" + (f"  # {phrases.short('; '.join(values))}" if values else "")
-
-
-def _walk(origin: Origin, depth: float) -> Iterator[tuple[float, Origin]]:
-    """Yield the facts with their distance from the failure; objects count as far away."""
-    yield depth, origin
+def _walk(origin: Origin, rank: float) -> Iterator[tuple[float, Origin]]:
+    """Yield the facts with their ranks: far from the failure, and what only passes values on, comes last."""
+    suspect = _SUSPECT if origin.remark or origin.moved else 0.0
+    yield rank - suspect + 1.0 - origin.own, origin
     for part in origin.parts:
-        away = 1.0
-        if part.kind == "condition":
-            away = 2.0
-        elif "Object(" in part.text or (part.kind == "change" and "Object(" in origin.text):
-            away = 4.0
-        elif part.moved:
-            away = -2.0
-        yield from _walk(part, depth + away)
+        away = 0.5 + origin.own / 2
+        if "Object(" in part.text or (part.kind == "change" and "Object(" in origin.text):
+            away += 3.0
+        elif part.kind in ("condition", "before"):
+            away += 1.0
+        yield from _walk(part, rank + away)
 
 
 def _said(origin: Origin) -> str:
     """Return the value of a fact, unless its line says it."""
-    if origin.kind in ("call", "change") or not origin.value:
+    if origin.kind in ("call", "change", "before") or not origin.value:
         return ""
     said = f"{origin.name} = {origin.value}" + _WORDS.get(origin.kind, "").format(origin.step)
     if origin.kind == "condition":
         said = f"{origin.name} is {origin.value}"
-    return "" if said == origin.text else said + (f"; {origin.moved}" if origin.moved else "")
+    return "" if said == origin.text.replace('"', "'") else said

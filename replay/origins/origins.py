@@ -12,9 +12,11 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from replay.explain.causes.case import CausingChange
+from recorder.records import Mutation
+from replay.explain.causes.case import CausingChange, hands, joints_of
+from replay.history.blame import Blame, blame
 from replay.origins.origin import Origin, Origins
-from replay.origins.relating import with_moves
+from replay.origins.relating import guesses, with_moves
 from replay.retrace.plan_process import CantRetrace, PlanProcess
 
 if TYPE_CHECKING:
@@ -24,6 +26,8 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 _MAX_CAUSES: Final = 3  # largest number of causes whose calls are explained
+#: Kinds of causes that say what went wrong before the failed call, rather than how things were.
+_DECIDING: Final = ("swallowed-failure", "refused", "physics", "no-longer-true", "removed", "timeout")
 _SHOWN: Final = 2000
 
 
@@ -33,7 +37,8 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
     Raises:
         CantRetrace: the plan can't be run again.
     """
-    first, steps = _steps(log, why)
+    first, decided, others = _steps(log, why)
+    steps = list(dict.fromkeys((*decided, *others)))
     process = PlanProcess(log, recorded_source=recorded_source)
     with tempfile.TemporaryDirectory(prefix="pycram-origins-") as folder, tempfile.TemporaryFile() as errors:
         result = Path(folder) / "origins.json"
@@ -57,11 +62,13 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
     failed = found.pop(first, None)
     known = set() if failed is None else {(failed.file, failed.line)}
     earlier: list[Origin] = []
+    count = 0
     for step in steps:
         each = found.get(step)
         if each is not None and (each.file, each.line) not in known:
             known.add((each.file, each.line))
             earlier.append(each)
+            count += step in decided
     notes = list(process.notes()) if recorded_source else [each for each in process.notes() if "source" in each]
     if str(first) not in answer["facts"] and answer["difference"] is None:
         notes.append(f"the plan didn't reach step {first}, where the failed call began")
@@ -71,17 +78,21 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
         (None if failed is None else with_moves(log, failed, why)),
         [with_moves(log, each, why) for each in earlier],
     )
-    return Origins(failed, tuple(earlier), (), tuple(notes))
+    return Origins(failed, tuple(earlier), count, tuple(guesses(why, failed)), tuple(notes))
 
 
-def _steps(log: RecordReader, why: Why) -> tuple[int, list[int]]:
-    """Return the step at which the failed call began or the plan ended, and the steps of its causes."""
+def _steps(log: RecordReader, why: Why) -> tuple[int, list[int], list[int]]:
+    """Return the step of the failed call, or of the plan's end; the steps that decided; and others that led to it."""
     first = why.step if why.thread else len(log) - 1
     if why.task is not None:
         motion = why.task.motion
         first = (motion.asked or motion.started).seq
-    steps = [step for cause in why.causes[:_MAX_CAUSES] for step in _made_by(cause) if step < why.step]
-    return first, list(dict.fromkeys(steps))
+    found = [[*_made_by(cause)] for cause in why.causes[:_MAX_CAUSES]]
+    deciding = [cause.kind in _DECIDING for cause in why.causes[:_MAX_CAUSES]]
+    decided = [step for steps, decides in zip(found, deciding, strict=True) for step in steps if decides]
+    others = [step for steps, decides in zip(found, deciding, strict=True) for step in steps if not decides]
+    others += _made_state(log, why)
+    return first, [step for step in decided if step < why.step], [step for step in others if step < why.step]
 
 
 def _made_by(cause: Any) -> Iterator[int]:
@@ -91,3 +102,22 @@ def _made_by(cause: Any) -> Iterator[int]:
             if isinstance(item, CausingChange):
                 yield item.step
     yield from cause.steps
+
+
+def _made_state(log: RecordReader, why: Why) -> Iterator[int]:
+    """Yield the steps of the last changes of the objects, of the robot and of its arms, and of an unusual gravity."""
+    world = why.world
+    if world is None:
+        return
+    if world.gravity[2] >= 0:
+        every = log.records(Mutation, 0, why.step)
+        yield from [each.seq for each in every if each.world == world.name and each.HasField("set_gravity")][-1:]
+    for involved in why.bodies:
+        joints = [joints_of(involved.body, arm)[:1] for arm in hands(involved.body)] if involved.is_robot else []
+        names = [involved.body.name, *(f"{involved.body.name}.{joint}" for found in joints for joint in found)]
+        for name in names if involved.is_robot or not involved.body.fixed_base else ():
+            last: Blame | None = blame(log, name, why.step, world.name)
+            while last is not None and last.how == "physics":
+                last = last.earlier
+            if last is not None:
+                yield last.record.seq

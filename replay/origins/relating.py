@@ -3,21 +3,37 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from itertools import product
+from typing import TYPE_CHECKING, Any, Final
 
+from recorder import geometry
 from replay.errors import NoSuchName
 from replay.history.blame import blame
 from replay.history.source import PlanSource
+from replay.origins.origin import Guess
 from replay.report import phrases
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from recorder.records import Plain
     from replay.explain.why import Why
     from replay.file.record_reader import RecordReader
     from replay.origins.origin import Origin
+    from replay.state.state import Body, World
 
-_MOVED = 0.001  # in m; smaller moves are ignored
+_MOVED: Final = 0.001  # in m; smaller moves are ignored
+_CLOSE: Final = 0.15  # in m, near an object
+_FAR: Final = 0.5  # in m, away from all objects
+_ROOM: Final = 3.0  # in m, outside of the scene
+_TILTED: Final = 0.5  # smaller cosines of a lean mean that nothing stands like that
+_POSITION: Final = 3  # number of its coordinates
+_UNITS: Final = ((100.0, "centimetres"), (1000.0, "millimetres"))
+_LEAST: Final = 50.0  # a number in a unit is at least this part of 1 m
+_NUMBER: Final = re.compile(r"(?<![\w.])\d+(?:\.\d*)?(?![\w.])")
 
 
 def with_moves(log: RecordReader, origin: Origin, why: Why) -> Origin:
@@ -47,3 +63,84 @@ def _moved_since(log: RecordReader, origin: Origin, why: Why) -> str:
         f"{origin.body} has moved {phrases.length(distance)} since then, last at step {last.record.seq}{by}"
         + phrases.at(stack[-1] if stack else source.line("", 0))
     )
+
+
+def guesses(why: Why, failed: Origin | None) -> Iterator[Guess]:
+    """Yield mistakes that would explain a number of the failed call, each because of numbers of the scene."""
+    if failed is None or why.world is None or why.task is None:
+        return
+    facts = [failed]
+    for each in facts:
+        facts += each.parts
+    for name, value in why.task.motion.parameters.items():
+        numbers = _vector(value)
+        bodies = [body for body in why.world.bodies.values() if not body.fixed_base and body.name != why.world.robot]
+        finder = _FINDERS.get(len(numbers))
+        found = None if finder is None else finder(numbers, bodies, why.world)
+        if found:
+            yield _guess(f"{name} {phrases.vector(numbers)} {found}", numbers, facts)
+        if len(numbers) == _POSITION:
+            yield from _scaled(name, numbers, bodies, facts)
+
+
+def _vector(value: Plain) -> list[float]:
+    """Return the numbers of a slot; the position of a pose."""
+    if isinstance(value, dict):
+        value = value.get("position")
+    plain = isinstance(value, list) and all(isinstance(each, int | float) for each in value)
+    return [float(each) for each in value] if plain else []  # type: ignore[union-attr, arg-type]
+
+
+def _guess(text: str, numbers: Sequence[float], facts: Sequence[Origin]) -> Guess:
+    """Return a guess at the line that made the numbers: the deepest of those that have them."""
+    fitting = [each for each in facts if isinstance(each.number, list) and _near(each.number, numbers)]
+    line = fitting[-1] if fitting else facts[0]
+    return Guess(text, *line.place)
+
+
+def _near(one: Sequence[Any], other: Sequence[float], within: float = _MOVED) -> bool:
+    numbers = len(one) == len(other) and all(isinstance(each, int | float) for each in one)
+    return numbers and math.dist(one, other) <= within
+
+
+def _of_position(position: Sequence[float], bodies: Sequence[Body], world: World) -> str:
+    """Return what a position may be instead of a position in the world; "" without evidence."""
+    robot = world.bodies.get(world.robot)
+    for body in bodies:
+        relative = None if robot is None else geometry.transform(geometry.invert(robot.pose), body.position)
+        if relative is not None and _near(relative, position) and not _near(body.position, position, _CLOSE):
+            return f"is {body.name}'s position relative to {world.robot}, not in the world"
+    if any(_near(body.position, position, _FAR) for body in bodies):
+        return ""
+    x, y, z = position
+    for other, words in (([-x, y, z], "-x"), ([x, -y, z], "-y"), ([x, y, -z], "-z"), ([y, x, z], "x and y swapped")):
+        near = next((body.name for body in bodies if _near(body.position, other, _CLOSE)), "")
+        if near:
+            return f"would be near {near} with {words}"
+    return ""
+
+
+def _of_rotation(rotation: Sequence[float], _: Sequence[Body], __: World) -> str:
+    x, y, z, w = rotation
+    if abs(math.hypot(*rotation) - 1) > _CLOSE or 1 - 2 * (x * x + y * y) > _TILTED:
+        return ""
+    if 1 - 2 * (y * y + z * z) < 1 - _CLOSE:  # the lean of the rotation whose w comes first
+        return ""
+    return f"has w first; in the order x, y, z, w it tilts by {phrases.degrees(2 * math.acos(min(1.0, abs(w))))}"
+
+
+def _scaled(name: str, position: Sequence[float], bodies: Sequence[Body], facts: Sequence[Origin]) -> Iterator[Guess]:
+    """Yield the number of a line that would be a length like all others, if it were in another unit."""
+    known = [part for body in bodies for part in body.position]
+    limit = max(map(abs, known), default=0.0) + _ROOM
+    for part in (part for part in position if abs(part) > limit):
+        for each in facts:
+            for text, (scale, unit) in product(_NUMBER.findall(each.text), _UNITS):
+                number = float(text)
+                if number >= scale / _LEAST and abs(part - number + number / scale) < limit:
+                    size = phrases.length(number / scale)
+                    yield Guess(f"{text} is in {unit} ({size}): {name} has {phrases.number(part)} m", *each.place)
+                    return
+
+
+_FINDERS: Final = {_POSITION: _of_position, _POSITION + 1: _of_rotation}

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from replay.origins.origin import Origins
     from replay.retrace.plan_process import Guidance
 
 SCENE = """\
@@ -35,6 +34,7 @@ world = BulletWorld(name="lab")
 world.set_gravity([0, 0, -9.8])
 floor = Object("floor", "environment", "plane.urdf")
 robot = world.robot = Object("pr2", "robot", "pr2.urdf")
+milk = Object("milk", "milk", "milk.stl", [0.6, 0.2, 0.1])
 """
 
 
@@ -72,42 +72,154 @@ class Forked:
 
 
 @pytest.fixture
-def why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], tuple[Origins, list[str]]]:
-    """Runs a plan that fails; returns the origins and the first 20 lines of `why --origins`."""
+def why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], list[str]]:
+    """Runs a plan that fails; returns the first 20 lines of `why --origins`."""
 
     def start(process: PlanProcess, module: str, guidance: Guidance, folder: str, _: object, **facts: object) -> Forked:
         request = {"plan": str(process.program), "arguments": [], "guidance": guidance.as_json()}
         return Forked(module, {**request, "parent": os.getpid(), "folder": folder, **facts})
 
-    def explained(plan: str) -> tuple[Origins, list[str]]:
+    def explained(plan: str) -> list[str]:
         with replay.open(recorded(tmp_path, plan)) as log:
             why = log.why()
-            found = origins(log, why)
-            return found, list(why_report.lines(why, "x.mcap", found.lines()))[:20]
+            return list(why_report.lines(why, "x.mcap", origins(log, why).lines()))[:20]
 
     monkeypatch.setattr(PlanProcess, "start", start)
     return explained
 
 
-def test_the_lines_that_made_a_number_come_first(why: Callable[[str], tuple[Origins, list[str]]]) -> None:
-    found, printed = why(
+#: Plans that fail; `# here` is at the line of the fix. Each prints what the second text says of that line.
+PLANS = {
+    "a unit, behind a helper and a default": (
         """
-        COUNTER, RIM = 0.86, 8
-        SPOTS = [[1.4, 0.6], [1.4, 0.9]]
-        def spot(number, height=COUNTER):
-            x, y = SPOTS[number - 1]
+        RIM = 8  # here
+        def spot(x, y, height=0.86):
             z = height + RIM
             return [x, y, z]
-        milk = Object("milk", "milk", "milk.stl", [0.6, 0.2, 0.1])
-        for number in range(2):
-            if number == 0:
-                milk.set_position(spot(number))
-            perform(pick_up(object=milk, arm="left"))
+        def bring(target, **rest):
+            perform(moving(target=target, **rest))
+        bring(spot(0.4, 0.2), orientation=[0, 0, 0, 1])
         """,
-    )
-    assert any("z = height + RIM  # z = 8.86" in line for line in printed), printed
-    assert any("number - 1 = -1 = [1.4, 0.9]" in line for line in printed), printed
-    assert found.failed.text == 'perform(pick_up(object=milk, arm="left"))'
+        "RIM = 8",
+    ),
+    "an index that wraps around": (
+        """
+        WAYS = ["left", "right", "middle"]  # here
+        for number in range(2):
+            perform(pick_up(object=milk, arm=WAYS[number - 1]))
+        """,
+        "number - 1 = -1 = 'middle'",
+    ),
+    "a default that keeps values of earlier calls": (
+        """
+        def route(stop, stops=[]):  # here
+            stops.append(stop)
+            return stops
+        route(0.5)
+        x, y = route(0.1), 0
+        perform(moving(target=[*x, y, 0, 0]))
+        """,
+        "stops: kept from earlier calls",
+    ),
+    "a loop variable that is read late": (
+        """
+        ways = []
+        for arm in ("left", "middle"):
+            ways.append(lambda: arm)  # here
+        perform(pick_up(object=milk, arm=ways[0]()))
+        """,
+        "arm: as the loop left it",
+    ),
+    "a division that rounds down": (
+        """
+        def share(length, parts):
+            size = length // parts  # here
+            return [0.5 / size, 0, 0]
+        perform(moving(target=share(1, 2)))
+        """,
+        "length // parts rounds 0.5 down",
+    ),
+    "a position that was read before the object moved": (
+        """
+        box = Object("cereal", "cereal", "breakfast_cereal.stl", [0.7, 0.4, 0.1])
+        x, y, z = box.get_position()  # here
+        box.set_position([0.7, 0.9, 0.1])
+        perform(moving(target=[x, y, z, 1]))
+        """,
+        "cereal has moved 0.500 m since then, last at step",
+    ),
+    "a field that was left out": (
+        """
+        from dataclasses import dataclass
+        @dataclass
+        class Job:
+            thing: str
+            arm: str = "middle"  # here
+        class Work:
+            def __init__(self, *jobs):
+                self.jobs = list(jobs)
+            def next(self):
+                return self.jobs.pop(0)
+        job = Work(Job("milk"), Job("cup", "left")).next()
+        perform(pick_up(object=world.get_object(job.thing), arm=job.arm))
+        """,
+        "job.arm = 'middle'",
+    ),
+    "an entry that another name changed": (
+        """
+        SPOTS = {"home": [0, 0, 0], "shelf": [1, 0, 0]}
+        spot = SPOTS["home"]
+        spot[2] = "high"  # here
+        perform(moving(target=SPOTS["home"]))
+        """,
+        "spot[2] =",
+    ),
+    "a branch": (
+        """
+        battery = 20
+        if battery < 50:  # here
+            arm = "middle"
+        else:
+            arm = "left"
+        perform(pick_up(object=milk, arm=arm))
+        """,
+        "battery < 50 is True",
+    ),
+    "a name that hides another": (
+        """
+        arm = "left"
+        def take(thing):
+            arm = "middle"  # here
+            perform(pick_up(object=thing, arm=arm))
+        take(milk)
+        """,
+        "arm: hides arm of line",
+    ),
+    "a quaternion whose w comes first": (
+        """
+        UPRIGHT = [1, 0, 0, 0]  # here
+        perform(moving(target=[0.1, 0, 0], orientation=UPRIGHT))
+        """,
+        "perhaps orientation [1, 0, 0, 0] has w first",
+    ),
+    "a position relative to the robot": (
+        """
+        from recorder import geometry
+        robot.set_position([3, 0, 0])
+        seen = geometry.transform(geometry.invert((robot.get_position(), [0, 0, 0, 1])), milk.get_position())  # here
+        perform(place(object=milk, target=list(seen), arm="left"))
+        """,
+        "perhaps target [-2.4, 0.2, 0.1] is milk's position relative to pr2",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", PLANS)
+def test_the_line_of_the_fix_is_among_the_first_lines(kind: str, why: Callable[[str], list[str]]) -> None:
+    plan, said = PLANS[kind]
+    printed = why(plan)
+    assert any("# here" in line for line in printed), "\n".join(printed)
+    assert any(said in line for line in printed), "\n".join(printed)
 
 
 @pytest.mark.usefixtures("why")
@@ -115,5 +227,6 @@ def test_the_verb_gives_origins_as_data(tmp_path: Path, capsys: pytest.CaptureFi
     log = recorded(tmp_path, "thing = floor\nperform(pick_up(object=thing))")
     capsys.readouterr()
     assert main(["why", "--origins", "--json", log]) == 0
-    (value,) = json.loads(capsys.readouterr().out)["origins"]["failed"]["parts"]
-    assert (value["kind"], value["name"], value["text"]) == ("value", "thing", "thing = floor")
+    call = json.loads(capsys.readouterr().out)["origins"]["failed"]
+    assert (call["parts"][0]["kind"], call["parts"][0]["name"]) == ("value", "thing")
+    assert (call["parts"][0]["text"], call["parts"][0]["parts"][0]["name"]) == ("thing = floor", "floor")
