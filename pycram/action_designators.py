@@ -101,7 +101,7 @@ def fetching(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Drives to a place within reach of an object, and takes the object; clears obstacles away.
+    """Drives to a place within reach of an object, and takes the object; clears obstacles, drawers and doors away.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -109,7 +109,8 @@ def fetching(
         grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
             side.
         place: Place of the robot, a LocationDesignator; by default places within reach of the object.
-        clear: Whether to clear obstacles away first; by default only after they caused a failure.
+        clear: Whether to clear obstacles away first; by default only after they caused a failure. Without a place, this
+            also closes drawers and doors beside the object, and opens the object's own as far as possible.
         budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.

@@ -9,7 +9,7 @@ from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.actions.action import ActionDesignator, action, place_for_an_object, portable
-from pycram.actions.containers import containers, enclosing
+from pycram.actions.containers import containers, enclosing, making_room
 from pycram.actions.hands import arms, check_target, free_arms, held_by, holder, holding_arm, places_for
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.navigating import go, park
@@ -83,6 +83,7 @@ def _fetching_choices(
     arm: str | None = None,
     place: LocationDesignator | None = None,
     grasp: str | None = None,
+    clear: bool = False,
 ) -> Iterator[Mapping[str, Any]]:
     """Yield arms and places of the robot for taking an object; at last, choices that clear obstacles away."""
     body = object_of(object)
@@ -90,6 +91,9 @@ def _fetching_choices(
         yield {}
         return
     free = free_arms(arm)
+    moves = place is None and drives(BulletWorld.current_robot()) and making_room(body)
+    if moves and clear:
+        yield {"clear": True}
     if place is not None:
         yield from ({"arm": each, "place": place} for each in free)
         return
@@ -98,6 +102,8 @@ def _fetching_choices(
         yield from _from_places(body, free, body, grasp)
     except NoPlace as failure:
         nowhere = failure
+        if moves and not clear:
+            yield {"clear": True}
     if holder(body) is None and _crowded(body):
         if not drives(BulletWorld.current_robot()):  # the robot can't choose its place
             yield from ({"arm": each, "clear": True} for each in free)
@@ -132,7 +138,7 @@ def fetching(
     place: Any = None,
     clear: bool = False,
 ) -> Any:
-    """Drives to a place within reach of an object, and takes the object; clears obstacles away.
+    """Drives to a place within reach of an object, and takes the object; clears obstacles, drawers and doors away.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -140,11 +146,19 @@ def fetching(
         grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
             side.
         place: Place of the robot, a LocationDesignator; by default places within reach of the object.
-        clear: Whether to clear obstacles away first; by default only after they caused a failure.
+        clear: Whether to clear obstacles away first; by default only after they caused a failure. Without a place,
+            this also closes drawers and doors beside the object, and opens the object's own as far as possible.
     """
     body = object_of(object)
     if holder(body) is not None:
         return body
+    if clear and place is None and drives(BulletWorld.current_robot()) and (moves := making_room(body)):
+        for move in moves:
+            with suppress(PlanFailure):
+                perform(move)
+        if len(making_room(body)) == len(moves):
+            raise ReasoningError(f"the open drawers and doors beside {body.name} can't be moved")
+        return perform(ActionDesignator(type="fetching", object=body, arm=arm, grasp=grasp))
     if clear:
         go(place)
         _clear_away(body, arm)

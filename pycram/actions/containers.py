@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from pycram.actions.action import action
+from pycram.actions.action import ActionDesignator, action
 from pycram.actions.performing import perform
 from pycram.foundation.failures import AccessFailed, BadArgument, NoPlace, PlanFailure, UnknownName
 from pycram.motions.designator import MotionDesignator
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 
 _PLACES: Final = 3  # number of places of the robot that are tried for each width
 _SAME: Final = (0.005, math.radians(0.5))  # m and rad, maximum distance of a robot from its place
+_BESIDE: Final = 1.3  # m, maximum distance from an object to the handle of an open container in the way
+_TRIES: Final = 4  # failed tries of moving a drawer or door that is in the way
 _CLOSED: Final = 0.1  # m or rad, maximum opening of a closed drawer or door
 
 
@@ -99,17 +101,40 @@ def enclosing(body: Object) -> Any:
 
 def enclosing_at(position: Sequence[float]) -> Any:
     """Return the closed container around a position in the world frame, m; None without such a container."""
+    return next((each for access, each in containers() if access.is_closed and _holds(access, each, position)), None)
+
+
+def _holds(access: Access, container: Any, position: Sequence[float]) -> bool:
+    """Return whether a position in the world frame, m, is in a container."""
     x, y, z = position
+    for name in container.surfaces:
+        surface = access.body.surfaces[name]
+        u, v, above = geometry.transform(geometry.invert(access.body.surface_pose(surface)), (x, y, z))
+        corners = convex_hull(np.array(surface.outline))
+        if 0.0 <= above <= surface.clearance and margin_in_polygon(corners, (u, v)) >= 0.0:
+            return True
+    return False
+
+
+def making_room(body: Object) -> list[ActionDesignator]:
+    """Return actions that make room for a robot at an object, by the distance of the handles.
+
+    They open the object's own drawer or door as far as possible, and close others beside it.
+    """
+    position = center(body)
+    found: list[tuple[float, ActionDesignator]] = []
     for access, container in containers():
-        if not access.is_closed:
+        wide, name = abs(access.open - access.closed), access.name
+        away = math.dist(access.body.get_link_position(access.handle)[:2], position[:2])
+        if access.is_closed:
             continue
-        for name in container.surfaces:
-            surface = access.body.surfaces[name]
-            u, v, above = geometry.transform(geometry.invert(access.body.surface_pose(surface)), (x, y, z))
-            corners = convex_hull(np.array(surface.outline))
-            if 0.0 <= above <= surface.clearance and margin_in_polygon(corners, (u, v)) >= 0.0:
-                return container
-    return None
+        if _holds(access, container, position):
+            if wide - abs(access.position - access.closed) > _CLOSED:
+                opened = ActionDesignator(type="opening", container=name, distance=wide, budget=_TRIES)
+                found.append((away, opened))
+        elif away < _BESIDE:
+            found.append((away, ActionDesignator(type="closing", container=name, budget=_TRIES)))
+    return [designator for _, designator in sorted(found, key=lambda each: each[0])]
 
 
 def _access_of(container: Access | Object, joint: str | None, handle: str | None) -> Access:

@@ -15,6 +15,7 @@ from pycram.foundation.failures import (
     PlanFailure,
     PostureInCollision,
     Unreachable,
+    phrases,
 )
 from pycram.motions.execution import TIMEOUT
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
@@ -22,7 +23,7 @@ from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.placing import Refusals, placements
-from pycram.reasoning.rejections import Unreached, short
+from pycram.reasoning.rejections import OutOfReach, Unreached, short
 from pycram.world import attachment
 from pycram.world.world import BulletWorld
 from recorder import geometry
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 _AWAY: Final = 0.02  # m, maximum distance of the object from the place of its release
 _TURNED: Final = math.radians(10)  # maximum turn from the given orientation, or from upright
+_SKEW: Final = math.radians(1)  # minimum turn that a message mentions
 _TOUCHING: Final = 1e-3  # m, maximum gap between touching objects
 _LOAD: Final = 0.01  # share of an object's weight; an object with more on a hand leans on the hand
 _MAX_SEARCHED: Final = 3  # number of postures without a path after which the search ends
@@ -146,7 +148,7 @@ def _plan(
             position, turn = placement.pose
             choice.take(placement.name, position=short(position), orientation=short(turn))
             return _Plan(step, placement.pose, placement.opened)
-    raise _refused(arm, body, target, orientation, refusals)
+    raise _refused(robot, arm, body, target, orientation, refusals)
 
 
 def _way(lower: Callable[[], Step], name: str, refusals: Refusals, choice: Choice) -> Step | None:
@@ -162,19 +164,29 @@ def _way(lower: Callable[[], Step], name: str, refusals: Refusals, choice: Choic
 
 
 def _refused(
-    arm: Arm, body: Object, target: Sequence[float], orientation: Sequence[float] | None, refusals: Refusals
+    robot: Object,
+    arm: Arm,
+    body: Object,
+    target: Sequence[float],
+    orientation: Sequence[float] | None,
+    refusals: Refusals,
 ) -> PlanFailure:
     """Return the failure of an object that can't be put down."""
     if refusals.no_path:
         return refusals.no_path[0]
+    if not (refusals.pairs or refusals.misses):
+        taken = refusals.no_room[0]
+        pairs = [replace(pair, gripper=arm.name) for pair in taken.pairs]
+        return PlaceFailed(body.name, target, taken.reason, orientation=orientation, pairs=pairs)
+    lying = placing.lying(robot, arm, body, target) if orientation is None else None
+    values = ", ".join(f"{round(part, 4) + 0.0:.4f}" for part in lying or ())
+    remedy = f"; orientation=[{values}] puts it down lying" if lying else ""
     if refusals.pairs:
         pairs = [refusals.pairs[name] for name in sorted(refusals.pairs)]
-        return PlaceFailed(body.name, target, "", orientation=orientation, pairs=pairs)
-    if refusals.misses:
-        return Unreachable(arm.name, target, min(refusals.misses))
-    taken = refusals.no_room[0]
-    pairs = [replace(pair, gripper=arm.name) for pair in taken.pairs]
-    return PlaceFailed(body.name, target, taken.reason, orientation=orientation, pairs=pairs)
+        return PlaceFailed(body.name, target, f"{phrases(pairs)}{remedy}", orientation=orientation, pairs=pairs)
+    miss = min(refusals.misses, key=OutOfReach.miss)
+    turned = f"turned there by {math.degrees(miss.turn):.0f} degrees" if miss.turn > _SKEW else ""
+    return Unreachable(arm.name, target, miss.distance, f"{turned}{remedy}".removeprefix("; "))
 
 
 def _reasons(

@@ -13,7 +13,7 @@ from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
-from pycram.reasoning.grasping.grasps import FREE, Grasp, candidates, leaning
+from pycram.reasoning.grasping.grasps import FREE, Grasp, along, candidates, leaning
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.rejections import Misfit, OutOfReach, Slips, Touching, Untried
 from recorder import geometry
@@ -298,23 +298,26 @@ def holding_grasps(
             yield plan.grasp, plan.posture, closing
         refused.append(plan.grasp)
         if closing is not None and plan.grasp not in adjusted:
-            adjusted.extend(_adjusted(robot, plan.grasp, closing))
+            adjusted.extend(_adjusted(body, plan.grasp, closing))
 
 
-def _adjusted(robot: Object, grasp: Grasp, closing: Closing) -> Iterator[Grasp]:
+def _adjusted(body: Object, grasp: Grasp, closing: Closing) -> Iterator[Grasp]:
     """Yield grasps near a grasp that doesn't hold a thin object.
 
     They are higher if the fingers would touch furniture, because a part of the object may hang below its surface. They
-    are deeper if the fingers would not touch two sides, because the tips of wide open fingers may reach less far.
+    are deeper if the fingers would not touch two sides, because the tips of wide open fingers may reach less far. These
+    grasps are also turned with the object, because the fingers may miss its sides.
     """
-    if closing.obstacles and all(robot.world.get_object(pair.body).fixed for pair in closing.obstacles):
+    if closing.obstacles and all(body.world.get_object(pair.body).fixed for pair in closing.obstacles):
         x, y, z = grasp.position
         rise = max(pair.depth for pair in closing.obstacles) + fingers.CLEAR
         yield replace(grasp, position=(x, y, z + rise), label=f"{grasp}, higher")
     elif not closing.obstacles and closing.sides < 2:
-        for deeper in _DEEPER:
-            position = geometry.transform((grasp.position, grasp.orientation), (deeper, 0.0, 0.0))
-            yield replace(grasp, position=position, label=f"{grasp}, {1e3 * deeper:.0f} mm deeper")
+        turned = [replace(grasp, orientation=turn) for turn in along(grasp.orientation, body.get_orientation())]
+        for each, deeper in itertools.product((grasp, *turned), _DEEPER):
+            position = geometry.transform((each.position, each.orientation), (deeper, 0.0, 0.0))
+            name = f"{grasp}, {'turned, ' if each is not grasp else ''}{1e3 * deeper:.0f} mm deeper"
+            yield replace(each, position=position, label=name)
 
 
 def _nothing(

@@ -46,6 +46,7 @@ _SKEW: Final = math.radians(2)  # rad; the gripper ignores a smaller angle to th
 _LONG: Final = 2.0  # ratio of length and width of a long object
 _BESIDE: Final = 0.01  # m from the middle of a long object, seen from the top; a nearer grasp is at the middle
 _LEANING: Final = math.radians(5)  # rad; with a larger lean of the object, the gripper leans, too
+_SLIGHT: Final = math.radians(1)  # rad; if no upright grasp is free, the gripper leans with a larger lean than this
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 _biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
@@ -90,11 +91,13 @@ def candidates(
         robot: the robot, whose heading defines the front.
         arm: the arm with the gripper.
         names: the allowed sides; None for all sides.
-        off_center: whether to return only grasps of a long object from the top, between its middle and its ends.
+        off_center: whether to return only grasps of a long object from the top, between its middle and its ends, and
+            grasps that lean with a slightly leaning object.
         base: assumed pose of the robot's base; None for its present pose.
         choice: receives, for each side, why the object doesn't fit.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
+    sides = names
     if off_center:
         offsets = _along_length(body) if names is None or "top" in names else ()
         names = ("top",)
@@ -102,12 +105,15 @@ def candidates(
     lying = body.get_orientation()
     lean = _lean(lying)
     stood = geometry.product(geometry.conjugate(lean), lying)
+    angle = geometry.angle(lean, IDENTITY[1])
     found: list[Grasp] = []
-    shifts = _shifts(offsets, stood) if geometry.angle(lean, IDENTITY[1]) >= _LEANING else []
-    if shifts:
+    leant = [(names, shift) for shift in _shifts(offsets, stood)] if angle >= _LEANING else []
+    if off_center and _SLIGHT < angle < _LEANING:
+        leant = [(sides, (0.0, 0.0, 0.0))]
+    if leant:
         caster = RayCaster(body, lean)
-        for shift in shifts:
-            for grasp in _upright(caster, stood, robot, arm, facing, names, shift, choice):
+        for some, shift in leant:
+            for grasp in _upright(caster, stood, robot, arm, facing, some, shift, choice):
                 away = [a - b for a, b in zip(grasp.position, caster.center, strict=True)]
                 x, y, z = (a + b for a, b in zip(geometry.rotate(lean, away), caster.center, strict=True))
                 turn = geometry.product(lean, grasp.orientation)
@@ -188,7 +194,7 @@ def _upright(
     for name, roll in (("front", 0.0), ("top", 0.0), ("top", math.pi / 2), ("left", 0.0), ("right", 0.0)):
         if names is None or name in names:
             turn = geometry.product(geometry.product(facing, GRASPS[name]), geometry.from_rpy(roll, 0.0, 0.0))
-            sides.append([(name, other) for other in (turn, *_along(turn, lying))])
+            sides.append([(name, other) for other in (turn, *along(turn, lying))])
             labels.append(f"{name}{' across' if roll else ''}{beside}")
     every = [option for options in sides for option in options]
     fitting: Iterator[Grasp | Misfit | Uneven]
@@ -213,7 +219,7 @@ def _upright(
     return found
 
 
-def _along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
+def along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
     """Yield an orientation, turned about the vertical, in which the fingers close along an axis of the object."""
     x, y, _ = geometry.rotate(turn, (0.0, 1.0, 0.0))
     for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import CollisionPair, PlaceFailed
+from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -15,6 +17,7 @@ from pycram.reasoning.kinematics import inverse
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from recorder import geometry
+from recorder.records import STEPS_PER_SECOND
 from recorder.records.text import link_text
 
 if TYPE_CHECKING:
@@ -38,7 +41,9 @@ _LIFTS: Final = (0.005, 0.01, 0.015)  # m, heights from which an object may be d
 _MAX_LIFTED: Final = 4  # maximum number of poses from which an object may be dropped
 _FROM_BELOW: Final = 0.5  # minimum upward component of a unit vector of a hand that comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
-_YAWS: Final = 12  # number of tried orientations about the vertical
+_YAWS: Final = 12  # number of orientations about the vertical that are tried; as many between them follow
+_MOVED: Final = (0.01, math.radians(5))  # m and rad, maximum motion of an object that stays
+_LYING: Final = math.sin(math.radians(10))  # maximum upward part of the z axis of an object that lies on a side
 
 
 def resting_position(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
@@ -170,7 +175,7 @@ class Refusals:
     """The reasons against poses and postures for a placement."""
 
     no_room: list[PlaceFailed] = field(default_factory=list)  # failures at poses without room for the object
-    misses: list[float] = field(default_factory=list)  # m between the nearest postures and their goals
+    misses: list[OutOfReach] = field(default_factory=list)  # distances between the nearest postures and their goals
     # links that would touch, by name of the object in the way
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
     low: list[Pose] = field(default_factory=list)  # poses in which the hand would touch the support of the object
@@ -208,9 +213,11 @@ def placements(
     )
     hand = {arm.gripper.palm, *arm.gripper.fingers}
     solver = Solver(robot, arm.tool_frame)
-    turns = _orientations(robot, body, body_T_tool, orientation, base)
+    groups = _orientations(robot, body, body_T_tool, orientation, base, once=quickly)
     known = {} if rests is None else rests
-    for pose, quick, lift in _poses(body, target, turns, refusals, choice, known):
+    groups = itertools.takewhile(lambda _: refusals.misses or refusals.pairs or not refusals.no_room, groups)
+    poses = (pose for turns in groups for pose in _poses(body, target, turns, refusals, choice, known))
+    for pose, quick, lift in poses:
         if quickly and not quick:
             return
         name = _name(pose[1]) + (f", released {1e3 * lift:.0f} mm higher" if lift else "")
@@ -219,8 +226,8 @@ def placements(
         tool = geometry.multiply(pose, body_T_tool)
         for posture in solver.search([(*tool, base)], quick=quick, thorough=not quick)[0]:
             if not posture.reaches():
-                refusals.misses.append(posture.position_error)
-                choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))
+                refusals.misses.append(OutOfReach(posture.position_error, posture.turn_error))
+                choice.reject(name, refusals.misses[-1])
                 continue
             with CollisionChecker(robot, posture.positions) as own:
                 (candidate,) = own.predict([posture.positions], base)
@@ -242,6 +249,37 @@ def placements(
             choice.reject(name, Touching(pairs))
             for pair in pairs:
                 refusals.pairs.setdefault(pair.body, pair)
+
+
+def lying(robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> Quaternion | None:
+    """Return an orientation in which an arm can put down an object on a side, as it took it, so that it stays there.
+
+    It is None if there is no such orientation.
+    """
+    held = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
+    tool_T_body = geometry.product(geometry.conjugate(held), body.get_orientation())
+    for name in grasps.GRASPS:
+        turn = geometry.product(grasps.grasp_orientation(name, robot), tool_T_body)
+        upward = abs(geometry.rotate(turn, (0.0, 0.0, 1.0))[2])
+        ways = placements(robot, arm, body, target, turn, Refusals(), UNRECORDED) if upward < _LYING else iter(())
+        if any(_stays(body, way.pose) for way in itertools.islice(ways, 1)):
+            return turn
+    return None
+
+
+def _stays(body: Object, pose: Pose) -> bool:
+    """Return whether an object stays where a hand releases it, for 1 s, among the objects that no hand holds."""
+    world = body.world
+    others = [other for other in world.objects if not (other.is_robot or other is body or other.carrier)]
+    clone = clone_of(world, "physics")
+    copies, _ = clone.sync([body, *others])
+    try:
+        clone.engine.set_pose(copies[body.name], pose)
+        clone.engine.step(STEPS_PER_SECOND)
+        position, turn = clone.engine.pose(copies[body.name])
+    finally:
+        clone.invalidate(*copies)
+    return math.dist(position, pose[0]) <= _MOVED[0] and geometry.angle(turn, pose[1]) <= _MOVED[1]
 
 
 def _pressed(checker: CollisionChecker, candidate: PostureCandidate, arm: Arm, body: Object) -> list[CollisionPair]:
@@ -306,26 +344,31 @@ def _name(turn: Quaternion) -> str:
 
 
 def _orientations(
-    robot: Object, body: Object, body_T_tool: Pose, orientation: Sequence[float] | None, base: Pose | None
-) -> Iterator[Quaternion]:
-    """Yield orientations in which an object may be put down; the arm's most natural orientation comes first.
+    robot: Object,
+    body: Object,
+    body_T_tool: Pose,
+    orientation: Sequence[float] | None,
+    base: Pose | None,
+    *,
+    once: bool,
+) -> Iterator[Sequence[Quaternion]]:
+    """Yield orientations in which an object may be put down, the most natural first; then the orientations between.
 
     An object that was taken upside down stays upside down if the hand would otherwise have to come from below.
     """
     if orientation is not None:
         x, y, z, w = orientation
-        yield (x, y, z, w)
+        yield [(x, y, z, w)]
         return
     natural = [grasps.grasp_orientation(grasp, robot, base) for grasp in grasps.GRASPS]
     start = grasps.yaw(body)
-    upright = [geometry.from_rpy(0.0, 0.0, start + 2 * math.pi * i / _YAWS) for i in range(_YAWS)]
     from_below = geometry.rotate(body_T_tool[1], (1.0, 0.0, 0.0))[2] > _FROM_BELOW
 
     def strain(turn: Quaternion) -> float:
         tool = geometry.product(turn, body_T_tool[1])
         return min(geometry.angle(tool, side) for side in natural)
 
-    yield from sorted(upright, key=strain)
-    if from_below:
-        flipped = [geometry.product(turn, _UPSIDE_DOWN) for turn in upright]
-        yield from sorted(flipped, key=strain)
+    for first in (0.0,) if once else (0.0, 0.5):
+        upright = [geometry.from_rpy(0.0, 0.0, start + 2 * math.pi * (first + i) / _YAWS) for i in range(_YAWS)]
+        flipped = [geometry.product(turn, _UPSIDE_DOWN) for turn in upright] if from_below else []
+        yield [*sorted(upright, key=strain), *sorted(flipped, key=strain)]

@@ -239,7 +239,7 @@ class PutDownGoal:
         if refusals.pairs:
             return Touching([refusals.pairs[name] for name in sorted(refusals.pairs)])
         if refusals.misses:
-            return OutOfReach(min(refusals.misses))
+            return min(refusals.misses, key=OutOfReach.miss)
         return NoRoom(refusals.no_room[0].reason)
 
 

@@ -153,6 +153,13 @@ def test_a_transport_goes_on_where_all_places_for_a_handle_were_tried() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [155, 90])
+def test_a_drawer_in_the_way_is_closed_and_a_door_opened_wider(seed: int) -> None:
+    done = transport(seed, "unprojected")
+    assert done.succeeded, done
+
+
+@pytest.mark.slow
 def test_what_trembles_elsewhere_is_no_failure_of_a_transport() -> None:
     done = transport(106, "unprojected")
     assert done.succeeded, done.problem
