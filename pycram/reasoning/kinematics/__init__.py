@@ -1,1 +1,1 @@
-"""Forward and inverse kinematics: arithmetic on the URDF."""
+"""Forward and inverse kinematics, computed from the URDF without the engine."""

@@ -1,14 +1,12 @@
-"""Inverse kinematics in closed form, for arms of seven joints with a spherical shoulder and wrist.
+"""Inverse kinematics in closed form, for arms with seven joints and a spherical shoulder and wrist, as in the PR2.
 
-Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist, as in the PR2's arms. Then a pose of the tool and
-an angle of joint 1 leave at most eight postures. A chain of Paden and Kahan's subproblems solves each (Murray, Li,
-Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). Joint 1 is sampled over its range,
-in steps of 4 degrees. For targets without an orientation, joints 5 and 6 are sampled as well, more coarsely. The
-samples may miss a narrow range of postures; then the nearest misses are returned, as starts for a search.
+Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. Then at most eight postures belong to a pose of
+the tool and an angle of joint 1, which is sampled. Subproblems of Paden and Kahan give each posture (Murray, Li,
+Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). For targets without an orientation, joints 5
+and 6 are sampled, too. Samples may miss a narrow range of postures; then the nearest postures are returned.
 
-In the subproblems, points and vectors are the columns of arrays (3, n) or (3, 1); axes are unit vectors (3,); angles
-are (n,) in rad. If a subproblem has no solution, it returns the nearest angle with a strain: roughly the missing angle
-in rad, 0 for solutions.
+In the subproblems, points and vectors are columns of arrays (3, n) or (3, 1); axes are unit vectors (3,); angles are
+(n,) in rad. Without a solution, a subproblem returns the nearest angle and a strain: about the missing angle in rad.
 """
 
 from __future__ import annotations
@@ -32,8 +30,8 @@ if TYPE_CHECKING:
     Hinge = tuple[Array, Array, Array]
 
 
-_ROUNDING: Final = 1e-9  # rad beyond a limit
-_MEET: Final = 1e-6  # m between axes that meet
+_ROUNDING: Final = 1e-9  # rad, tolerance beyond a limit
+_MEET: Final = 1e-6  # m, largest distance of axes that meet
 _SAMPLES: Final = 44  # samples of joint 1 for a pose
 _SAMPLES_AROUND_A_MISS: Final = 13  # samples of joint 1
 _SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # samples of joints 1, 5 and 6
@@ -51,20 +49,20 @@ class ClosedForm:
     wrist: Array  # intersection of axes 5, 6 and 7 with all joints at zero
     lower: Array  # lower limits, rad; -pi for joints without limits
     upper: Array  # upper limits, rad; pi for joints without limits
-    bounded: Flags  # which joints have limits
+    bounded: Flags  # whether each joint has limits
     span: tuple[float, float]  # least and greatest distance between the wrist and the shoulder, m
     shoulders: Array  # (n, 3) positions of the shoulder for samples of joint 1
-    swing: float  # m between the shoulder and the nearest of these samples, at most
-    elbow: Hinge  # how joint 4 changes the distance between the shoulder and the wrist
+    swing: float  # m, largest distance between the shoulder and the nearest of these positions
+    elbow: Hinge  # relation of joint 4 and the distance between the shoulder and the wrist
     # (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`)
     rotations: Array
-    hand: Array  # (2, 3) unit vectors perpendicular to the last axis with all joints at zero, at a right angle
+    hand: Array  # (2, 3) two perpendicular unit vectors, also perpendicular to the last axis with all joints at zero
 
     @classmethod
     def of(
         cls, origins: Array, axes: Array, tool: Array, lower: Array, upper: Array, bounded: Flags
     ) -> ClosedForm | None:
-        """Return the closed form for the geometry of an arm with all joints at zero; None if its axes don't meet.
+        """Return the closed form for an arm's geometry with all joints at zero; None if its axes don't meet.
 
         Args:
             origins: (n, 3) a point of each axis.
@@ -72,7 +70,7 @@ class ClosedForm:
             tool: (4, 4) pose of the tool.
             lower: lower limits, rad.
             upper: upper limits, rad.
-            bounded: which joints have limits.
+            bounded: whether each joint has limits.
         """
         if len(axes) != 7:
             return None
@@ -85,7 +83,7 @@ class ClosedForm:
         q4 = np.linspace(lower[3], upper[3], _SAMPLES)
         bent = turned(axes[3], q4, (wrist - origins[3])[:, None])
         spans = np.linalg.norm(bent + (origins[3] - shoulder)[:, None], axis=0)
-        slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # between samples
+        slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # change between two samples
         span = float(spans.min()) - slack, float(spans.max()) + slack
         q1 = np.linspace(lower[0], upper[0], _SAMPLES)
         shoulders = (turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
@@ -109,15 +107,15 @@ class ClosedForm:
         )
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
-        """Return postures for targets, including misses.
+        """Return postures for targets, also postures that miss their targets.
 
         Args:
             positions: (m, 3) positions of the tool in the base link, m.
-            turns: (m, 3, 3) orientations of the tool; None for any.
-            home: (7,) a posture; its values are samples too, so that solutions near it are found.
+            turns: (m, 3, 3) orientations of the tool; None for any orientation.
+            home: (7,) a posture, whose joint positions are samples, too, so that near solutions are found.
 
         Returns:
-            Postures (m, n, 7) and their strains (m, n): 0 for solutions within the limits, else roughly the angle in
+            Postures (m, n, 7) and their strains (m, n): 0 for solutions within the limits; otherwise about the angle in
             rad that is missing or beyond the limits.
         """
         if turns is None:
@@ -127,15 +125,13 @@ class ClosedForm:
     def solutions(self, positions: Array, turns: Array, home: Array) -> list[Array]:
         """Return the postures of :meth:`postures` without strain, in a fraction of the time.
 
-        It doesn't continue with branches that have failed.
-
         Args:
             positions: (m, 3) positions of the tool in the base link, m.
             turns: (m, 3, 3) orientations of the tool.
-            home: (7,) a posture; its values are samples too.
+            home: (7,) a posture, whose joint positions are samples, too.
 
         Returns:
-            For each target postures (n, 7).
+            Postures (n, 7) for each target.
         """
         rotations, wrists, q1 = self._wrists(positions, turns, self._samples(0, _SAMPLES, home))
         rows = q1.shape[1]
@@ -158,15 +154,12 @@ class ClosedForm:
         return [found[target == number] for number in range(len(positions))]
 
     def closer(self, position: Array, turn: Array, misses: Array) -> tuple[Array, Array]:
-        """Return postures for values of joint 1 between the samples of :meth:`postures`.
+        """Return postures (n, 7) for positions of joint 1 between the samples of :meth:`postures`, and strains (n,).
 
         Args:
             position: (3,) position of the tool in the base link, m.
             turn: (3, 3) orientation of the tool.
             misses: (k, 7) postures near a possible narrow range of solutions.
-
-        Returns:
-            Postures (n, 7) and their strains (n,).
         """
         values = (misses[:, :1] + np.linspace(-self._step, self._step, _SAMPLES_AROUND_A_MISS)).ravel()
         samples = np.unique(np.clip(values, self.lower[0], self.upper[0]))
@@ -174,7 +167,7 @@ class ClosedForm:
         return found, strain
 
     def _by_target(self, targets: int, branches: int, found: Array, strain: Array) -> tuple[Array, Array]:
-        """Group results by target, which are ordered by branch and then by target, and add the strain beyond limits."""
+        """Group results, in the order of branches and then targets, by target; add the strain beyond limits."""
         found = self._wrapped(found)
         beyond = np.maximum(np.maximum(self.lower - found, found - self.upper) - _ROUNDING, 0.0)
         strain = strain + beyond @ self.bounded
@@ -186,16 +179,13 @@ class ClosedForm:
         )
 
     def miss(self, positions: Array, turns: Array | None) -> Array:
-        """Return a lower bound of the distance in m between the tool and targets; 0 if nothing is known.
+        """Return a lower bound (m,) of the distance in m between the tool and targets; 0 if nothing is known.
 
-        For targets with an orientation, the bound is for the wrist, with the exact orientation.
+        For targets with an orientation, the bound is for the wrist with the exact orientation.
 
         Args:
             positions: (m, 3) positions of the tool in the base link, m.
-            turns: (m, 3, 3) orientations of the tool; None for any.
-
-        Returns:
-            (m,), m.
+            turns: (m, 3, 3) orientations of the tool; None for any orientation.
         """
         hand = self.wrist - self.tool[:3, 3]
         goals = positions if turns is None else positions + turns @ (self.tool[:3, :3].T @ hand)
@@ -209,7 +199,7 @@ class ClosedForm:
         return missed
 
     def _at_poses(self, positions: Array, turns: Array, samples: Array) -> tuple[int, Array, Array]:
-        """Return the number of branches of the solution, the postures, and their strains, for samples of joint 1."""
+        """Return the number of branches of the solution, the postures and their strains, for samples of joint 1."""
         rotations, wrists, q1 = self._wrists(positions, turns, samples)
         rows = q1.shape[1]
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
@@ -218,16 +208,16 @@ class ClosedForm:
         return 8, np.concatenate([np.tile(arm, (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
 
     def _wrists(self, positions: Array, turns: Array, samples: Array) -> tuple[Array, Array, Array]:
-        """Return for poses of the tool the rotations from zero, the wrists, and values (m, n) of joint 1."""
+        """Return, for poses of the tool, the rotations from zero, the wrists, and positions (m, n) of joint 1."""
         rotations = turns @ self.tool[:3, :3].T
         wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
         return rotations, wrists, self._with_straight(wrists, samples)
 
     def _to_turn(self, arm: Array, rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return values (2n, 3) of the wrist's joints that turn the hand to targets (n,), and their strain (n,)."""
+        """Return positions (2n, 3) of the wrist's joints that turn the hand to targets (n,), and their strains (n,)."""
         w = self.axes
         first, second, third, fourth = forward.transforms(self.rotations[:4], arm.T)
-        # the rotation of the wrist: the rotation of the hand without the rotations of joints 1 to 4
+        # the wrist's rotation is the hand's rotation without the rotations of joints 1 to 4
         left = (first @ second @ third @ fourth).transpose(0, 2, 1) @ rotations[target]
         q5, q6, short = two_turns(w[4], w[5], w[6][:, None], (left @ w[6]).T)
         outer, inner = forward.transforms(self.rotations[4:6], np.array([q5.ravel(), q6.ravel()]))
@@ -236,7 +226,7 @@ class ClosedForm:
         return np.array([q5.ravel(), q6.ravel(), np.arctan2(beside, across)]).T, short
 
     def _at_positions(self, positions: Array, home: Array) -> tuple[int, Array, Array]:
-        """Do the same as :meth:`_at_poses`, for any orientation."""
+        """Return the result of :meth:`_at_poses` for positions with any orientation."""
         w = self.axes
         q1, *wrist = (
             self._samples(joint, n, home) for joint, n in zip((0, 4, 5), _SAMPLES_FOR_A_POSITION, strict=True)
@@ -253,21 +243,21 @@ class ClosedForm:
         return 4, np.column_stack([arm, *rest]), strain
 
     def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array]:
-        """Return values (4n, 4) of joints 1 to 4 that bring a point of the forearm to goals, and their strain."""
+        """Return positions (4n, 4) of joints 1 to 4 that move a point of the forearm to goals, and their strains."""
         elbow = _hinge(self.origins[3], self.axes[3], point, self.shoulder)
         away, q4, strain = self._bent(q1, elbow, goals)
         q2, q3, short = self._pointed(q4, twice(point), twice(away))
         return np.stack([np.tile(q1, 4), q2, q3, np.tile(q4, 2)], axis=1), np.tile(strain, 2) + short
 
     def _bent(self, q1: Array, elbow: Hinge, goals: Array) -> tuple[Array, Array, Array]:
-        """Return vectors (3, n) from shoulder to goals without joint 1; values (2n,) of joint 4; their strain."""
+        """Return vectors (3, n) from the shoulder to goals without joint 1; positions (2n,) of joint 4; strains."""
         base = self.origins[0][:, None]
         away = base + turned(self.axes[0], -q1, goals - base) - self.shoulder[:, None]
         q4, strain = opened(elbow, np.sqrt((away * away).sum(axis=0)))
         return away, q4.ravel(), np.concatenate([strain, strain])
 
     def _pointed(self, q4: Array, point: Array, away: Array) -> tuple[Array, Array, Array]:
-        """Return values (2n,) of joints 2 and 3 that bring a point of the forearm to vectors (3, n), and strain."""
+        """Return positions (2n,) of joints 2 and 3 that move a point of the forearm to vectors (3, n), and strains."""
         elbow = self.origins[3][:, None]
         bent = turned(self.axes[3], q4, point - elbow) + elbow - self.shoulder[:, None]
         q2, q3, short = two_turns(self.axes[1], self.axes[2], bent, away)
@@ -275,17 +265,17 @@ class ClosedForm:
 
     @property
     def _step(self) -> float:
-        """Distance between samples of joint 1, rad."""
+        """The distance between samples of joint 1, rad."""
         return float(self.upper[0] - self.lower[0]) / (_SAMPLES - 1)
 
     def _samples(self, joint: int, count: int, home: Array) -> Array:
-        """Return samples of a joint's values over its range, and its value at home."""
+        """Return samples of a joint's positions over its range, and its position at home."""
         low, high = float(self.lower[joint]), float(self.upper[joint])
         spread = np.linspace(low, high, count, endpoint=bool(self.bounded[joint]))
         return np.append(spread, min(max(float(home[joint]), low), high))
 
     def _with_straight(self, points: Array, samples: Array) -> Array:
-        """Return values (m, n) of joint 1: the samples, and for each target the value that points straight at it."""
+        """Return positions (m, n) of joint 1: the samples, and for each target the position that points at it."""
         base = self.origins[0][:, None]
         straight = angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
         values = np.empty((len(points), len(samples) + 1))
@@ -294,13 +284,13 @@ class ClosedForm:
         return values
 
     def _wrapped(self, postures: Array, joints: slice = slice(None)) -> Array:
-        """Return equivalent angles of some joints, as near to the middle of the joints' ranges as possible."""
+        """Return equivalent angles of joints that are as near as possible to the middle of the joints' ranges."""
         middle = (self.lower[joints] + self.upper[joints]) / 2
         nearest: Array = middle + (postures - middle + np.pi) % (2 * np.pi) - np.pi
         return nearest
 
     def _within(self, postures: Array, joints: slice) -> Flags:
-        """Return for values (n, joints) of some joints whether they are within the limits."""
+        """Return whether positions (n, joints) of some joints are within the limits."""
         beyond = np.maximum(self.lower[joints] - postures, postures - self.upper[joints]) > _ROUNDING
         beyond &= self.bounded[joints]
         within: Flags = ~np.any(beyond, axis=1)
@@ -317,12 +307,11 @@ def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None
 
 
 def _hinge(origin: Array, axis: Array, points: Array, end: Array) -> Hinge:
-    """Return the hinge for the distance between points (3, n), which an axis turns, and a fixed point."""
+    """Return the hinge of an axis that turns points (3, n), for their distance to a fixed point."""
     return hinge(axis, points - origin[:, None], (end - origin)[:, None])
 
 
 def _radius(point: Array, origin: Array, axis: Array) -> float:
-    """Return the distance of a point from an axis."""
     return float(np.linalg.norm(np.cross(point - origin, axis)))
 
 
@@ -331,7 +320,7 @@ def _parallel(a: Array, b: Array) -> bool:
 
 
 def _across(axis: Sequence[float] | Array) -> Array:
-    """Return a unit vector perpendicular to another."""
+    """Return a unit vector that is perpendicular to another vector."""
     x, y, z = axis
     vector = (0.0, z, -y) if abs(x) <= min(abs(y), abs(z)) else (-z, 0.0, x) if abs(y) <= abs(z) else (y, -x, 0.0)
     unit: Array = np.array(vector) / math.hypot(*vector)
@@ -346,21 +335,20 @@ def turned(axis: Array, angle: Array, vector: Array) -> Array:
 
 
 def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
-    """Return the parts of vectors along an axis and perpendicular to it, and the latter turned by a right angle."""
+    """Return parts of vectors: along an axis, perpendicular to it, and the second part after a quarter turn."""
     along, across, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
     return along, across, beside
 
 
 @lru_cache(maxsize=256)
 def _split(axis: bytes) -> Array:
-    """Return the matrix (9, 3) that gives these parts; cached, because arms have few axes."""
+    """Return the matrix (9, 3) for :func:`_parts`; it is cached, because arms have few axes."""
     x, y, z = unit = np.frombuffer(axis)
     along = np.outer(unit, unit)
     return np.vstack([along, np.eye(3) - along, [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])
 
 
 def _dot(some: Array, others: Array) -> Array:
-    """Return scalar products, column by column."""
     products: Array = np.einsum("in,in->n", some, others)
     return products
 
@@ -376,7 +364,7 @@ def angle_between(axis: Array, start: Array, end: Array) -> Array:
 
 
 def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:
-    """Return angles about two axes through the origin, not parallel, that turn a vector into another: subproblem 2.
+    """Return two angles about two axes through the origin, not parallel, that turn a vector to another: subproblem 2.
 
     Args:
         first: the axis of the second turn.
@@ -388,13 +376,13 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
         Angles (2, n) about the first and the second axis, of both solutions, within two turns, and their strain (n,).
     """
     cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
-    # the parts of both vectors: along the other axis, perpendicular to both axes, and along their own axis
+    # components of both vectors: along the other axis, perpendicular to both axes, and along their own axis
     x, y, z = inner_frame @ start
     squares = x * x + y * y
     lengths = squares + z * z
     ends = outer_frame @ end
     u, v, w = ends * np.sqrt(lengths / np.maximum((ends * ends).sum(axis=0), 1e-12))
-    # between the turns, the vector has the parts along both axes, and one of two parts perpendicular to them
+    # between the turns, the vector has the components along both axes, and one of two perpendicular components
     inner, outer = (w - cosine * z) / sine, (z - cosine * w) / sine
     rest = squares - inner * inner
     across = np.sqrt(np.maximum(rest, 0.0))
@@ -422,7 +410,7 @@ def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
 
 
 def twice(vectors: Array) -> Array:
-    """Return vectors (3, n) repeated side by side; a single vector (3, 1) is returned unchanged."""
+    """Return vectors (3, n) two times side by side; a single vector (3, 1) is returned unchanged."""
     return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
 
 
@@ -434,8 +422,8 @@ def hinge(axis: Array, start: Array, end: Array) -> Hinge:
         end: the fixed point.
 
     Returns:
-        The angle of the least distance; the mean of the squares of the least and the greatest distance; and half of
-        the difference of these squares; (n,) or (1,) each.
+        Three arrays (n,) or (1,): the angle of the least distance, the mean of the squares of the least and the
+        greatest distance, and half of the difference of these squares.
     """
     _, a, beside = _parts(axis, start)
     _, b, _ = _parts(axis, end)
@@ -446,7 +434,7 @@ def hinge(axis: Array, start: Array, end: Array) -> Hinge:
 
 
 def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
-    """Return the angle about an axis that brings a point to a distance from another point: subproblem 3.
+    """Return the angles about an axis that move a point to a distance from another point: subproblem 3.
 
     Args:
         hinge: the hinge of the axis and both points.

@@ -1,9 +1,8 @@
-"""Forward kinematics of chains and trees of joints, for many postures together.
+"""Forward kinematics of chains and trees of joints, for many postures together, from the URDF without the engine.
 
-It is arithmetic on the URDF, without the engine. Postures are rows of arrays, with a column for each moving joint.
-
-The transform of a joint is a sum of constant matrices: one, one times the cosine of its value, one times the sine, and
-one times the value (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 2.2).
+Postures are rows of arrays, with a column for each moving joint. The transform of a joint is a sum of constant matrices
+with the weights 1, cosine, sine and position (Murray, Li, Sastry: A Mathematical Introduction to Robotic Manipulation,
+1994, section 2.2).
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
 
 
-_OPPOSITE: Final = 1e-6  # sine of half a turn, below which the rotation has no axis
+_OPPOSITE: Final = 1e-6  # sine of half a turn; a smaller sine gives no axis of the rotation
 _CACHED: Final = 64
 
 
@@ -43,8 +42,8 @@ class Chain:
     Args:
         base_link: the frame of all poses.
         tool_link: the last link.
-        joints: names of the joints that may move, in order; the other joints of the chain keep their values.
-        fixed: values of the other joints; 0 by default.
+        joints: names of the moving joints, in order.
+        fixed: positions of the chain's other joints; 0 if they aren't given.
         tool: pose of the tool in the last link.
     """
 
@@ -57,7 +56,7 @@ class Chain:
         fixed: Mapping[str, float] | None = None,
         tool: Pose = geometry.IDENTITY,
     ) -> None:
-        self.joints = tuple(joints)  # names of the joints that move
+        self.joints = tuple(joints)  # names of the moving joints
         values = fixed or {}
         moving, befores = [], []
         before = np.eye(4)
@@ -75,9 +74,9 @@ class Chain:
         self.sliding = np.flatnonzero(slides).tolist()  # indices of prismatic joints
         self._parts = self._before[:, None] @ constant_parts(self._axes, np.zeros_like(self._axes), slides)
         lower, upper = (np.array([getattr(joint, end) for joint in moving]) for end in ("lower", "upper"))
-        self.bounded = np.isfinite(lower)  # (joints,) whether a joint has limits
-        self.lower = np.where(self.bounded, lower, -np.pi)  # (joints,) rad or m; -pi if there is no limit
-        self.upper = np.where(self.bounded, upper, np.pi)  # (joints,) rad or m; pi if there is no limit
+        self.bounded = np.isfinite(lower)  # (joints,) whether each joint has limits
+        self.lower = np.where(self.bounded, lower, -np.pi)  # (joints,) rad or m; -pi without a limit
+        self.upper = np.where(self.bounded, upper, np.pi)  # (joints,) rad or m; pi without a limit
         # position of the first joint in the base link, m
         self.shoulder: Array = self._before[0, :3, 3] if moving else np.zeros(3)
         links = np.linalg.norm(self._before[1:, :3, 3], axis=1).sum() + np.linalg.norm(before[:3, 3])
@@ -99,18 +98,11 @@ class Chain:
         return poses[:, 0, :3, 3], axes[0].T, poses[-1, 0] @ self._tool
 
     def forward(self, postures: Array) -> tuple[Array, Array]:
-        """Return the poses of the tool and the Jacobians.
-
-        Args:
-            postures: (n, joints).
-
-        Returns:
-            Poses (n, 4, 4) of the tool in the base link, and Jacobians (n, 6, joints): linear, then angular.
-        """
+        """Return poses (n, 4, 4) of the tool in the base link, and Jacobians (n, 6, joints): linear, then angular."""
         poses, axes = self._frames(postures)
         pose = poses[-1] @ self._tool
         lever = pose[:, :3, 3, None] - poses[:, :, :3, 3].transpose(1, 2, 0)
-        linear = np.stack(  # the cross product written out: np.cross is ten times slower on arrays this small
+        linear = np.stack(  # a cross product; np.cross is ten times slower for arrays of this size
             [
                 axes[:, 1] * lever[:, 2] - axes[:, 2] * lever[:, 1],
                 axes[:, 2] * lever[:, 0] - axes[:, 0] * lever[:, 2],
@@ -124,12 +116,12 @@ class Chain:
         return pose, np.concatenate([linear, axes], axis=1)
 
     def _frames(self, postures: Array) -> tuple[Array, Array]:
-        """Return frames (joints, n, 4, 4) after the joints, and the axes (n, 3, joints)."""
+        """Return frames (joints, n, 4, 4) after the joints, and their axes (n, 3, joints)."""
         poses = self.frames(postures)
-        return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # a joint doesn't turn its own axis
+        return poses, np.einsum("jnab,jb->naj", poses[:, :, :3, :3], self._axes)  # a joint doesn't move its own axis
 
     def _transforms(self, postures: Array) -> Array:
-        """Return poses (joints + 1, n, 4, 4) in the base link: of the base link, and of the frame after each joint."""
+        """Return poses (joints + 1, n, 4, 4) in the base link: of the base link and of the frame after each joint."""
         poses = np.empty((len(self.joints) + 1, len(postures), 4, 4))
         poses[0] = np.eye(4)
         for number, moved in enumerate(transforms(self._parts, postures.T)):
@@ -137,21 +129,18 @@ class Chain:
         return poses
 
     def limited(self, postures: Array) -> Array:
-        """Return postures (n, joints) within the limits; joints without limits within half a turn."""
+        """Return postures (n, joints) within the limits; joints without limits are within half a turn."""
         wrapped = (postures + np.pi) % (2 * np.pi) - np.pi
         inside: Array = np.where(self.bounded, np.clip(postures, self.lower, self.upper), wrapped)
         return inside
 
     def errors(self, postures: Array, goals: Array, turns: Array | None) -> Array:
-        """Return the distances of the tool from targets.
+        """Return the distances (n, 2) of the tool from targets, in m and rad.
 
         Args:
             postures: (n, joints).
-            goals: (3,) for all or (n, 3), m, in the base link.
-            turns: (3, 3) or (n, 3, 3) orientations; None for any.
-
-        Returns:
-            (n, 2) in m and rad.
+            goals: (3,) for all postures or (n, 3), in the base link, m.
+            turns: (3, 3) or (n, 3, 3) orientations; None for any orientation.
         """
         pose = self.poses(postures)
         errors = np.zeros((len(postures), 2))
@@ -163,12 +152,12 @@ class Chain:
 
 def rotation_error(now: Array, goal: Array) -> Array:
     """Return rotation vectors (n, 3) from orientations (n, 3, 3) to a goal (3, 3) or (n, 3, 3)."""
-    difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # row by row
+    difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # elements in the order of rows
     vector = 0.5 * (difference[:, [7, 2, 3]] - difference[:, [5, 6, 1]])
     sine = norms(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
-    # near half a turn the vector vanishes; any axis leads away from there
+    # near half a turn the vector vanishes, so any axis is right
     flipped = (sine < _OPPOSITE) & (cosine < 0)
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])
@@ -178,21 +167,20 @@ def rotation_error(now: Array, goal: Array) -> Array:
 
 
 def norms(vectors: Array) -> Array:
-    """Return the norms (n,) of a few vectors (n, d), faster than np.linalg.norm."""
+    """Return the norms (n,) of a few vectors (n, d); this is faster than np.linalg.norm."""
     found: Array = np.sqrt((vectors * vectors).sum(axis=1))
     return found
 
 
 def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
-    """Return the constant matrices whose weighted sums are the transforms of joints.
+    """Return matrices (joints, 4, 4, 4) whose weighted sums are the transforms of joints.
+
+    The weights are 1, the cosine and the sine of the joint position, and the joint position.
 
     Args:
         axes: (joints, 3) unit vectors.
         points: (joints, 3) points on the axes, m.
-        slides: (joints,) whether a joint is prismatic.
-
-    Returns:
-        (joints, 4, 4, 4): the matrices for 1, cosine, sine and value.
+        slides: (joints,) whether each joint is prismatic.
     """
     x, y, z = axes.T
     zero = np.zeros_like(x)
@@ -211,14 +199,11 @@ def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
 
 
 def transforms(parts: Array, values: Array) -> Array:
-    """Return the transforms of joints.
+    """Return the transforms (joints, n, m, m) of joints.
 
     Args:
-        parts: (joints, 3 or 4, m, m) matrices; the fourth is needed only for prismatic joints.
-        values: (joints, n), rad or m.
-
-    Returns:
-        (joints, n, m, m).
+        parts: (joints, 3 or 4, m, m) matrices; only prismatic joints need the fourth.
+        values: (joints, n) joint positions, rad or m.
     """
     joints, terms, m, _ = parts.shape
     factors = np.empty((*values.shape, terms))
@@ -232,24 +217,24 @@ def transforms(parts: Array, values: Array) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Drivers:
-    """The assignment of links to the joints that move them."""
+    """The joint that moves each link."""
 
-    joints: tuple[str, ...]  # names of the moving joints, parents before their children
-    of_links: Mapping[str, int]  # for each link the number of the joint that moves it, -1 for none
-    parents: Sequence[int]  # (joints,) the number of the joint that moves each joint, -1 for none
-    children: Sequence[str]  # (joints,) the child link of each joint
+    joints: tuple[str, ...]  # names of the moving joints; a parent comes before its children
+    of_links: Mapping[str, int]  # index of the joint that moves each link; -1 for none
+    parents: Sequence[int]  # (joints,) index of the joint that moves each joint; -1 for none
+    children: Sequence[str]  # (joints,) child link of each joint
     axes: Array  # (joints, 3) unit vectors in the frames of the child links
-    slides: NDArray[np.bool_]  # (joints,) whether a joint is prismatic
+    slides: NDArray[np.bool_]  # (joints,) whether each joint is prismatic
 
 
 @lru_cache(maxsize=_CACHED)
 @notable
 def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
-    """Return the assignment of links to moving joints for a model with a canonical URDF."""
+    """Return the joints that move the links of a model with a checked URDF."""
     urdf = stored_tree(path)
     moving: list[UrdfJoint] = []
     of_links: dict[str, int] = {}
-    for link in urdf.links:  # parents come before their children
+    for link in urdf.links:  # a parent comes before its children
         joint = urdf.parent_joint(link)
         if joint is not None and joint.name in joints:
             of_links[link] = len(moving)
@@ -267,11 +252,7 @@ def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
 
 
 class Articulation:
-    """The transforms of links by moving joints, for a body as it stands in an engine.
-
-    Args:
-        body: the body in the engine.
-    """
+    """The transforms of links by moving joints, from the present pose of a body in an engine."""
 
     def __init__(self, engine: Engine, body: LoadedBody, moved: Drivers) -> None:
         self._joints, self._parents = moved.joints, moved.parents
@@ -282,14 +263,13 @@ class Articulation:
         self._now = np.array([positions[name] for name in moved.joints])
 
     def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:
-        """Return the transforms of links by joints.
+        """Return the transforms (n, joints + 1, 4, 4) of links by joints.
+
+        Each transform is from the present pose of a joint's links to their new pose; the last transform is for links
+        that don't move.
 
         Args:
-            postures: joint values in rad or m by name; other joints keep their values.
-
-        Returns:
-            (n, joints + 1, 4, 4): for each posture and joint, the transform from the present pose of the joint's links
-            to their new pose; the last is for links that don't move.
+            postures: joint positions in rad or m by name; other joints don't move.
         """
         now = self._now.tolist()
         values = [list(map(posture.get, self._joints, now)) for posture in postures]

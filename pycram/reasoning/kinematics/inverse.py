@@ -1,11 +1,9 @@
-"""Inverse kinematics within joint limits: in closed form if possible, else by a search from many postures.
+"""Inverse kinematics within joint limits: in closed form if possible, otherwise by a search from many postures.
 
-It is arithmetic on the URDF, without the engine. Arms with a closed form are solved by
-:mod:`pycram.reasoning.kinematics.closed_form`. For its misses, and for all other arms, damped least squares search from
-the nearest misses, or from the present posture, the named postures, and postures over the joints' range (Buss,
+:mod:`pycram.reasoning.kinematics.closed_form` solves arms with a closed form. For other arms, and for its misses,
+damped least squares search from near postures, named postures, and postures of a Halton sequence (Buss,
 Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares Methods, 2004). Many
-targets are solved together in about the time of one. All is deterministic: a Halton sequence spreads the starting
-postures.
+targets are solved together in about the time of one. Results are deterministic.
 """
 
 from __future__ import annotations
@@ -42,46 +40,46 @@ TURN_TOLERANCE: Final = 1e-2  # rad
 _DAMPING: Final = 1e-2
 _ITERATIONS: Final = 40
 _MAX_STEP: Final = 0.5  # rad or m of a joint in one iteration
-_MAX_ERROR: Final = 0.6  # m or rad of error that one iteration corrects
-_STALE: Final = (8, 0.9)  # iterations, and the share to which they must reduce the least error
-_CLOSE: Final = 0.005  # m or rad of error, below which a search continues
-THRESHOLD: Final = 1e-3  # m between the tool and a target that counts as reached (thesis 4.4.5)
-_TURN_THRESHOLD: Final = math.radians(2)  # rad between orientations that count as equal
-_BATCHES: Final = (4, 28)  # starting postures: a few first, because most targets are easy
+_MAX_ERROR: Final = 0.6  # m or rad, largest error that one iteration corrects
+_STALE: Final = (8, 0.9)  # a search ends if the least error is above this share of that some iterations ago
+_CLOSE: Final = 0.005  # m or rad; a search with a smaller error continues
+THRESHOLD: Final = 1e-3  # m, largest distance between the tool and a reached target (thesis 4.4.5)
+_TURN_THRESHOLD: Final = math.radians(2)  # rad, largest angle between equal orientations
+_BATCHES: Final = (4, 28)  # starting postures; first a few, because most targets are easy
 _CHUNK: Final = 32  # targets that are solved together
-_MAX_COMPARED: Final = 60  # misses of the closed form that are compared
+_MAX_COMPARED: Final = 60  # compared misses of the closed form
 _MAX_STARTS: Final = 6  # misses of the closed form from which a search starts
-_DIFFERENT: Final = 0.35  # rad or m of some joint between distinct postures
-_MAX_POSTURES: Final = 16  # postures that are returned
-_MAX_PAIRED: Final = 40  # postures of which all pairs are compared together
-_MAX_STRAIN: Final = 1.0  # rad of strain, above which no solution is nearby
-_MAX_SEARCHED: Final = 0.6  # rad of strain, above which no search has ever succeeded
-_HOPELESS: Final = 0.02  # m of a proven miss, above which a search is useless
+_DIFFERENT: Final = 0.35  # rad or m, minimum difference of a joint between distinct postures
+_MAX_POSTURES: Final = 16  # maximum number of returned postures
+_MAX_PAIRED: Final = 40  # up to this number of postures, all pairs are compared together
+_MAX_STRAIN: Final = 1.0  # rad; a posture with a larger strain has no solution nearby
+_MAX_SEARCHED: Final = 0.6  # rad; no search from a posture with a larger strain has succeeded
+_HOPELESS: Final = 0.02  # m; if a target is farther out of reach, a search is useless
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
-_MAX_KNOWN: Final = 8  # searches with cached results
-_MAX_CHAINS: Final = 16  # cached chains of a robot
+_MAX_KNOWN: Final = 8  # number of searches with cached results
+_MAX_CHAINS: Final = 16  # number of cached chains of a robot
 
 
 def search_postures(
     chain: Chain, start: Array, goals: Array, turns: Array | None, targets: NDArray[np.intp], *, stop_early: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Search for postures that reach targets, from several starts for each, all together.
+    """Search for postures that reach targets, from several starts for each target, all together.
 
     The results for a target don't depend on the other targets.
 
     Args:
-        start: (n, joints) postures to search from.
+        start: (n, joints) starting postures.
         goals: (n, 3) positions of the tool for each start, in the chain's base link, m.
-        turns: (n, 3, 3) orientations of the tool; None for any.
-        targets: (n,) the target's number for each start, ascending.
-        stop_early: end the search for a target when one of its postures reaches it.
+        turns: (n, 3, 3) orientations of the tool; None for any orientation.
+        targets: (n,) index of the target for each start, in ascending order.
+        stop_early: whether the search for a target ends with the first posture that reaches it.
 
     Returns:
         (n, joints) postures, and whether they reach their targets.
     """
     found = chain.limited(start)
     reached = np.zeros(len(found), dtype=bool)
-    rows = np.arange(len(found))  # rows of unfinished searches
+    rows = np.arange(len(found))  # indices of unfinished searches
     size = 3 if turns is None else 6
     damping = _DAMPING * np.eye(size)
     nearest = np.full(int(targets.max(initial=-1)) + 1, np.inf)
@@ -115,14 +113,14 @@ def search_postures(
 
 
 def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the first row of each target; ``targets`` has the ascending numbers of rows."""
+    """Return the first row of each target; ``targets`` has the target's index for each row, in ascending order."""
     return np.flatnonzero(np.diff(targets, prepend=-1))
 
 
 def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:
-    """Return changes (n, joints) of postures that reduce errors (n, 3 or 6) with norms (n, 1)."""
+    """Return changes (n, joints) of postures that reduce errors (n, 3 or 6), whose norms are ``length`` (n, 1)."""
     correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
-    # a joint at its limit isn't moved beyond it
+    # a joint at its limit doesn't move beyond it
     gradient = np.einsum("nrj,nr->nj", jacobian, correction)
     stuck = chain.bounded & (
         ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
@@ -136,14 +134,14 @@ def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: 
 
 
 def halton_postures(chain: Chain, start: int, count: int) -> Array:
-    """Return postures (count, joints) over a chain's range, from number ``start`` of a Halton sequence on."""
+    """Return postures (count, joints) over a chain's range, from the index ``start`` of a Halton sequence on."""
     postures: Array = chain.lower + _halton(start, count, len(chain.joints)) * (chain.upper - chain.lower)
     return postures
 
 
 @cache
 def _halton(start: int, count: int, dimensions: int) -> Array:
-    """Return points (count, dimensions) of the Halton sequence."""
+    """Return points (count, dimensions) of the Halton sequence from an index on."""
     primes: list[int] = []
     number = 2
     while len(primes) < dimensions:
@@ -164,11 +162,11 @@ def _radical_inverse(index: int, base: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Posture:
-    """A posture of an arm, with its errors for a target."""
+    """A posture of an arm and its errors for a target."""
 
-    positions: Mapping[str, float]  # joint values in rad or m by name, within limits
+    positions: Mapping[str, float]  # joint positions within limits, in rad or m by name
     position_error: float  # m between the tool and the target
-    turn_error: float  # rad between the tool and the target; 0 for targets without an orientation
+    turn_error: float  # rad between the tool and the target; 0 for a target without an orientation
 
     def reaches(self, threshold: float = THRESHOLD) -> bool:
         """Return whether the tool is within ``threshold`` m and 2 degrees of the target."""
@@ -198,17 +196,17 @@ class ArmKinematics:
         quick: bool = False,
         enough: float = POSITION_TOLERANCE,
     ) -> list[list[Posture]]:
-        """Return the distinct postures for targets: the postures that reach, nearest to the first seed first.
+        """Return distinct postures for targets; postures that reach a target come in the order of nearness to the seed.
 
         Args:
-            targets: xyz in m and orientations xyzw in the base link; all with an orientation, or none.
+            targets: xyz in m and orientations xyzw in the base link; all targets have an orientation, or none.
             seeds: the first starting postures.
-            thorough: use all starting postures, even if some reach the target.
-            quick: use only a few starting postures; a miss then proves nothing.
-            enough: distance in m between a miss and the target above which the miss is useless.
+            thorough: whether to use all starting postures, even if some reach the target.
+            quick: whether to use only a few starting postures; a miss then proves nothing.
+            enough: m; a farther miss is useless for the caller.
 
         Returns:
-            For each target at least one posture; if the first doesn't reach, none does.
+            At least one posture for each target; if the first doesn't reach it, none does.
         """
         goals, turns = _arrays(targets)
         first = [np.array([seed.get(name, 0.0) for name in self.chain.joints]) for seed in seeds]
@@ -241,7 +239,7 @@ class ArmKinematics:
         *,
         stop_early: bool,
     ) -> list[bool]:
-        """Search for some targets together and add the results to ``tried``. Return whether each target is reached."""
+        """Search for targets together, append the results to ``tried``, and return whether each target is reached."""
         if not numbers:
             return []
         counts = [len(batch) for batch in batches]
@@ -256,19 +254,19 @@ class ArmKinematics:
     def _descend(
         self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Do the same as :func:`search_postures`, with cached results: long searches begin like quick ones."""
+        """Return the result of :func:`search_postures`, which is cached: long searches begin like quick searches."""
         inputs = (start, goals, which) if turns is None else (start, goals, which, turns)
         key = stop_early, *(part.tobytes() for part in inputs)
         known = self._known.get(key)
         if known is None:
             known = search_postures(self.chain, start, goals, turns, which, stop_early=stop_early)
-            if len(self._known) >= _MAX_KNOWN:  # another thread may add results too
+            if len(self._known) >= _MAX_KNOWN:  # another thread may also add results
                 self._known.clear()
             self._known[key] = known
         return known
 
     def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
-        """Return the distinct postures that reach, or else the nearest miss."""
+        """Return the distinct postures that reach the goal, or the nearest miss."""
         misses = self.chain.errors(found, goal, turn) / _TOLERANCES
         reaching = found[(misses < 1.0).all(axis=1)]
         return _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
@@ -286,7 +284,7 @@ class ArmKinematics:
             seed: a posture; near postures come first.
 
         Returns:
-            For each target the postures that reach it; an empty list proves nothing.
+            For each target, the postures that reach it; an empty list proves nothing.
         """
         solved: list[list[Posture]] = [[] for _ in targets]
         if self._closed is None or not targets:
@@ -310,7 +308,7 @@ class ArmKinematics:
     def _starts_of_closed_form(
         self, closed: ClosedForm, goals: Array, turns: Array | None, home: Array, enough: float
     ) -> list[tuple[Array, list[Array]]]:
-        """Return for each target the solutions or the misses, and the batches of postures from which to search."""
+        """Return, for each target, the solutions or misses, and batches of postures from which a search starts."""
         slack = math.inf if enough > _HOPELESS else 1.0
         near = closed.miss(goals, turns) <= max(_HOPELESS, enough)
         found, strains = closed.postures(goals, turns, home)
@@ -329,7 +327,7 @@ class ArmKinematics:
     def _least_strained(
         self, found: Array, strain: Array, home: Array, goals: Array, turns: Array | None
     ) -> list[Array]:
-        """Return for each target's postures (m, n, joints) the solutions, or else the least strained postures."""
+        """Return, from each target's postures (m, n, joints), the solutions, or else the least strained postures."""
         kept = [_distinct(rows[strains == 0.0], home) for rows, strains in zip(found, strain, strict=True)]
         missed = np.array([number for number, rows in enumerate(kept) if not len(rows)], dtype=np.intp)
         if len(missed):
@@ -343,7 +341,7 @@ class ArmKinematics:
         return kept
 
     def _starts_of_search(self, goal: Array, home: Array, seeds: list[Array]) -> tuple[Array, list[Array]]:
-        """Return the batches of postures from which to search: only the stretched arm if the target is too far."""
+        """Return a posture and batches of starting postures; only the stretched arm if the target is too far away."""
         few, many = _BATCHES
         if float(np.linalg.norm(goal - self.chain.shoulder)) - self.chain.length > POSITION_TOLERANCE:
             one = np.zeros(1, dtype=np.intp)
@@ -355,7 +353,7 @@ class ArmKinematics:
         return home[None], starts
 
     def _postures(self, found: Sequence[Array], goals: Array, turns: Array | None) -> list[list[Posture]]:
-        """Return each target's rows (n, joints) as postures with their errors."""
+        """Return the rows (n, joints) of each target as postures with their errors."""
         which = np.repeat(np.arange(len(goals)), [len(rows) for rows in found])
         every = self.chain.limited(np.concatenate(found))
         errors = self.chain.errors(every, goals[which], None if turns is None else turns[which])
@@ -374,12 +372,12 @@ def _arrays(targets: Sequence[Target]) -> tuple[Array, Array | None]:
 
 
 def _distinct(found: Array, home: Array) -> Array:
-    """Return the postures that differ, nearest to ``home`` first."""
+    """Return distinct postures; those near ``home`` come first."""
     return _different(found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")], _MAX_POSTURES)
 
 
 def _different(found: Array, most: int) -> Array:
-    """Return the first of each group of similar postures (n, joints)."""
+    """Return the first posture of each group of similar postures (n, joints)."""
     if len(found) < 2:
         return found
     left = list(range(len(found)))
@@ -405,7 +403,7 @@ def postures(
     quick: bool = False,
     seed: Mapping[str, float] | None = None,
 ) -> list[Posture]:
-    """Return postures that bring a link of a robot to one pose in the world; see :meth:`Solver.search`."""
+    """Return postures that move a link of a robot to a pose in the world; see :meth:`Solver.search`."""
     target = (position, orientation, None)
     return Solver(robot, link).search([target], thorough=thorough, quick=quick, seed=seed)[0]
 
@@ -414,8 +412,7 @@ class Solver:
     """Inverse kinematics of a link of a robot in its present state, for targets in the world.
 
     Args:
-        link: an arm's tool frame, which stands for the tool; or any other link.
-
+        link: an arm's tool frame, which represents the tool; or any other link.
 
     Raises:
         UnknownName: The robot has no such link.
@@ -430,7 +427,7 @@ class Solver:
             chain = robot.urdf.chain(robot.base_link, link)
             turning = [joint for joint in chain if joint.movable and joint.type != "prismatic"]
             root = turning[0].parent if turning else robot.base_link
-            self.joints = tuple(joint.name for joint in turning)  # names of the joints that move the link
+            self.joints = tuple(joint.name for joint in turning)  # joints that move the link
         self._now = robot.get_joint_positions()
         tool = self._arm.tool_offset if self._arm else IDENTITY
         self._kinematics = _kinematics(robot, root, link, self.joints, self._now, tool)
@@ -447,17 +444,17 @@ class Solver:
         seed: Mapping[str, float] | None = None,
         threshold: float = THRESHOLD,
     ) -> list[list[Posture]]:
-        """Return postures for targets, nearest to the seed first.
+        """Return postures for targets; postures near the seed come first.
 
         Args:
-            targets: poses; all with an orientation, or none.
-            thorough: search for several postures.
-            quick: search for a short time; a miss then proves nothing.
-            seed: the first starting posture; the present one by default.
-            threshold: m between the tool and a target that counts as reached.
+            targets: positions, orientations and poses of the base in the world; all have an orientation, or none.
+            thorough: whether to search for several postures.
+            quick: whether to search for a short time; a miss then proves nothing.
+            seed: the first starting posture; None for the present posture.
+            threshold: m, largest distance between the tool and a reached target.
 
         Returns:
-            For each target at least one posture; if the first doesn't reach, none does.
+            At least one posture for each target; if the first doesn't reach it, none does.
         """
         if not self.joints:
             distances = (math.dist(geometry.transform(self._root_T_world, at), self._root_T_link) for at, *_ in targets)
@@ -478,10 +475,7 @@ class Solver:
     def closed_form(
         self, targets: Sequence[WorldTarget], seed: Mapping[str, float] | None = None
     ) -> list[list[Posture]]:
-        """Return the solutions of the closed form for targets, nearest to the seed first; see :meth:`search`.
-
-        An empty list proves nothing.
-        """
+        """Return the solutions of the closed form for targets, near postures first; an empty list proves nothing."""
         if not self.joints:
             return [[] for _ in targets]
         goals = [self._in_root(*target) for target in targets]
@@ -503,7 +497,7 @@ _chains: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDicti
 def _kinematics(
     robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float], tool: Pose
 ) -> ArmKinematics:
-    """Return a chain's kinematics, which are cached: making them takes as long as solving."""
+    """Return a chain's kinematics; they are cached, because creating them takes as long as solving a target."""
     others = [joint.name for joint in robot.urdf.chain(root, link) if joint.movable and joint.name not in joints]
     key = (link, *(now[name] for name in others))
     chains = _chains.setdefault(robot, {})

@@ -1,4 +1,4 @@
-"""Aiming a head: Newton's method turns the camera's axis to a point by a pan joint, a tilt joint, or both."""
+"""Aiming a head: Newton's method turns the camera's axis to a point with a pan joint, a tilt joint, or both."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _ITERATIONS: Final = 30
 _DERIVATIVE_STEP: Final = 1e-5  # rad
 _TOLERANCE: Final = 1e-6  # rad
-_GOOD_ENOUGH: Final = 1e-4  # rad; other starts wouldn't come nearer
+_GOOD_ENOUGH: Final = 1e-4  # rad; with a smaller error, no other start is tried
 _MAX_STEP: Final = 0.5  # rad
 _STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # rad, pan and tilt
 
@@ -28,15 +28,15 @@ _STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # rad, pan and tilt
 def aim_camera(
     urdf: Urdf, joints: Sequence[str], camera: CameraDescription, point: Sequence[float], now: Mapping[str, float]
 ) -> tuple[dict[str, float], Vector]:
-    """Return the joint values that turn the camera's axis (z of its frame) to a point, or as near as possible.
+    """Return the joint positions that turn the camera's axis (z of its frame) to a point, or as near as possible.
 
     Args:
-        joints: names of the pan and the tilt joint, of one of them, or empty.
+        joints: names of the pan joint and the tilt joint, of one of them, or empty.
         point: a point in the robot's root link, m.
-        now: present values of all joints, rad or m.
+        now: present positions of all joints, rad or m.
 
     Returns:
-        Values of the joints within their limits, and the point in the turned camera's frame, m.
+        Positions of the joints within their limits, and the point in the turned camera's frame, m.
     """
     turning, behind = _neck(urdf, joints, camera, now)
 
@@ -48,7 +48,7 @@ def aim_camera(
         return geometry.transform(geometry.invert(geometry.multiply(pose, behind)), point)
 
     def error(at: Vector) -> tuple[float, float]:
-        """Return two parts in rad of the rotation vector from the camera's axis to the point, in the camera's frame."""
+        """Return x and y in rad of the rotation vector from the camera's axis to the point, in the camera's frame."""
         x, y, z = at
         off_axis = math.hypot(x, y)
         angle = math.atan2(off_axis, z)
@@ -90,10 +90,7 @@ def aim_camera(
 def _neck(
     urdf: Urdf, joints: Sequence[str], camera: CameraDescription, now: Mapping[str, float]
 ) -> tuple[Sequence[tuple[Pose, UrdfJoint]], Pose]:
-    """Return the joints that turn the camera, each with its pose after the previous joint, and the camera's pose.
-
-    The fixed parts of the chain are computed once.
-    """
+    """Return the joints that turn the camera, with the fixed pose before each, and the fixed pose of the camera."""
     turning: list[tuple[Pose, UrdfJoint]] = []
     behind = geometry.IDENTITY
     for joint in urdf.chain(urdf.root, camera.frame):

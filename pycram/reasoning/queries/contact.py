@@ -1,4 +1,4 @@
-"""Contact and support in the present state of the world; no time is simulated."""
+"""Contact and support in the present state of the world, without a simulation."""
 
 from __future__ import annotations
 
@@ -12,16 +12,15 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
 MARGIN: Final = 1e-3
-"""m; resting objects keep up to half a millimetre of air in the engine, but count as touching."""
+"""m; objects with a smaller gap touch, because the engine leaves up to half a millimetre between resting objects."""
 
 
 @query
 def contact(object1: Object, object2: Object, world: BulletWorld | None = None, *, margin: float = 0.0) -> Verdict:
-    """Return whether two objects touch now (thesis 4.4.2); no time is simulated.
+    """Return whether two objects touch now, without a simulation (thesis 4.4.2).
 
     Args:
-        world: their world.
-        margin: m of distance that counts as touching, beyond the millimetre of the engine.
+        margin: m, largest gap between touching objects, beyond the engine's millimetre.
 
     Returns:
         The answer. The evidence has the links and the contact points.
@@ -34,12 +33,8 @@ def contact(object1: Object, object2: Object, world: BulletWorld | None = None, 
 def supporting(object1: Object, object2: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether the first object carries the second from below (thesis 4.4.7).
 
-    The normals of their contacts must point up. A comparison of origins would call a wall the support of an object
-    that leans against it, and would miss the hook on which a cup hangs.
-
-    Args:
-        object1: the support.
-        object2: the object on it.
+    The normals of their contacts must point up. So a wall doesn't support an object that leans against it, but a hook
+    supports a cup that hangs on it.
 
     Returns:
         The answer. The evidence has the links and the normals of the support.
@@ -57,12 +52,7 @@ def supporting(object1: Object, object2: Object, world: BulletWorld | None = Non
 
 
 def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
-    """Return where two objects of one world touch; the result is empty if they are the same object.
-
-    Args:
-        b: an object of the same world.
-        margin: m up to which a gap counts as touching.
-    """
+    """Return where two objects of one world touch, with gaps up to a margin in m; empty if they are the same object."""
     if a is b:
         return []  # the engine would report overlaps of a body with itself
     engine = a.world.engine
@@ -70,7 +60,7 @@ def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
 
 
 def evidence(found: list[ClosestPoint]) -> dict[str, object]:
-    """Return links, points and depth of touches as evidence for a record."""
+    """Return the links, points and distance of touches as evidence for a record."""
     return {
         "links": sorted({(touch.link_a, touch.link_b) for touch in found}),
         "points": [touch.position for touch in found],

@@ -1,4 +1,4 @@
-"""Contacts between bodies of folded worlds, live or recorded, measured in a physics client of their own."""
+"""Contacts between bodies of live or recorded worlds, measured in a separate physics client."""
 
 from __future__ import annotations
 
@@ -20,41 +20,38 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Copy:
-    """A body of the client."""
+    """A body in the client."""
 
     model: Model
     body: LoadedBody
     original: FoldedBody | None = None  # the body whose state the copy has
-    version: int = -1  # version of that state
+    version: int = -1  # version of the body's state
 
 
 @dataclass(slots=True)
 class ContactClient:
-    """Measures contacts; ``model_of`` returns the model of a loaded body, given the name of its world."""
+    """Measures contacts; ``model_of`` returns the model of a loaded body in the world with a name."""
 
     model_of: Callable[[str, LoadBody], Model]
     _engine: Engine | None = None
     _copies: dict[tuple[str, str, str], _Copy] = field(default_factory=dict)  # by world, body and model
-    _known: dict[object, tuple[object, list[ClosestPoint]]] = field(default_factory=dict)  # latest results by pairs
+    _known: dict[object, tuple[object, list[ClosestPoint]]] = field(default_factory=dict)  # latest results by pair
 
     def touch(self, world: FoldedWorld, one: tuple[str, str], other: tuple[str, str]) -> Touch:
-        """Return the nearest points of two bodies, or of one link of each."""
+        """Return the nearest points of two bodies, or of links of these bodies; "" stands for all links."""
         bodies = world.bodies[one[0]], world.bodies[other[0]]
         key, state = (world.name, one[0], other[0]), tuple((id(body), body.version) for body in bodies)
         if self._known.get(key, (None,))[0] != state:
-            self._known[key] = state, self._points(world, *bodies)
+            a, b = (self._placed(world, body) for body in reversed(bodies))  # a point carries the second body
+            self._known[key] = state, self._client().closest_points(a, b, RANGE)
         near = [
             point for point in self._known[key][1] if one[1] in ("", point.link_b) and other[1] in ("", point.link_a)
         ]
         return Touch(_truth(near), _truth(point for point in near if point.carries))
 
     def owner(self, world: FoldedWorld, link: str) -> str:
-        """Return the body with a link of this name; "" if there is none."""
+        """Return the body that has a link with this name; "" if no body has it."""
         return next((name for name, body in world.bodies.items() if link in self._copy(world, body).body.links), "")
-
-    def _points(self, world: FoldedWorld, one: FoldedBody, other: FoldedBody) -> list[ClosestPoint]:
-        a, b = (self._placed(world, body) for body in (other, one))  # a point "carries" if its second body is on top
-        return self._client().closest_points(a, b, RANGE)
 
     def _client(self) -> Engine:
         if self._engine is None:

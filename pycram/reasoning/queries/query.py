@@ -1,7 +1,7 @@
-"""Reasoning queries: the decorator that makes queries of functions, and their answers.
+"""Reasoning queries: the decorator that turns functions into queries, and the answers of queries.
 
-A query leaves no trace, and its answer is recorded. While it runs, its world is locked and refuses changes. Queries
-may ask each other; each call is one record, or a refusal if its arguments are wrong.
+A query doesn't change its world, which is locked and refuses changes during the query. Each call becomes one record, or
+a refusal if its arguments are wrong. A query may call other queries.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ T = TypeVar("T")
 P = ParamSpec("P")
 
 RECORDED_AS: Final = {"gripper_name": "gripper"}
-"""Names of arguments in records, if these differ from the names of the parameters."""
+"""Names of arguments in records, if they differ from the names of the parameters."""
 _OBJECTS: Final = ("object", "object1", "object2", "robot")
 
 
 class Verdict(int):
-    """A yes or no with its evidence; it behaves like a bool."""
+    """A yes or no with evidence; it behaves like a bool."""
 
     evidence: Mapping[str, object]  # facts behind the answer
-    picture: records.Picture | None  # the picture of the camera, if the query renders one
+    picture: records.Picture | None  # the camera's picture, if the query renders one
     considered: Choice | None  # the candidates for the answer, if they are recorded
 
     def __new__(
@@ -48,7 +48,7 @@ class Verdict(int):
         picture: records.Picture | None = None,
         considered: Choice | None = None,
     ) -> Self:
-        """Make a verdict from a true or false value."""
+        """Create a verdict from a true or false value."""
         verdict = super().__new__(cls, bool(answer))
         verdict.evidence = dict(evidence or {})
         verdict.picture = picture
@@ -61,12 +61,12 @@ class Verdict(int):
     __str__ = __repr__
 
     def __record__(self) -> object:
-        """Return the value in records."""
+        """Return the verdict as a recorded value."""
         return bool(self)
 
 
 class Found(list[T], Generic[T]):
-    """A list of results with their evidence; it behaves like a list."""
+    """A list of results with evidence; it behaves like a list."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class Found(list[T], Generic[T]):
     ) -> None:
         super().__init__(items)
         self.evidence: Mapping[str, object] = dict(evidence or {})  # facts behind the answer
-        self.picture = picture  # the picture of the camera, if the query renders one
+        self.picture = picture  # the camera's picture, if the query renders one
         self.considered = considered  # the candidates for the answer, if they are recorded
 
 
@@ -98,15 +98,14 @@ _CHECKS: Final[Mapping[str, Callable[[str, Any], object]]] = {
 
 
 def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
-    """Make a query of a function that answers a question about a world.
+    """Turn a function, which answers a question about a world, into a query.
 
-    The function receives results instead of futures, and checked arguments. The names of its parameters define the
+    The function receives checked arguments, and results instead of futures. The names of its parameters define the
     checks: ``object``, ``object1``, ``object2``, ``robot`` and ``ignoring`` must be in one world, which is ``world``
-    if that is given; ``gripper_name`` must be a link of the robot. If there is a ``camera``, ``robot`` is the owner of
-    its frame, by default the world's robot. All arguments except ``world`` are recorded, in order.
+    if that is given; ``gripper_name`` must be a link of the robot. With a ``camera``, ``robot`` is the owner of its
+    frame, and None means the world's robot. All arguments except ``world`` are recorded in order.
 
-    Args:
-        function: returns the answer; a :class:` pycram.failures.UsageError` that it raises is recorded as a refusal.
+    A :class:`pycram.failures.UsageError` from the function is recorded as a refusal.
     """
     signature = inspect.signature(function)
 
@@ -145,16 +144,12 @@ def _check(arguments: dict[str, Any]) -> BulletWorld:
 
 
 class Oracle(Protocol):
-    """Answers queries of a run that a recording guides. It is called with the world locked."""
+    """Answers the queries of a run that a recording guides; the caller holds the world's lock."""
 
     def __call__(
         self, question: Question, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
     ) -> Any:
-        """Return the answer to a question.
-
-        Args:
-            ask: returns the query's own answer.
-        """
+        """Return the answer to a question; ``ask`` returns the query's own answer."""
 
 
 _oracle: Oracle | None = None
@@ -162,8 +157,8 @@ _oracle: Oracle | None = None
 
 @contextmanager
 def answered_by(oracle: Oracle) -> Iterator[None]:
-    """Let an oracle answer all queries of this process in the block."""
-    global _oracle  # noqa: PLW0603  a process has one run
+    """Let an oracle answer all queries of this process in the ``with`` block."""
+    global _oracle  # noqa: PLW0603  a process runs one plan
     before, _oracle = _oracle, oracle
     try:
         yield
@@ -188,13 +183,10 @@ def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapp
 
 
 def world_of(*bodies: Object, world: BulletWorld | None = None) -> BulletWorld:
-    """Return the world that objects are in.
-
-    Args:
-        world: the given world, if any.
+    """Return the world of objects; ``world`` is the given world, if any.
 
     Raises:
-        BadArgument: An argument isn't an object, or objects are in different worlds.
+        BadArgument: An argument isn't an object, or the objects are in different worlds.
         NoWorld: No world is given, and none is current.
     """
     if world is not None and not isinstance(world, BulletWorld):

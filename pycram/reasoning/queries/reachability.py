@@ -1,4 +1,4 @@
-"""Reachability: whether a robot reaches a target with a link (thesis 4.4.5), and what blocks its way (thesis 4.4.6)."""
+"""Reachability: whether a robot reaches a target with a link (thesis 4.4.5), and what it would touch (thesis 4.4.6)."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def reachable(
     Args:
         pose: an object, or a position xyz in the world, m.
         gripper_name: the link, usually a tool frame.
-        threshold: m between the link and the target that counts as reached.
-        orientation: xyzw of the link at the target; any by default.
-        grasp: "front", "top", "left" or "right", instead of an orientation: the side from which the link comes.
-        collision_free: whether nothing may be in the way.
+        threshold: m, largest distance between the link and a reached target.
+        orientation: xyzw of the link at the target; None for any orientation.
+        grasp: the side from which the link comes, instead of an orientation: "front", "top", "left" or "right".
+        collision_free: whether the robot must not touch any object.
 
     Raises:
-        BadArgument: Both orientation and grasp are given.
+        BadArgument: Both ``orientation`` and ``grasp`` are given.
     """
     target = unwrap(pose)
     if grasp is not None and orientation is not None:
@@ -89,15 +89,10 @@ def reachable_object(
 ) -> Verdict:
     """Return whether a robot reaches an object with a link (thesis 4.4.5).
 
-    Args:
-        gripper_name: the link, usually a tool frame.
-        threshold: m between the link and the target that counts as reached.
-        grasp: "front", "top", "left" or "right"; any orientation by default.
-        orientation: xyzw of the link at the target, instead of a grasp.
-        collision_free: whether no other object may be in the way.
+    :func:`reachable` describes the arguments. With ``collision_free``, the robot may touch only the target.
 
     Returns:
-        The answer. The evidence has the joint values of the posture.
+        The answer. The evidence has the joint positions of the posture.
     """
     if grasp is not None:
         orientation = grasp_orientation(grasp, robot)
@@ -118,15 +113,10 @@ def reachable_pose(
 ) -> Verdict:
     """Return whether a robot reaches a position with a link (thesis 4.4.5).
 
-    Args:
-        pose: position xyz in the world, m.
-        gripper_name: the link, usually a tool frame.
-        threshold: m between the link and the target that counts as reached.
-        orientation: xyzw of the link at the target; any by default.
-        collision_free: whether nothing may be in the way.
+    :func:`reachable` describes the arguments.
 
     Returns:
-        The answer. The evidence has the joint values of the posture.
+        The answer. The evidence has the joint positions of the posture.
     """
     return _reach(robot, gripper_name, pose, orientation, threshold, [] if collision_free else None)
 
@@ -147,17 +137,17 @@ def reachable_poses(
     """Answer :func:`reachable_pose` for many targets or many poses of the robot, in a fraction of the time.
 
     Args:
-        poses: positions xyz in the world, m. A single one is used for all bases, and a single base for all poses;
-            otherwise there must be as many poses as bases.
+        poses: positions xyz in the world, m. One position is used for all bases, and one base for all positions;
+            otherwise the numbers of positions and bases must be equal.
         gripper_name: the link, usually a tool frame.
-        threshold: m between the link and a target that counts as reached.
-        bases: positions and orientations of the robot's base to try; its present pose by default.
-        orientations: xyzw of the link at the targets, one or as many as poses; any by default.
-        collision_free: whether nothing may be in the way, including the robot at each base.
-        ignoring: objects that may be touched, such as the object to grasp.
+        threshold: m, largest distance between the link and a reached target.
+        bases: positions and orientations of the robot's base; None for its present pose.
+        orientations: xyzw of the link at the targets, one for all or one for each; None for any orientation.
+        collision_free: whether the robot, with its base at each pose, must not touch any object.
+        ignoring: objects that the robot may touch, such as the object to grasp.
 
     Returns:
-        The answers in order, each with its evidence.
+        The answers in order, each with evidence.
 
     Raises:
         BadArgument: The numbers of poses, orientations and bases don't match.
@@ -200,16 +190,16 @@ def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
 
 
 def _repeated(name: str, given: Sequence[T], count: int) -> Sequence[T]:
-    """Return the given values, or a single value repeated."""
+    """Return the given values; a single value is repeated."""
     if len(given) not in {1, count}:
-        raise BadArgument(name, len(given), f"1 or {count} of them")
+        raise BadArgument(name, len(given), f"1 value or {count} values")
     return given if len(given) == count else [given[0]] * count
 
 
 def _checker(
     robot: Object, solver: Solver, ignored: Sequence[Object] | None, *, all_links: bool = False
 ) -> AbstractContextManager[CollisionChecker | None]:
-    """Return a collision checker; None if all objects may be touched."""
+    """Return a collision checker; None if the robot may touch all objects."""
     return nullcontext() if ignored is None else CollisionChecker(robot, solver.joints, ignored, all_links=all_links)
 
 
@@ -221,7 +211,7 @@ def _reach(
     threshold: float,
     ignored: Sequence[Object] | None,
 ) -> Verdict:
-    """Return whether a robot reaches a target. The ``ignored`` objects may be touched; None for all objects."""
+    """Return whether a robot reaches a target. It may touch the ``ignored`` objects; None for all objects."""
     solver = Solver(robot, link)
     (postures,) = solver.search([(position, orientation, None)], thorough=ignored is not None, threshold=threshold)
     with _checker(robot, solver, ignored) as checker:
@@ -235,14 +225,14 @@ def _judge(
     oriented: str | None,
     base: Pose | None = None,
 ) -> Verdict:
-    """Return whether one of some postures is good.
+    """Return whether a posture is good: it reaches the target without a collision.
 
     Args:
         found: at least one posture; if the first doesn't reach, none does.
-        threshold: m between the link and the target that counts as reached.
+        threshold: m, largest distance between the link and a reached target.
         checker: checker of collisions; None to ignore collisions.
-        oriented: the link, if all postures bring it to one orientation.
-        base: pose of the robot's base; None: its present pose.
+        oriented: the link, if it has the same orientation in all postures.
+        base: pose of the robot's base; None for its present pose.
 
     Returns:
         The answer. The evidence has the good posture, or the first bad posture with its collisions.
@@ -286,22 +276,21 @@ def blocking(
 ) -> Found[Object]:
     """Return the objects that a robot would touch if it reached for an object (thesis 4.4.6).
 
-    The posture that touches least counts, because a plan would take it.
+    A plan would take the posture that touches least, so this posture is checked.
 
     Args:
         gripper_name: the link, usually a tool frame.
-        grasp: "front", "top", "left" or "right"; by default the side that touches least.
+        grasp: "front", "top", "left" or "right"; None for the side that touches least.
 
     Returns:
-        The objects in the way, deepest first, except the target, held objects, and the floor below the robot.
-        Furniture has the type "environment". The list is empty if the robot can't reach the object at all; the
-        evidence tells.
+        The touched objects, deepest first, except the target, held objects, and the floor below the robot. Furniture
+        has the type "environment". The list is also empty if the robot can't reach the object; the evidence says so.
 
     Raises:
         UnknownName: There is no such grasp, or the robot has no such link.
     """
     if grasp is not None:
-        grasp_orientation(grasp, robot)  # raises an error for unknown grasps
+        grasp_orientation(grasp, robot)  # this call raises an error for unknown grasps
     considered = considering()
     plan = choice.best_grasp(object, robot, gripper_name, None if grasp is None else (grasp,), choice=considered)
     if plan.grasp is not None:

@@ -1,24 +1,20 @@
-"""Stability: whether an object stays in place when time runs (thesis 4.4.1).
+"""Stability: whether an object stays in place in a simulation (thesis 4.4.1).
 
-The thesis simulates 2 s and compares positions to the millimetre. But solvers let resting objects creep that far, so
-the thesis' own demo failed. Here an object is unstable if it moves more than 1 cm or turns more than 5 degrees within
-2 s. Creep is ten times slower; a fall goes far beyond. The answer is certain earlier in two cases: the limit is
-exceeded, or all relevant bodies are at rest and stand firmly. A body is at rest if it is slower than 2 mm/s and 0.02
-rad/s, which can't add up to the limit in the remaining time, and if its speed doesn't increase.
+An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. Solvers let resting objects
+creep, but at a tenth of this speed. The simulation ends early if the limit is exceeded, or if all relevant bodies are
+at rest and stand firmly.
 
 A body stands firmly if its center of mass, together with all bodies on it, is well within its support polygon. The
-polygon contains the points where its underside and the tops of its supports overlap, and the points between its
-contacts, as for a spoon in a bowl, if friction holds it. A ball never stands firmly: only time shows whether it rolls.
+polygon contains the points where its underside and the tops of its supports overlap, and the contacts that friction
+holds, as for a spoon in a bowl. A ball never stands firmly, because only time shows whether it rolls.
 
-A clone is simulated instead of the world, because even a restored saved state of PyBullet changes the last bits of
-later contacts. The clone starts with newly found contacts, although the engine keeps some old contacts that it
-wouldn't find again. In disorderly piles, one answer in 25 depends on these. All bodies are simulated that could reach
-the object in time: no body gets faster than by a fall from the top of the highest body that isn't fixed. Robots hold
-their posture, and take most of the time of a step. So a robot is simulated only if a free body leans on it or if it is
-attached to the object; otherwise it is left out with the objects that it holds.
+A clone is simulated, because PyBullet can't restore a world exactly. The clone finds contacts anew; in disorderly
+piles, one answer in 25 depends on contacts that the engine has kept. All bodies are simulated that could reach the
+object in time. Robots are slow to simulate, so a robot is simulated only if a free body leans on it or if it is
+attached to the object.
 
-Of many bodies, those that are at rest and stand firmly soon sleep: they take no time, until the engine wakes them
-because another body comes near. So one falling body among hundreds costs little more than its own fall.
+If there are many bodies, those that are at rest and stand firmly sleep until another body comes near. So one falling
+body among hundreds costs little more than its own fall.
 """
 
 from __future__ import annotations
@@ -55,28 +51,28 @@ if TYPE_CHECKING:
 
 
 HORIZON: Final = 2 * STEPS_PER_SECOND  # number of steps in 2 s
-MOVED: Final = 0.01  # m, maximum motion of a stable object
-TURNED: Final = math.radians(5)
+MOVED: Final = 0.01  # m, largest motion of a stable object
+TURNED: Final = math.radians(5)  # largest rotation of a stable object
 _PERIOD: Final = 6  # steps between samples of the speeds
-_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which a slow check for firm standing is made
-_LEANING: Final = 0.005  # m to a robot that count as leaning: half a millimetre of air, and some settling
+_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which firm standing is checked, because the check is slow
+_LEANING: Final = 0.005  # m, largest distance of a body that leans on a robot: a gap of 0.5 mm, and some settling
 _CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries
-_FLAT: Final = 0.002  # m of height between corners of one level
-_FRICTION: Final = 0.8  # share of the friction angle up to which a contact may slope
+_FLAT: Final = 0.002  # m, largest difference of heights between corners of one level
+_FRICTION: Final = 0.8  # largest slope of a contact as a share of the friction angle
 _TILT: Final = math.radians(3)  # rad by which a firm body can be tilted before it falls
-_MANY: Final = 24  # bodies without attachments, of more of which those at rest sleep
+_MANY: Final = 24  # bodies without attachments; if there are more, bodies at rest sleep
 
 
 @query
 def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
-    """Return whether an object stays in place when time runs (thesis 4.4.1).
+    """Return whether an object stays in place in a simulation (thesis 4.4.1).
 
     Args:
         world: the object's world; the thesis passes it.
 
     Returns:
         False if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has the
-        motion in m and rad, the number of steps after which it was known, and the number of simulated steps.
+        motion in m and rad, the number of steps after which it exceeded a limit, and the number of simulated steps.
     """
     if object.fixed:
         return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
@@ -88,7 +84,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     free = [body for body in bodies if not body.fixed]
     on_their_own = [body for body in free if not attachment.root_of(body).fixed]
     standing = [copies[body.name] for body in on_their_own]
-    attached = any(body.attachments for body in on_their_own)  # contacts don't tell attachments
+    attached = any(body.attachments for body in on_their_own)  # attachments aren't contacts
 
     of = {body.id: world.get_object(name) for name, body in copies.items()}
     parts = {placed.body.id: (world.get_object(name), placed) for name, each in furniture.items() for placed in each}
@@ -116,7 +112,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
 
 
 def _participants(body: Object) -> list[Object]:
-    """Return the object, and all bodies that can make it move in time."""
+    """Return the object and all bodies that may move it within the time."""
     world = body.world
     robots = {other for other in world.objects if other.is_robot and other is not body}
     roots = {other: attachment.root_of(other) for other in world.objects}
@@ -144,7 +140,7 @@ def _participants(body: Object) -> list[Object]:
 
 
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:
-    """Return the distance in m that any body can cover in time, at the greatest speed plus the speed of a fall."""
+    """Return the distance in m that any body can cover within the time: at the greatest speed, plus that of a fall."""
     world = body.world
     strength = math.hypot(*world.gravity)
     down = [part / strength for part in world.gravity] if strength else [0.0, 0.0, 0.0]
@@ -180,12 +176,12 @@ def _simulate(
 
     Args:
         movable: the bodies whose speeds decide.
-        firm: tells whether some bodies at rest stand firmly.
+        firm: returns whether bodies at rest stand firmly.
         standing: the bodies that must stand firmly.
-        sleepers: puts bodies to sleep; None if all stay awake.
+        sleepers: puts bodies to sleep; None if all bodies stay awake.
     """
     start = engine.pose(body)
-    speeds: list[list[float]] = []  # for each sample the speeds of all bodies, as multiples of the speed of rest
+    speeds: list[list[float]] = []  # speeds of all bodies in each sample, as multiples of the speed of rest
     steps = 0
     moved = turned = 0.0
     while steps < HORIZON:
@@ -261,11 +257,7 @@ def _speeds(engine: Engine, body: LoadedBody) -> tuple[float, float]:
 
 
 class Solid:
-    """A body with its collision shapes.
-
-    Args:
-        model: its canonical URDF.
-    """
+    """A body with its collision shapes; ``model`` is its checked URDF."""
 
     def __init__(self, engine: Engine, body: LoadedBody, model: Path) -> None:
         self._engine, self._body = engine, body
@@ -273,11 +265,11 @@ class Solid:
         self._names = {index: link for link, index in body.links.items()}
 
     def link(self, contact: Contact) -> str:
-        """Return the link of this body that carries another body at a contact of the other body."""
+        """Return the link of this body that carries another body; the contact is that of the other body."""
         return self._names[contact.other_link]
 
     def corners(self, link: str | None = None) -> Points:
-        """Return corners (n, 3) in the world of the body's collision shapes, or of the shapes of a link."""
+        """Return the corners (n, 3) in the world of all collision shapes, or of the shapes of a link."""
         chosen = [i for i, name in enumerate(self._shapes.links) if link in {None, name}]
         if not chosen:
             return np.zeros((0, 3))
@@ -288,10 +280,9 @@ class Solid:
 
 
 class SolidPart(Solid):
-    """A rigid part of furniture. The engine doesn't distinguish the links in it.
+    """A rigid part of furniture, in which the engine doesn't distinguish links.
 
-    Args:
-        furniture: the object with the part, in the same state in its world and in the clone.
+    ``furniture`` is the object with the part; it has the same state in its world and in the clone.
     """
 
     def __init__(self, furniture: Object, placed: PlacedPart) -> None:
@@ -305,7 +296,7 @@ class SolidPart(Solid):
         self._turns = geometry.to_matrices(orientations)
 
     def link(self, contact: Contact) -> str:
-        """Return the link with the box nearest to a contact; the smallest box, if several contain the contact."""
+        """Return the link whose box is nearest to a contact; the smallest box, if several contain the contact."""
         within = np.einsum("kji,kj->ki", self._turns, contact.position - self._positions)
         beyond = np.maximum(np.maximum(self._low - within, within - self._high), 0.0)
         distances = np.maximum((beyond**2).sum(axis=1), _FLAT**2)
@@ -315,12 +306,12 @@ class SolidPart(Solid):
 def stand_firmly(
     engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[LoadedBody], gravity: Vector
 ) -> Iterator[bool]:
-    """Yield for each of some bodies whether it stands firmly; False also if it can't be decided.
+    """Yield whether each body stands firmly; False also if it isn't certain.
 
     Args:
-        engine: has just simulated the bodies.
-        solid_of: returns a body in the engine by its id.
-        standing: the bodies in question; all other bodies are immovable supports.
+        engine: the engine, after a simulation of the bodies.
+        solid_of: returns a body in the engine for its id.
+        standing: the bodies to check; all other bodies are immovable supports.
         gravity: m/s^2.
     """
     strength = math.hypot(*gravity)
@@ -328,7 +319,7 @@ def stand_firmly(
         yield from (True for _ in standing)
         return
     up = np.array(gravity) / -strength
-    level = geometry.to_matrix(geometry.look_at((0.0, 0.0, 0.0), up))  # its z axis points up
+    level = geometry.to_matrix(geometry.look_at((0.0, 0.0, 0.0), up))  # the z axis of this frame points up
     below = {body.id: _carriers(engine, body, solid_of, up) for body in standing}
     loads: dict[int, list[int]] = {number: [] for number in below}
     for other, carriers in below.items():
@@ -348,7 +339,7 @@ def stand_firmly(
 def _carriers(
     engine: Engine, body: LoadedBody, solid_of: Callable[[int], Solid], up: Points
 ) -> dict[tuple[int, str], list[Contact]]:
-    """Return the supports of a body: ids, links and contacts."""
+    """Return the supports of a body: their ids and links, with the contacts."""
     found: dict[tuple[int, str], list[Contact]] = {}
     for contact in engine.contacts(body):
         if np.dot(contact.normal, up) > _CARRYING:
@@ -357,7 +348,7 @@ def _carriers(
 
 
 def _above(numbers: Iterable[int], loads: Mapping[int, Iterable[int]]) -> set[int]:
-    """Return some bodies, and all bodies on them, also indirectly."""
+    """Return bodies and all bodies on them, also indirectly."""
     queue = list(numbers)
     found = set(queue)
     while queue:
@@ -376,7 +367,7 @@ def _support(
     Args:
         engine: the engine with the body.
         underside: (n, 3) the body's corners in the levelled frame, m.
-        tops: for each support its corners (n, 3), and the contacts with it.
+        tops: the corners (n, 3) of each support, and the contacts with it.
         level: (3, 3) axes of the levelled frame in the world.
     """
     parts = []

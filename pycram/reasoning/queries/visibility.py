@@ -1,8 +1,8 @@
-"""Visibility: what a camera sees of an object (thesis 4.4.3, 4.4.4).
+"""Visibility: the part of an object that a camera sees (thesis 4.4.3, 4.4.4).
 
-Two images are compared pixel by pixel: one of the object alone, and one of all objects that could be before it. They
-show only the part of the image plane in which the object can be. So a few thousand pixels give a precise share at any
-distance. Pixels of the object outside of the camera's image count as not seen.
+An image of the object alone is compared pixel by pixel with an image of all objects that may be in front of it. The
+images show only the part of the image plane that can contain the object, so a few thousand pixels give a precise share.
+Pixels of the object outside of the camera's picture aren't seen.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ VISIBLE_SHARE: Final = 0.8
 
 _PIXELS: Final = 80**2  # pixels of the rendered part
 _FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of view of cameras without a description
-_MAX_NAMES: Final = 250  # names in a picture; objects with higher numbers aren't shown
-_MARGIN: Final = 0.05  # share of the part's size around the object
+_MAX_NAMES: Final = 250  # maximum number of named objects in a picture
+_MARGIN: Final = 0.05  # margin around the object as a share of the part's size
 _RAY: Final = 1e-3  # half the width of a ray, at 1 m
-_AT: Final = 0.05  # m; objects within this distance before a point, such as a board, don't hide it
+_AT: Final = 0.05  # m in front of a point; objects there, such as a board, don't hide the point
 
 
 @query
@@ -60,17 +60,17 @@ def visible(
     """Return whether an object is visible (thesis 4.4.3).
 
     Args:
-        camera: a position in m, with the camera directed to the object; (position, orientation) of an optical frame;
-            or the name of a robot's camera frame, with its present direction and its field of view.
-        robot: the owner of the camera frame; the world's robot by default.
-        threshold: share of the object's pixels; the object is visible above it.
+        camera: a position in m of a camera that points at the object; a pair of position and orientation of an optical
+            frame; or the name of a robot's camera frame, with its present direction and its field of view.
+        robot: the owner of the camera frame; None for the world's robot.
+        threshold: share of the object's pixels above which the object is visible.
 
     Returns:
-        The answer. The evidence has the share, the pixels, the share outside of the picture, the objects that hide it,
-        and the link that hides most of those with several links.
+        The answer. The evidence has the share, the pixels, the share outside of the picture, the hiding objects, and
+        the link that hides most for each hiding object with several links.
 
     Raises:
-        NoWorld: The camera is a frame's name, but the world has no robot.
+        NoWorld: The camera is the name of a frame, but the world has no robot.
         UnknownName: The robot has no such frame.
     """
     seen = view(object, _camera(camera, object, robot))
@@ -83,12 +83,10 @@ def occluding(
 ) -> Found[Object]:
     """Return the objects between an object and a camera (thesis 4.4.4).
 
-    Args:
-        camera: as for :func:`visible`.
-        robot: the owner of the camera frame; the world's robot by default.
+    :func:`visible` describes the arguments.
 
     Returns:
-        The objects in between; the one that hides most comes first. The evidence has their shares.
+        The objects, starting with the one that hides most. The evidence has their shares.
     """
     seen = view(object, _camera(camera, object, robot))
     return Found(map(object.world.get_object, seen.hiding), seen.evidence(), seen.picture())
@@ -96,19 +94,18 @@ def occluding(
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """A view of an object."""
+    """A camera's view of an object."""
 
-    share: float  # share of the object's pixels that are seen, 0 to 1
-    alone: int  # pixels of the object without other objects and without the image's border
-    seen: int  # pixels of the object that are seen
-    hiding: Mapping[str, float]  # share of the object's pixels that each other object hides, largest first
-    reason: str = ""  # why nothing is seen
+    share: float  # share of the object's pixels that the camera sees, 0 to 1
+    alone: int  # number of the object's pixels without other objects and without the picture's border
+    seen: int  # number of the object's pixels that the camera sees
+    hiding: Mapping[str, float]  # share of the object's pixels that each hiding object hides, largest first
+    reason: str = ""  # why the camera sees nothing of the object
     outside: float = 0.0  # share of the object's pixels outside of the picture
-    links: Mapping[str, str] = field(
-        default_factory=dict
-    )  # of hiding objects with several links, the one that hides most
-    bodies: Sequence[str] = ()  # names of the object and of the objects before it; empty if nothing was rendered
-    # (height, width) the rendered picture: n for the n-th body, 0 for none
+    #: The link that hides most, for each hiding object with several links.
+    links: Mapping[str, str] = field(default_factory=dict)
+    bodies: Sequence[str] = ()  # names of the object and of the objects in front of it; empty without a picture
+    # (height, width) the picture; a pixel is n for the n-th body, or 0
     pixels: NDArray[np.uint8] | None = None
 
     def picture(self) -> Picture | None:
@@ -127,7 +124,7 @@ class View:
 
 
 def _camera(given: object, target: Object, robot: Object | None) -> Camera:
-    """Return the camera of a query: a frame of the robot, a pose, or a position that is directed to the target."""
+    """Return the camera of a query: in a frame of the robot, at a pose, or at a position and directed to the target."""
     if isinstance(given, str):
         return _camera_of(robot, given)
     try:
@@ -139,13 +136,13 @@ def _camera(given: object, target: Object, robot: Object | None) -> Camera:
     else:
         eye = checks.vector("camera position", parts)
         aim = center(target)
-        inside = math.dist(eye, aim) < NEAR  # nothing is seen from there in any direction
+        inside = math.dist(eye, aim) < NEAR  # the camera sees nothing in any direction
         pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, aim))
     return Camera(pose, _FIELD, _FIELD)
 
 
 def _camera_of(robot: Object | None, frame: str) -> Camera:
-    """Return the camera in a robot's frame, with the field of view in the robot's description if it has one."""
+    """Return the camera in a robot's frame, with the field of view from the robot's description if it has one."""
     if robot is None:
         raise NoWorld("robot")
     position, orientation = robot.get_link_position_and_orientation(frame)
@@ -159,11 +156,7 @@ def _camera_of(robot: Object | None, frame: str) -> Camera:
 
 
 def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View:
-    """Return the view of an object by a camera; its world is locked.
-
-    Args:
-        without: objects that hide nothing, such as a robot that will move.
-    """
+    """Return a camera's view of an object; the caller holds the world's lock. Objects in ``without`` hide nothing."""
     frame = camera.window
     window, reason = _window(body, camera, frame)
     if window is None:
@@ -200,14 +193,14 @@ def _pixels(
     """Return the names of the bodies in a picture, and the number of the body at each pixel."""
     owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 is no object
     near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MAX_NAMES]
-    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last is for owner -1: no object
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last number is for owner -1, no object
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
     return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]
 
 
 def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:
-    """Return the part of the image plane that can show the object; None with the reason if there is none."""
+    """Return the part of the image plane that can show the object; None and the reason without such a part."""
     low, high = body.get_AABB()
     if all(a <= x <= b for a, x, b in zip(low, camera.pose[0], high, strict=True)):
         return None, "is around the camera"
@@ -219,7 +212,7 @@ def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None,
     if (depth > camera.far).all():
         return None, "is too far away"
     if (depth < camera.near).any():
-        return frame, ""  # the object reaches through the image plane
+        return frame, ""  # the object crosses the image plane
     x, y = points[:, 0] / depth, points[:, 1] / depth
     border = _MARGIN * max(float(np.ptp(x)), float(np.ptp(y)), 1e-6)
     window = Window(float(x.min()) - border, float(y.min()) - border, float(x.max()) + border, float(y.max()) + border)
@@ -230,7 +223,7 @@ def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None,
 
 
 def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return for each pixel of a part whether it is within the camera's image."""
+    """Return whether each pixel of a part is within the camera's picture."""
     width, height = size
     x = window.left + (np.arange(width) + 0.5) / width * (window.right - window.left)
     y = window.top + (np.arange(height) + 0.5) / height * (window.bottom - window.top)
@@ -241,22 +234,17 @@ def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.
 
 
 def seen_share(robot: Object, body: Object, base: Pose) -> View:
-    """Return the view of an object by a robot's camera from another base; the robot and held objects hide nothing.
+    """Return the view of an object by a robot's camera, with the robot's base at a pose.
 
-    Args:
-        robot: its world is locked.
-        base: pose of the robot's base.
+    The robot and held objects hide nothing. The caller holds the world's lock.
     """
     return view(body, _eye(robot, center(body), base), without=(robot, *held(robot)))
 
 
 def in_sight(robot: Object, point: Sequence[float], base: PoseLike) -> bool:
-    """Return whether no fixed object is between a point and the robot's camera, which is turned to the point.
+    """Return whether no fixed object is between a point (xyz, m) and the robot's camera, which is turned to the point.
 
-    Args:
-        robot: its world is locked.
-        point: xyz in the world, m.
-        base: pose of the robot's base.
+    The robot's base is at the pose ``base``. The caller holds the world's lock.
     """
     eye = _eye(robot, point, base)
     x, y, z = eye.to_frame(np.asarray(point, dtype=np.float64))
@@ -268,7 +256,7 @@ def in_sight(robot: Object, point: Sequence[float], base: PoseLike) -> bool:
 
 
 def _eye(robot: Object, point: Sequence[float], base: PoseLike) -> Camera:
-    """Return a robot's camera with the base at a pose and the head turned to a point."""
+    """Return a robot's camera with the robot's base at a pose and the head turned to a point."""
     description = robot.description
     if description is None or description.camera is None:
         raise MissingPart(robot.name, "camera")
