@@ -3,7 +3,7 @@
 Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. Then at most eight postures belong to a pose of
 the tool and an angle of joint 1, which is sampled. Subproblems of Paden and Kahan give each posture (Murray, Li,
 Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). For targets without an
-orientation, joints 5 and 6 are sampled, too. Samples may miss a narrow range of postures; then the nearest postures are returned.
+orientation, joints 5 and 6 are sampled, too. If samples miss solutions, the nearest postures are returned.
 
 In the subproblems, points and vectors are columns of arrays (3, n) or (3, 1); axes are unit vectors (3,); angles are
 (n,) in rad. Without a solution, a subproblem returns the nearest angle and a strain: about the missing angle in rad.
