@@ -1,8 +1,8 @@
-"""Open recordings, and read any past step. Only the file is needed.
+"""Open recordings, and read every past step.
 
 ``replay.open(path)`` returns a :class:`Recording`, which has the records by step; ``log.state_at(step)`` returns the
-state of every world after a step. Neither needs the plan or the physics engine. ``replay.open_runs(folder)`` opens a
-folder of recordings as tables.
+state of every world after a step. Readers need neither the plan nor the physics engine. ``replay.open_runs(folder)``
+opens a folder of recordings as tables.
 """
 
 from importlib import import_module
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     open = Recording  # noqa: A001  replay.open reads well
 
-#: Modules of public names; all other public names are in ``replay.errors``.
+#: Modules of public names. All other public names are in ``replay.errors``.
 _MODULES = dict.fromkeys(("Attachment", "Body", "State", "World"), "state.state") | {
     "Recording": "recording",
     "open": "recording",
@@ -30,7 +30,7 @@ _MODULES = dict.fromkeys(("Attachment", "Body", "State", "World"), "state.state"
 
 
 def __getattr__(name: str) -> object:
-    """Import public names on demand: so commands that open no recording start fast."""
+    """Import public names on demand, so that commands without a recording start fast."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module = import_module(f"replay.{_MODULES.get(name, 'errors')}")
@@ -39,7 +39,10 @@ def __getattr__(name: str) -> object:
 
 
 def open_runs(path: "str | Path") -> "Runs":
-    """Open a folder of recordings as tables, which needs the extra ``runs``; see :class:`replay.runs.folder.Runs`."""
+    """Open a folder of recordings as tables (:class:`replay.runs.folder.Runs`).
+
+    The extra ``runs`` must be installed.
+    """
     from recorder.packages import needed  # noqa: PLC0415  only folders need it
 
     with needed("runs"):

@@ -1,12 +1,10 @@
 """Marks in the scene: targets and failures of tasks, attachments, cameras, and paths of trajectories.
 
-A failure's mark and its line in the log are one entity, so selecting the line shows the position. A failure for a
-collision marks the links that would have collided, joined by a line. Attachments are lines from carriers to carried
-bodies. Cameras are frustums of their view. Attachments and cameras move with their links.
-
-The planned path of a tool frame or base is a blue line; a thicker green line covers its driven part. Both disappear
-when the body is at the end. The paths of a stopped trajectory stay until the body's next trajectory, with the planned
-part in grey. A tool's planned path moves with the robot's base.
+The mark of a failure and its line in the log are one entity, so selecting the line shows the position. A failure for a
+collision marks the links that would have collided, with a line between them. Attachments are lines from carriers to
+carried bodies. Cameras are frustums of the view. The planned path of a tool or base is blue, the driven part is a
+thicker green line. Both lines disappear at the end of the path. After a stop, the lines stay until the body's next
+trajectory, with the planned part in grey.
 """
 
 from __future__ import annotations
@@ -36,15 +34,15 @@ if TYPE_CHECKING:
 FAILURES: Final = "failures"
 _PAIRS: Final = "pairs"
 _TARGETS: Final = "targets"
-_POINT: Final = 0.02  # radius in m; all sizes below are in m, too
+_POINT: Final = 0.02  # radius in m; sizes below are in m, too
 _LINE: Final = 0.004
 LINK: Final = 0.015
 _ARROW: Final = 0.35
 _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
-_PIN: Final = 0.3  # height in m of a failure's label above its target, so that the target's label stays visible
+_PIN: Final = 0.3  # height of a failure's label above the target, in m, so that the target's label stays visible
 _ABOVE_ROBOT: Final = 1.8  # height of the label of a failure without a position
-_MAX_PAIRS: Final = 5  # largest number of shown pairs of colliding links
+_MAX_PAIRS: Final = 5  # at most this many pairs of colliding links are shown
 
 
 class Marks:
@@ -56,7 +54,7 @@ class Marks:
         self._paths: list[str] = []
 
     def add(self, world: str, parts: Sequence[str], now: TimePoint, *shapes: rr.AsComponents) -> None:
-        """Show shapes from now on; ``parts`` is the path of their entity below the world's entity."""
+        """Show shapes from now on. ``parts`` is the path of their entity below the world's entity."""
         path = self._columns.path(world, *parts)
         self._columns.set_frame(path, self.scene.frame(world))
         self._columns.send(path, now, *shapes)
@@ -78,7 +76,7 @@ class TaskMarks:
         self._running: dict[int, tuple[str, Marks]] = {}  # name and marks of running motions
         self._targets: dict[int, Vector] = {}  # positions of the targets of running tasks, by id
         self._failures = Marks(columns, scene)
-        self._failure = ("", "")  # the shown failure; failed parent tasks repeat it
+        self._failure = ("", "")  # the shown failure, which failed parent tasks repeat
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Update the marks at a task's start or end."""
@@ -107,7 +105,7 @@ class TaskMarks:
             shapes.append(_arrow(camera, (x, y, z), BLUE))
         elif orientation is not None:
             shapes.append(_arrow(target, geometry.rotate(orientation, (_ARROW, 0.0, 0.0)), BLUE))
-        # running motions have different names; names are reused so that there are few entities
+        # running motions have different names; later motions reuse them, so that there are few entities
         taken = {name for name, _ in self._running.values()}
         names = (record.name, *(f"{record.name} {number}" for number in range(2, len(taken) + 2)))
         name = next(name for name in names if name not in taken)
@@ -158,12 +156,12 @@ class TaskMarks:
 def points_at(
     positions: Sequence[Vector], color: Color, labels: Sequence[str] = (), radius: float = _POINT
 ) -> rr.AsComponents:
-    """Return points of one colour; radius in m."""
+    """Return points of a colour. The radius is in m."""
     return rr.Points3D(positions, colors=[color], radii=[radius], labels=labels or None)
 
 
 def line_through(positions: Sequence[Vector], color: Color, radius: float = _LINE, label: str = "") -> rr.AsComponents:
-    """Return a line of one colour; radius in m."""
+    """Return a line of a colour. The radius is in m."""
     return rr.LineStrips3D([positions], colors=[color], radii=[radius], labels=[label] if label else None)
 
 
@@ -175,7 +173,7 @@ _ATTACHMENT_LINE: Final = 0.003  # radius in m
 
 
 class Attachments:
-    """The lines of all attachments; the scene must show a record first."""
+    """The lines of all attachments. The scene must show a record before this class."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
@@ -221,7 +219,7 @@ _FRUSTUM_LINE: Final = 0.003  # radius in m
 
 
 class CameraFrustums:
-    """The frustums of all robots' cameras."""
+    """The frustums of the cameras of all robots."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
@@ -256,7 +254,7 @@ class CameraFrustums:
 
 
 def camera_position(scene: ViewerScene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
-    """Return the position of a camera: a position, pose or frame (default: the robot's own camera); None if unknown."""
+    """Return the position of a camera: a position, pose or frame, by default the robot's camera; None if unknown."""
     robot = scene.robot(world, robot_name)
     if isinstance(camera, list) or robot is None:
         return position(camera)
@@ -270,13 +268,13 @@ Values: TypeAlias = "dict[str, Any]"
 
 
 def name_of(value: object) -> str:
-    """Return the name of a recorded object, or a recorded text itself; "" for other values."""
+    """Return the name of a recorded object, or a recorded text; "" for other values."""
     name = value.get("object") if isinstance(value, dict) else value
     return name if isinstance(name, str) else ""
 
 
 def vector(value: object, length: int) -> tuple[float, ...] | None:
-    """Return a recorded value as the given number of finite numbers; None for other values."""
+    """Return a recorded value as ``length`` finite numbers; None for other values."""
     if not isinstance(value, list | tuple) or len(value) != length:
         return None
     finite = all(isinstance(number, int | float) and math.isfinite(number) for number in value)
@@ -292,7 +290,7 @@ def position(value: object) -> Vector | None:
 
 
 def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | None:
-    """Return the first position among values, else the position of the first object; None if there is neither."""
+    """Return the first position among values, or else the position of the first object; None without both."""
     for value in values.values():
         point = position(value)
         if point is not None:
@@ -307,9 +305,9 @@ def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | 
 PATHS: Final = "paths"
 _PLANNED: Final = 0.004  # radius in m
 _DRIVEN: Final = 0.01  # radius in m
-_ABOVE_FLOOR: Final = 0.01  # m, height of a base's path above the floor
-_MIN_LENGTH: Final = 0.001  # length in m; a tool that only turns has no path
-#: Number of samples between updates of the driven line, about 0.2 s; each update sends the whole line.
+_ABOVE_FLOOR: Final = 0.01  # height of a base's path above the floor in m
+_MIN_LENGTH: Final = 0.001  # m; shorter paths of tools aren't shown
+#: The driven line is updated after this many samples, about 0.2 s, because each update sends the whole line.
 _SAMPLES: Final = 6
 _ENDING: Final = ("reset", "restore", "close_world")  # commands that end all trajectories
 
@@ -318,7 +316,7 @@ _ENDING: Final = ("reset", "restore", "close_world")  # commands that end all tr
 class _Path:
     """The path of a tool frame or base."""
 
-    now: Callable[[], Vector]  # function that returns the present position in the world
+    now: Callable[[], Vector]  # a function that returns the present position in the world
     entity: str  # path of the planned line's entity
     driven_entity: str  # path of the driven line's entity
     label: str  # label of the planned line
@@ -333,7 +331,7 @@ class _Followed:
 
 
 class TrajectoryPaths:
-    """The paths of all trajectories; the scene must show a record first."""
+    """The paths of all trajectories. The scene must show a record before this class."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
@@ -374,7 +372,7 @@ class TrajectoryPaths:
             self._remove(world, record.remove_body.body, now)
 
     def _keep(self, world: str, following: Mapping[int, Following], now: TimePoint) -> None:
-        """Show only a keyframe's trajectories, which are given by number."""
+        """Show only the trajectories of a keyframe. ``following`` has the trajectories by number."""
         followed = self._followed[world]
         for number in followed.keys() - following.keys():
             self._clear(followed.pop(number).paths, now)
@@ -398,7 +396,7 @@ class TrajectoryPaths:
     def _lines_of(
         self, world: str, following: Following
     ) -> Iterator[tuple[str, str, Callable[[], Vector], Sequence[Vector]]]:
-        """Yield the lines of a trajectory: of the body's base, or of the tools that its joints move.
+        """Yield the lines of a trajectory: of the body's base, or of the moved tools.
 
         A line has a name, a frame, a function for the current position in the world, and points in the frame.
         """
@@ -431,7 +429,7 @@ class TrajectoryPaths:
                 yield arm, scene.frame(world, begin.body), at_tool, points
 
     def _end(self, world: str, number: int, now: TimePoint, driven: float) -> None:
-        """End a trajectory after ``driven`` executed seconds."""
+        """End a trajectory. ``driven`` is its executed time in s."""
         followed = self._followed[world].pop(number, None)
         if followed is None:
             return  # the trajectory began before the recording

@@ -1,9 +1,9 @@
 """The last reasoning query: a page with its answer and evidence, marks in the scene, and the picture of its camera.
 
-Marks are green if the answer is yes (or nothing blocks), and red if it is no. A query for places has a map on the
-floor, whose cells are blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a
-rejected place is a red point with the reason, and an untried place is a grey point. Maps are validated, because a
-recording may come from a stranger.
+Marks are green if the answer is yes or nothing blocks, otherwise red. A query for places has a map on the floor, whose
+cells are blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a rejected place
+a red point with the reason, an untried place a grey point. Maps are validated, because recordings may come from
+strangers.
 """
 
 from __future__ import annotations
@@ -85,14 +85,14 @@ def _cell(text: str) -> str:
 
 
 def _text(line: str) -> str:
-    """Escape Markdown: otherwise, a viewer would fetch pictures from the links of a stranger's recording."""
+    """Escape Markdown. Otherwise, a viewer would fetch pictures from the links of a stranger's recording."""
     return _ACTIVE.sub(r"\\\g<0>", " ".join(line.splitlines()))
 
 
 PICTURE: Final = "picture"
-_MAX_CLASSES: Final = 60_000  # largest number of classes; the viewer stores a class in 16 bits
-MAX_PIXELS: Final = 1 << 24  # largest number of pixels of a picture; pictures of robots' cameras have a tenth
-_GOLDEN_RATIO: Final = 0.618034  # step of the hue from one colour to the next, so that neighbouring colours differ
+_MAX_CLASSES: Final = 60_000  # largest number of classes, because the viewer stores a class in 16 bits
+MAX_PIXELS: Final = 1 << 24  # largest number of pixels; pictures of robot cameras have a tenth
+_GOLDEN_RATIO: Final = 0.618034  # hue between consecutive colours, so that they differ
 
 
 class QueryPicture:
@@ -101,10 +101,10 @@ class QueryPicture:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._path = columns.path(QUERIES, PICTURE)
-        self._classes: dict[str, int] = {}  # class numbers by body; they are the same in all pictures
+        self._classes: dict[str, int] = {}  # numbers of classes by body
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Show a query's picture, if it has one."""
+        """Show the picture of a query, if there is a picture."""
         if not record.HasField("picture"):
             return
         picture = record.picture
@@ -131,20 +131,20 @@ class QueryPicture:
 
 
 PLACES: Final = "places"
-_ABOVE: Final = 0.01  # height in m above a floor or surface, so that the map doesn't hide the marks
+_ABOVE: Final = 0.01  # height above the surface in m; the map must not hide the marks
 _POINT: Final = 0.025  # radius in m
 _TAKEN: Final = 0.05
-_HEADING: Final = 0.15  # length in m of a taken place's arrow
+_HEADING: Final = 0.15  # length of the arrow of a taken place in m
 _ALPHA: Final = 150
 _MAX_LABELS: Final = 200
 _COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
 
 
 class QueryPlaces(Marks):
-    """The map and the samples of the last query for places; they are shown until the next such query or motion."""
+    """The map and the samples of the last query for places, until the next such query or motion."""
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Show a query for places; raise ValueError for an invalid map."""
+        """Show a query for places. An invalid map raises ValueError."""
         if not record.HasField("grid"):
             return
         self.clear(now)
@@ -167,7 +167,7 @@ class QueryPlaces(Marks):
 
 
 def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[rr.AsComponents]:
-    """Return the taken places with their headings; if none was taken, a label with the results above the map."""
+    """Return the taken places with their headings, or a label with the results above the map if no place was taken."""
     text = fates_text(record)
     chosen = [number for number, name in enumerate(names) if name == TAKEN]
     if not chosen:
@@ -178,7 +178,7 @@ def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[
 
 
 def _cells(record: Query) -> rr.Mesh3D | None:
-    """Return the cells with a score as coloured squares; None if no cell has a score."""
+    """Return the cells with a score as coloured squares; None without scores."""
     grid = record.grid
     scores = scores_of(grid)
     rows, columns = np.nonzero(scores)
@@ -201,15 +201,15 @@ def _cells(record: Query) -> rr.Mesh3D | None:
 
 
 MAX_CELLS: Final = 1 << 20
-"""Largest number of cells of a map; usual maps have some thousands."""
-_FARTHEST: Final = 1e6  # largest distance in m from the world's origin
+"""Largest number of cells of a map. Usual maps have some thousands of cells."""
+_FARTHEST: Final = 1e6  # largest distance from the world's origin in m
 
 
 def scores_of(grid: Grid) -> NDArray[np.float64]:
-    """Return the scores (height, width) of a map's cells, 0 to 1. Rows run along x; the first row has the lowest y.
+    """Return the scores 0..1 of a map's cells (height, width). Rows are parallel to x; the first row has the lowest y.
 
     Raises:
-        ValueError: the size, origin or content of the map is invalid.
+        ValueError: The size, origin or content of the map is invalid.
     """
     width, height = grid.width, grid.height
     if width <= 0 or height <= 0 or width * height > MAX_CELLS:
@@ -230,7 +230,7 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
 
 
 def spots_of(grid: Grid) -> NDArray[np.float64]:
-    """Return the positions (n, 3) of a map's sampled places, m; raise ValueError for an invalid place."""
+    """Return the positions of a map's sampled places in m (n, 3). An invalid place raises ValueError."""
     positions = [list(spot.position) for spot in grid.spots]
     for spot, place in zip(grid.spots, positions, strict=True):
         if len(place) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in place):
@@ -243,12 +243,12 @@ def spots_of(grid: Grid) -> NDArray[np.float64]:
 _MAX_LETTERS: Final = 60
 _ANSWERS: Final = "answers"
 _NO: Final = ("false", "null", "[]", "")
-#: Words for blocking, by the evidence that names the blocking bodies.
+#: Words for blocking by the name of the evidence with the blocking bodies.
 _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}
 
 
 class QueryMarks(Marks):
-    """Target, posture, contacts and obstacles of the last query; they are shown until the next task begins."""
+    """Target, posture, contacts and obstacles of the last query, until the next task begins."""
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query."""

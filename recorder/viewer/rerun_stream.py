@@ -1,8 +1,7 @@
 """Rerun streams, to a viewer or into an ``.rrd`` file: they buffer rows of components, and send them as columns.
 
 Every row is on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
-A later row of a time point replaces an earlier row of it. Colours of marks, log lines and tasks are readable on the
-viewer's dark and light backgrounds.
+Later rows of a time point replace earlier rows. All colours are readable on the viewer's dark and light backgrounds.
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ if TYPE_CHECKING:
     ColumnMaker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
 
-APPLICATION: Final = "pycram"  # name of the application, for which viewers remember a layout
-_WRITE_TIMEOUT: Final = 60.0  # seconds for writing the rows of a file
-_SWITCH: Final = "RERUN"  # name of the environment variable that turns logging to viewers off
+APPLICATION: Final = "pycram"  # viewers remember a layout for this name
+_WRITE_TIMEOUT: Final = 60.0  # s; the rows of a file must be written in this time
+_SWITCH: Final = "RERUN"  # this environment variable turns viewers off
 
 
 @contextlib.contextmanager
 def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None) -> Iterator[rr.RecordingStream]:
-    """Open a stream for rows, even if the environment turns viewers off: this viewer was requested.
+    """Open a stream for rows, even if the environment variable ``RERUN`` turns viewers off.
 
-    ``connect`` sets the sink of the stream; Ctrl-C is deferred until then.
+    ``connect`` sets the sink of the stream. Until then, Ctrl-C is deferred.
     """
     switched = os.environ.pop(_SWITCH, None)
     try:
-        with Uninterrupted():  # after a Ctrl-C here, the library would complain about a stream without a sink
+        with Uninterrupted():  # after a Ctrl-C, the library would complain about a stream without a sink
             stream = rr.RecordingStream(APPLICATION)
             if connect is not None:
                 connect(stream)
@@ -50,12 +49,15 @@ def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None
 
 @contextlib.contextmanager
 def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
-    """Open a stream that replaces a file, which is complete at the block's end; raise OSError if writing fails."""
+    """Open a stream that replaces a file. The file is complete at the end of the block.
+
+    Failed writing raises OSError.
+    """
     with stream_to_viewer(lambda stream: stream.save(file)) as stream:
         yield stream
         try:
             stream.flush(timeout_sec=_WRITE_TIMEOUT)
-        except RuntimeError as error:  # the library raises RuntimeError for all errors; its message has the cause
+        except RuntimeError as error:  # the library raises RuntimeError for all errors
             raise OSError(str(error)) from error
         stream.disconnect()
 
@@ -63,7 +65,7 @@ def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
 class TimePoint(NamedTuple):
     """A point on the three time lines."""
 
-    step: int  # the record's number
+    step: int
     sim: int  # simulated time in ns
     wall: int  # ns since the Unix epoch
 
@@ -74,7 +76,7 @@ def sim_ns(sim_step: int) -> int:
 
 
 class Series:
-    """Buffered rows of one entity, which become columns."""
+    """Buffered rows of an entity, which become columns."""
 
     __slots__ = ("maker", "rows", "times")
 
@@ -84,13 +86,13 @@ class Series:
         self.rows: list[tuple[Any, ...]] = []
 
     def add(self, time: TimePoint, row: tuple[Any, ...]) -> None:
-        """Add a row, in the form that the maker expects."""
+        """Add a row in the form that the maker expects."""
         self.times.append(time)
         self.rows.append(row)
 
 
 class Columns:
-    """Buffers of all entities of a stream, below an optional root entity; not thread-safe."""
+    """Buffers of all entities of a stream, below an optional root entity. This class isn't thread-safe."""
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         self._stream = stream
@@ -99,19 +101,19 @@ class Columns:
         self._in_frames: set[str] = set()
 
     def path(self, *parts: str) -> str:
-        """Return the path of an entity from the names of its ancestors and its own name, with any characters."""
+        """Return the path of an entity. ``parts`` are names of its ancestors and the entity, with any characters."""
         return rr.new_entity_path([*self._root, *parts])
 
     def series(self, path: str, maker: ColumnMaker) -> Series:
-        """Return the buffer for frequent rows; the same object for the same entity and maker."""
+        """Return the buffer for frequent rows of an entity and maker."""
         makers = self._series.setdefault(path, {})
         if maker not in makers:
             makers[maker] = Series(maker)
         return makers[maker]
 
     def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
-        """Send one row immediately: the entity has these components from that time on."""
-        self._flush(path)  # rows of one entity keep their order
+        """Send a row immediately. The entity has these components from then on."""
+        self._flush(path)  # rows of an entity stay in order
         batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
         columns = [
             rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
@@ -120,7 +122,7 @@ class Columns:
         self._send(path, [time], columns)
 
     def clear(self, path: str, time: TimePoint) -> None:
-        """Clear an entity from that time on; entities below it stay."""
+        """Clear an entity from a time on. Entities below it stay."""
         self.send(path, time, rr.Clear(recursive=False))
 
     def send_static(self, path: str, archetype: rr.AsComponents) -> None:
@@ -128,7 +130,7 @@ class Columns:
         self._stream.log(path, archetype, static=True)
 
     def set_frame(self, path: str, frame: str) -> None:
-        """Put an entity into a coordinate frame, for all times."""
+        """Put an entity into a coordinate frame for all times."""
         if path not in self._in_frames:
             self._in_frames.add(path)
             self.send_static(path, rr.CoordinateFrame(frame))

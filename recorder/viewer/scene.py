@@ -1,8 +1,7 @@
 """Bodies in the viewer's 3D scene: their shapes at the recorded poses.
 
-A link's entity has the link's transform between frames that are named as on ``/tf``. Entities below it have shapes, and
-name their frame. A body has shapes only while it exists, but its frames always exist: the viewer needs a path to the
-root.
+The entity of a link has the link's transform between frames with the names of ``/tf``. Entities below have the shapes.
+A removed body has no shapes, but its frames stay, because the viewer needs a path to the root.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ _COLLISION_COLOR: Final = (0.9, 0.2, 0.9, 0.5)
 
 @dataclass(slots=True)
 class _Link:
-    """A link's latest pose, and the buffer of its poses."""
+    """The latest pose of a link, and the buffer of its poses."""
 
     transforms: Series
     pose: Pose | None = None
@@ -52,11 +51,11 @@ class _Link:
 class SceneBody:
     """A body in the scene."""
 
-    loaded: LoadBody  # how it was loaded
+    loaded: LoadBody
     joints: dict[str, float] = field(default_factory=dict)  # positions in rad or m by name
     pose: Pose = geometry.IDENTITY  # pose of the base in the world
-    shapes: set[str] = field(default_factory=set)  # paths of the entities of its shapes
-    links: dict[str, _Link] = field(default_factory=dict)  # links with recorded poses, by name; "" is the base
+    shapes: set[str] = field(default_factory=set)  # paths of the shapes' entities
+    links: dict[str, _Link] = field(default_factory=dict)  # links with recorded poses by name; "" is the base
 
 
 class ViewerScene:
@@ -67,29 +66,29 @@ class ViewerScene:
         self._prefix = prefix
         self._frames = FrameTree()
         self._files: dict[str, bytes] = {}
-        # pose buffers by world and frame; they also contain removed bodies
+        # buffers of poses by world and frame, also of removed bodies
         self._transforms: dict[tuple[str, str], Series] = {}
         self._first: TimePoint | None = None
         self.bodies: dict[str, dict[str, SceneBody]] = {}  # the bodies by world and name
-        self.robots: dict[str, str] = {}  # names of the controlled robots, by world
-        #: Names of missing files, such as ``<sha256>/<file name>``; one for each body with a missing file.
+        self.robots: dict[str, str] = {}  # names of the controlled robots by world
+        #: Names of missing files, ``<sha256>/<file name>``, a name for each body with missing files.
         self.absent: dict[str, None] = {}
 
     def attach(self, asset: AssetFile) -> None:
-        """Take an attached file; models and meshes must come before the records that use them."""
+        """Take an attached file. Models and meshes must precede the records that use them."""
         if asset.name.endswith(".urdf"):
             self._frames.add_urdf(asset.sha256, asset.content)
         self._files[asset.sha256] = asset.content
 
     def frame(self, world: str, body: str = "", link: str = "") -> str:
-        """Return the viewer's name of a frame: of the world's root, a body's base or a link."""
+        """Return the viewer's name of the frame of a world's root, a body's base or a link."""
         model = self._frames.model(world, body)
         if model is not None and link == model.root:
             link = ""
         return self._prefix + (frame_name(world, body, link) if body else ROOT)
 
     def pose(self, world: str, body: str, link: str = "") -> Pose | None:
-        """Return the current pose of a body's base or link in the world; None if it doesn't exist."""
+        """Return the current pose of a body's base or link in the world; None without such a body or link."""
         if not link:
             scene_body = self.bodies.get(world, {}).get(body)
             return scene_body.pose if scene_body is not None else None
@@ -100,12 +99,12 @@ class ViewerScene:
         return geometry.multiply(scene_body.pose, model.forward_kinematics(scene_body.joints, link))
 
     def _with_link(self, world: str, body: str, link: str) -> tuple[SceneBody, Urdf] | None:
-        """Return a body and its model; None if the body, its model or the link is missing."""
+        """Return a body and its model; None without the body, the model or the link."""
         scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
         return (scene_body, model) if scene_body is not None and model is not None and link in model.links else None
 
     def robot(self, world: str, name: str = "") -> tuple[str, SceneBody] | None:
-        """Return the robot with the name, else the controlled robot, else any robot; None if the world has no robot."""
+        """Return the robot with the name, or else the controlled robot, or else another robot; None without a robot."""
         bodies = self.bodies.get(world, {})
         for candidate in (name, self.robots.get(world, "")):
             if candidate in bodies:
@@ -113,16 +112,16 @@ class ViewerScene:
         return next(((name, body) for name, body in bodies.items() if body.loaded.robot_description), None)
 
     def centre(self, world: str) -> Vector:
-        """Return the mean position of objects and robots in m; the origin without any."""
+        """Return the mean position of objects and robots in m; the origin in an empty world."""
         bodies = self.bodies.get(world, {}).values()
         positions = [body.pose[0] for body in bodies if body.loaded.robot_description or not body.loaded.fixed_base]
         x, y, z = (sum(position[axis] for position in positions) / max(len(positions), 1) for axis in range(3))
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Return the positions (m, in the world) of the joints from the first given joint to a link.
+        """Return the positions in the world of the joints from the first given joint to a link, m.
 
-        ``joints`` has positions in rad or m; other joints keep theirs. Without a model, the list is empty.
+        ``joints`` has positions in rad or m; other joints don't move. The list is empty without a model.
         """
         found = self._with_link(world, body, link)
         if found is None:
@@ -139,9 +138,9 @@ class ViewerScene:
     def link_position(
         self, world: str, body: str, link: str, offset: Vector
     ) -> Callable[[Mapping[str, float]], Vector] | None:
-        """Return a function that computes where a link's point is in the body's base, in m; None without such a link.
+        """Return a function that computes the position of a link's point in the body's base; None without such a link.
 
-        The function takes positions of joints in rad or m; the other joints keep their current positions.
+        The argument of the function has positions of joints in rad or m. Other joints don't move.
         """
         found = self._with_link(world, body, link)
         if found is None:
@@ -155,11 +154,11 @@ class ViewerScene:
         return position
 
     def motions(self, record: Mutation | Keyframe) -> list[BodyMotion]:
-        """Return the motions of a record, in the order of simulated time; note the models of its new bodies."""
+        """Return the motions of a record in the order of simulated time, and note the models of new bodies."""
         return self._frames.motions(record)
 
     def begin(self, record: Mutation | Keyframe, now: TimePoint) -> None:
-        """Show the bodies that a record added or removed; call :meth:`move` for its motions after that."""
+        """Show the bodies that a record added or removed. Then call :meth:`move` for the motions of the record."""
         if self._first is None:
             self._first = now
         bodies = self.bodies.get(record.world)
@@ -182,7 +181,7 @@ class ViewerScene:
             self._draw(record.world, bodies[record.set_color.body], tuple(record.set_color.color), now)
 
     def move(self, world: str, motion: BodyMotion, now: TimePoint) -> SceneBody | None:
-        """Move a body, and return it; None if it doesn't exist."""
+        """Move a body, and return the body; None without such a body."""
         body = self.bodies[world].get(motion.body)
         if body is None:
             return None
@@ -201,7 +200,7 @@ class ViewerScene:
         return body
 
     def _transforms_of(self, world: str, frame: Frame, pose: Pose) -> Series:
-        """Return the buffer of a frame's poses; the first pose holds from the beginning of the recording."""
+        """Return the buffer of a frame's poses. The first pose holds from the beginning of the recording."""
         transforms = self._transforms.get((world, frame.child))
         if transforms is None:
             path = self._columns.path(world, BODIES, frame.body, *([frame.link] if frame.link else []))
@@ -242,7 +241,7 @@ class ViewerScene:
 
 
 def _changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> tuple[list[str], list[LoadBody]]:
-    """Return the names of bodies that are gone or have another model, and the bodies that were loaded."""
+    """Return the names of bodies that are removed or have another model, and the loaded bodies."""
     if isinstance(record, Keyframe):
         models = {name: [asset.sha256 for asset in body.loaded.assets] for name, body in bodies.items()}
         added = [
@@ -251,7 +250,7 @@ def _changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]
         unchanged = {loaded.body for loaded in record.loaded} - {loaded.body for loaded in added}
         return [name for name in bodies if name not in unchanged], added
     command = record.WhichOneof("command")
-    if command == "open_world":  # the bodies of a closed world are shown until a world with the same name opens
+    if command == "open_world":  # bodies of a closed world stay until a world with the same name opens
         return list(bodies), []
     added = [record.load_body] if command == "load_body" else []
     removed = {*record.effect.removed, *(loaded.body for loaded in added)}
@@ -276,10 +275,10 @@ _MEDIA_TYPES: Final = {"stl": "model/stl", "obj": "model/obj"}
 def draw(
     shapes: Sequence[Shape], meshes: Callable[[str], bytes | None], color: Color | None
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
-    """Yield the entities of a link's shapes: one for all boxes, one for all cylinders and so on, but one for each mesh.
+    """Yield the entities of a link's shapes: an entity for all boxes, an entity for each mesh, and so on.
 
-    Each entity has a name, unique within the link, and its components. ``meshes`` returns the content of a mesh, or
-    None if the mesh is unknown. Without ``color``, shapes have their own colours.
+    An entity is a name that is unique within the link, and components. ``meshes`` returns the content of a mesh, or
+    None for an unknown mesh. If ``color`` is None, shapes have their own colours.
     """
     for kind in ("box", "cylinder", "sphere", "capsule"):
         alike = [shape for shape in shapes if shape.kind == kind]
@@ -309,13 +308,13 @@ def _solids(kind: str, shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.A
     radii, lengths = zip(*sizes, strict=True)
     if kind == "cylinder":
         return rr.Cylinders3D(lengths=lengths, radii=radii, centers=centers, quaternions=turns, **look)
-    # the viewer's capsules begin at their origin, and their length excludes the caps; a URDF's capsules are centred
+    # the viewer's capsules begin at their origin, without the caps; a URDF's capsules are centred
     feet = [geometry.transform(shape.pose, (0.0, 0.0, -shape.size[1] / 2)) for shape in shapes]
     return rr.Capsules3D(lengths=lengths, radii=radii, translations=feet, quaternions=turns, **look)
 
 
 def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
-    """Return a table of a robot's description; empty without one."""
+    """Return a table of a robot's description; an empty table if it is missing."""
     try:
         found = tomllib.loads(robot.robot_description).get(name, {})
     except ValueError:
@@ -324,7 +323,7 @@ def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
 
 
 def offset(described: Mapping[str, Any], name: str) -> Pose:
-    """Return a described pose in a link; if it isn't described, the link's own frame."""
+    """Return a described pose in a link, by default the frame of the link."""
     found = described.get(name, {})
     x, y, z = found.get("xyz", (0.0, 0.0, 0.0))
     return (x, y, z), geometry.from_rpy(*found.get("rpy", (0.0, 0.0, 0.0)))

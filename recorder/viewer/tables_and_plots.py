@@ -1,9 +1,8 @@
 """The log, the tables of records, and curves over time.
 
-The log has a line for each record, with its level. Each kind of record has an entity, so that kinds can be hidden.
-Lines begin with the step: the viewer's own column of times has room for two digits only, and follows the chosen time
-line. Each type of record has a table, whose columns are fields. Curves are the heights of bodies, and the joints of
-robots and furniture.
+The log has a line for each record. Each kind of record has an entity, so that users can hide kinds. Lines begin with
+the step, because the viewer's column of times is too narrow. Each type of record has a table, whose columns are fields.
+Curves are the heights of bodies, and the joints of robots and furniture.
 """
 
 from __future__ import annotations
@@ -47,12 +46,12 @@ if TYPE_CHECKING:
 
 
 LOG: Final = "log"
-_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # colours of lines; the viewer's own colours are too dark
+_COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # the viewer's own colours are too dark
 _LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}
 
 
 def numbered(text: str, now: TimePoint) -> str:
-    """Return a text with its step number before it."""
+    """Return a step number and a text."""
     return f"#{now.step} {text}"
 
 
@@ -63,7 +62,7 @@ class LogLines:
         self._lines = {kind: columns.series(columns.path(LOG, topic[1:]), _lines) for kind, topic in TOPICS.items()}
 
     def show(self, record: Record, text: str, level: Log.Level.ValueType, now: TimePoint) -> None:
-        """Add a record's line, if it has one."""
+        """Add the line of a record, if there is a line."""
         if has_line(record):
             self._lines[type(record)].add(now, (numbered(text, now), _LEVELS[level]))
 
@@ -83,7 +82,7 @@ def _word(enum: EnumTypeWrapper, number: int) -> str:
 
 
 def _line(file: str, line: int) -> str:
-    """Return a line with the file's name only, because columns are narrow."""
+    """Return the place of a line without folders, because columns are narrow."""
     return notebook.place(file.rpartition("/")[2], line)
 
 
@@ -121,19 +120,19 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
     "values": lambda record: values(record.values),
     "status": lambda record: _word(Task.Status, record.status) if record.status else "running",
 }
-"""Values of columns that aren't the record's field of that name."""
+"""Values of the columns that aren't fields of records."""
 
 _COMMON: Final = ("world", "task", "thread", "cause", "text")
 _Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Check
 _SOURCED: Final = (*get_args(_Sourced), Output)
-"""Types of records with a line of the plan. If a record's task has the same line, the record omits it."""
+"""Types of records with a line of the plan. Records omit the line if their task has the same line."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
 """Names of the tables."""
 
 
 class RecordTables:
-    """A table for each type of record; keyframes have no table, because they contain no new facts."""
+    """A table for each type of record, except for keyframes, which contain no new facts."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {
@@ -143,7 +142,7 @@ class RecordTables:
             )
             for kind, names in _COLUMNS.items()
         }
-        self._sources: dict[int, str] = {}  # call sites of the running tasks, by id
+        self._sources: dict[int, str] = {}  # call sites of the running tasks by id
 
     def show(self, record: Record, text: str, now: TimePoint) -> None:
         """Add a record with its line of text."""
@@ -155,7 +154,7 @@ class RecordTables:
         series.add(now, (*row, self._source(record)) if isinstance(record, _SOURCED) else row)
 
     def _source(self, record: _Sourced | Output) -> str:
-        """Return the call site of a record, or of its task."""
+        """Return the call site of a record or of its task."""
         source = _line(record.source_file, record.source_line) if record.source_file else ""
         source = source or self._sources.get(record.task, "")
         if type(record) is Task:
@@ -178,7 +177,7 @@ _STEPS: Final = rr.components.InterpolationMode.StepAfter  # a value holds until
 
 
 class Plots:
-    """A curve for each body height (m) and each joint (rad or m) that ever changes."""
+    """A curve for each changing height of a body in m, and for each moving joint in rad or m."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
@@ -186,7 +185,7 @@ class Plots:
         self._series: dict[tuple[str, str, str], Series] = {}
 
     def show(self, world: str, body: SceneBody, motion: BodyMotion, now: TimePoint) -> None:
-        """Add the changed values of a motion, after the body was moved."""
+        """Add the changed values of a motion. The body must already have moved."""
         for joint, value in motion.joints.items():
             self._add((world, motion.body, joint), value, now)
         if not body.loaded.fixed_base:

@@ -1,10 +1,9 @@
 """Tasks in the viewer: lanes over time, and the task tree as a graph.
 
-A lane has the tasks of one depth, one after the other; parallel tasks have separate lanes. When a task ends, its
-beginning is sent again with its outcome; later rows of a time point replace earlier rows.
-
-The graph shows the running tasks, the tasks around them, the latest tasks, and the path to a failure. Succeeded tasks
-are folded: only the last few children of a task are shown, and only the children of the last one.
+A lane has consecutive tasks of a depth; parallel tasks have separate lanes. At the end of a task, its beginning is sent
+again with the outcome, and replaces the earlier row. The graph shows the running tasks, the tasks around them, the
+latest tasks, and the path to a failure. Only the last few children of a task are shown, and of succeeded tasks only the
+last task's children.
 """
 
 from __future__ import annotations
@@ -26,16 +25,16 @@ if TYPE_CHECKING:
     from recorder.viewer.rerun_stream import Columns, Series, TimePoint
 
 
-LANES: Final = "level"  # the viewer shows this name in the titles of lanes
+LANES: Final = "level"  # titles of lanes contain this name
 STATUS_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
-_MAX_NAMES: Final = 300  # largest number of names with their own colours in a lane; further tasks are named by kind
+_MAX_NAMES: Final = 300  # this many names of tasks have colours in a lane; further tasks are named by kind
 
 
 @dataclass(slots=True)
 class _Lane:
     path: str
     states: Series
-    labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # labels and statuses by viewer state
+    labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # labels and statuses by the viewer's state
 
 
 @dataclass(slots=True)
@@ -52,7 +51,7 @@ class TaskTimeline:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._running: dict[int, _Running] = {}
-        self._slots: dict[int, set[int]] = {}  # occupied slots, by depth of the tasks
+        self._slots: dict[int, set[int]] = {}  # occupied slots by depth of the tasks
         self._lanes: dict[tuple[int, int], _Lane] = {}
 
     def show(self, record: Task, now: TimePoint) -> None:
@@ -104,7 +103,7 @@ _COLORS: Final = {
 }
 _PLAN: Final = "plan"
 _MAX_TASKS: Final = 300  # largest number of tasks in the tree
-_MAX_CHILDREN: Final = 7  # largest number of shown children of a task
+_MAX_CHILDREN: Final = 7  # a task shows at most this many children
 _THINNING: Final = 1000  # after 1,000 updates, every second update is drawn, after 2,000 every third, ...
 _ACROSS: Final = 120.0  # pixels between a task and its children, to the right
 _DOWN: Final = 34.0  # pixels between neighbours, downwards
@@ -112,7 +111,7 @@ _MAX_LETTERS: Final = 24
 
 
 class TaskGraph:
-    """The tree of the latest tasks, below a node for the plan."""
+    """The tree of the latest tasks below a node for the plan."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
@@ -157,7 +156,7 @@ def _shown(tree: Tree) -> Iterator[tuple[int, Node]]:
 
 
 def _latest(nodes: Sequence[Node], failing: set[int]) -> list[Node]:
-    """Return the last few nodes, and all nodes that still run or are on the path to the failure."""
+    """Return the last few nodes, all running nodes, and all nodes on the path to the failure."""
     first = len(nodes) - _MAX_CHILDREN
     return [
         node

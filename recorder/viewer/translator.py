@@ -1,7 +1,4 @@
-"""Translate records into rows for the viewer, live and afterwards, and lay out its views.
-
-The scenes and the tasks over time are on the left; task tree, query, log, curves and tables on the right.
-"""
+"""Translate records into rows for the viewer, live and afterwards, and lay out its views."""
 
 from __future__ import annotations
 
@@ -30,19 +27,22 @@ if TYPE_CHECKING:
     from recorder.records.values import AssetFile
 
 
-_BATCH: Final = 20_000  # number of records in a batch: smaller batches take more time, larger batches more memory
+_BATCH: Final = 20_000  # number of records in a batch; smaller batches take more time, larger batches more memory
 _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neither add nor remove bodies
 
 
 class Translator:
-    """Shows records in a viewer; ``root`` is the root entity and the prefix of frames. Not thread-safe."""
+    """A translator that shows records in a viewer; not thread-safe.
+
+    ``root`` is the root entity and the prefix of frames.
+    """
 
     def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
         columns = self._columns = Columns(stream, root)
         self._lines, self._tables = LogLines(columns), RecordTables(columns)
         self._timeline, self._graph = TaskTimeline(columns), TaskGraph(columns)
         self._page, self._picture = QueryPage(columns), QueryPicture(columns)
-        scene = self.scene = ViewerScene(columns, f"{root}/" if root else "")  # the bodies of all worlds
+        scene = self.scene = ViewerScene(columns, f"{root}/" if root else "")
         self._plots, self.worlds = Plots(columns), ActiveWorlds(scene)
         self._attachments, self._cameras = Attachments(columns, scene), CameraFrustums(columns, scene)
         self._paths = TrajectoryPaths(columns, scene)
@@ -50,14 +50,14 @@ class Translator:
         self._places = QueryPlaces(columns, scene)
         self._sim_ns = 0  # simulated time of the latest record with a world
         self._previous_ns = 0  # wall time of the previous record
-        self._waiting = 0  # number of records that wait to be sent
+        self._waiting = 0  # number of records in the buffers
 
     def attach(self, asset: AssetFile) -> None:
         """Take an attached file; models and meshes must come before the records that use them."""
         self.scene.attach(asset)
 
     def show(self, record: Record) -> None:
-        """Translate the next record; its rows are sent in batches, at the latest by :meth:`flush`."""
+        """Translate the next record. Rows are sent in batches, at the latest by :meth:`flush`."""
         if record.world:
             self._sim_ns = sim_ns(record.sim_step)
         now = TimePoint(record.seq, self._sim_ns, record.wall_time_ns)
@@ -103,7 +103,7 @@ class Translator:
 
     def _show_change(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         world, end = record.world, record.sim_step
-        effect = record.effect if isinstance(record, Mutation) else None  # kept in a variable, because access is slow
+        effect = record.effect if isinstance(record, Mutation) else None  # access to the field is slow
         only_moves = isinstance(record, Mutation) and record.WhichOneof("command") in _MOTIONS
         motions = self.scene.motions(record)
         if not only_moves or world not in self.scene.bodies:
@@ -113,7 +113,7 @@ class Translator:
             if motion.sim_step != step:
                 step = motion.sim_step
                 steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
-                # the fraction of the wall time since the previous record
+                # fraction of the wall time since the previous record
                 share = min(max((step - end + steps) / steps, 0.0), 1.0)
                 wall = self._previous_ns + round((now.wall - self._previous_ns) * share)
                 time = now if step == end else TimePoint(now.step, sim_ns(step), wall)
@@ -138,11 +138,11 @@ class ActiveWorlds:
     def __init__(self, scene: ViewerScene) -> None:
         self._scene = scene
         self._open: dict[str, None] = {}  # open worlds in which a plan acted
-        self.centres: dict[str, Vector] = {}  # centres of worlds in m, at the moment when plans began to act in them
-        self.front = ""  # the first world that is still open; "" before there is one
+        self.centres: dict[str, Vector] = {}  # centres of worlds in m when plans began to act in them
+        self.front = ""  # the first open world; "" before a plan acts
 
     def follow(self, record: Record) -> None:
-        """Note when a plan begins to act in a world, or closes it; the scene must show the record first."""
+        """Note that a plan begins to act in a world or closes the world. The scene must already show the record."""
         world, action = record.world, _action(record)
         if world not in self.centres and action not in _SETUP:
             self.centres[world] = self._scene.centre(world)
@@ -161,7 +161,7 @@ class ActiveWorlds:
 
 
 def acts(record: Record) -> bool:
-    """Return whether a plan acts in the record's world; opening, filling and closing a world don't count."""
+    """Return whether a plan acts in the record's world. Opening, filling and closing a world don't count."""
     return bool(record.world) and _is_act(_action(record))
 
 
@@ -172,23 +172,23 @@ def _is_act(action: str) -> bool:
 def _action(record: Record) -> str:
     """Return the change of a record: a mutation's command or "keyframe"; "" for other records."""
     if type(record) is Mutation:  # isinstance takes five times as long for other types
-        return record.WhichOneof("command") or "change"  # a command of another release
+        return record.WhichOneof("command") or "change"  # "change" is a command of another release
     return _KEYFRAME if type(record) is Keyframe else ""
 
 
 ORIGIN: Final = (0.0, 0.0, 0.0)
 _WORLD: Final = "world_1"  # default name of the first world
-_EYE: Final = (-2.6, -2.6, 2.3)  # position in m, relative to a world's centre
+_EYE: Final = (-2.6, -2.6, 2.3)  # position relative to a world's centre in m
 
 
 def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
-    """Return the layout for a recording; ``worlds`` has the known centres in m; the tab of ``front`` is open."""
+    """Return the layout for a recording. ``worlds`` has the known centres in m. The tab of ``front`` is open."""
     left, right = _scenes("", worlds, front), _details("", worlds)
     return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
 
 
 def side_by_side(recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]) -> rrb.Blueprint:
-    """Return the layout for compared recordings, given by root entity; see :func:`blueprint`."""
+    """Return the layout for compared recordings. ``recordings`` has the known centres of worlds in m by root entity."""
     columns = [
         rrb.Vertical(_scenes(root, worlds, fronts[root]), _details(root, worlds), row_shares=[3, 2], name=root)
         for root, worlds in recordings.items()
@@ -214,7 +214,7 @@ def _scenes(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Containe
 
 
 def _details(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
-    """Return the views of the task tree and queries, and below them log, curves and tables."""
+    """Return the views of the task tree and queries, above the log, curves and tables."""
     top = _path(root)
     log = [f"{top}/{LOG}/**", *(f"{_path(root, world)}/{FAILURES}" for world in worlds)]
     return rrb.Vertical(
@@ -250,6 +250,6 @@ def _scene(root: str, world: str, centre: Vector) -> rrb.Spatial3DView:
 
 
 def _path(*parts: str) -> str:
-    """Return the path of an entity; names of worlds and recordings may have any characters."""
+    """Return the path of an entity. Names of worlds and recordings may have any characters."""
     named = [part for part in parts if part]
     return new_entity_path(named) if named else ""

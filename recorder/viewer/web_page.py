@@ -1,18 +1,13 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
-Its server listens on the loopback only, which other machines can't reach. But other users of this machine, and all
-pages in its browsers, can reach the server. So each request must
+Only programs of this machine can reach the server. Other users and pages of other servers must not get records, so each
+request must contain the secret token of the address, name this server as its ``Host`` (against DNS rebinding), and have
+no other ``Origin`` than the page. The page works without a network: links to other servers are left out, and a policy
+forbids connections. Records reach the page as a growing file.
 
-- name this server as its ``Host``: other names that resolve to this address are refused (DNS rebinding);
-- contain the token, which is part of the page's address only;
-- come from the page itself, if the browser sends an ``Origin``; other pages can't read the answer.
-
-The page works without a network: the viewer's page would fetch a font and examples, which are left out, and a policy
-forbids connections to other servers. Records reach the page as one file that grows.
-
-The viewer's files are WebAssembly. They are in the viewer's program, which serves them over HTTP only. The library's
-own page server listens on all addresses of the machine, but the program can listen on the loopback alone. So the
-program is started, its files are fetched, and the program is stopped.
+The viewer's files are WebAssembly in the viewer's program, which only serves them over HTTP. The library's own server
+listens on all addresses of the machine. So the program is started on the loopback, its files are fetched, and the
+program is stopped.
 """
 
 from __future__ import annotations
@@ -44,16 +39,16 @@ if TYPE_CHECKING:
 
 
 _PORT: Final = 9090  # preferred port of pages
-_MAX_TRIES: Final = 5  # largest number of attempts to find a free port
-_START_TIMEOUT: Final = 5.0  # seconds for the file to be written
+_MAX_TRIES: Final = 5
+_START_TIMEOUT: Final = 5.0  # s; the file must be written in this time
 _PIECE: Final = 1 << 20  # largest number of bytes in a write
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
 
 class WebPage:
-    """Serves the viewer and a stream's rows as a page, while this process runs; raises ViewerGone if that fails.
+    """A page with the viewer and all rows of a stream, until this process ends.
 
-    A page that is opened late gets all rows from the beginning.
+    If it can't be served, ViewerGone is raised.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
@@ -70,7 +65,7 @@ class WebPage:
                 continue
         else:
             raise ViewerGone("the page can't be served: no port is free")
-        #: The page's address. It contains a secret token; don't share it.
+        #: The address of the page. The address contains a secret token; don't share it.
         self.address = f"{server.address}?hide_welcome_screen&url={quote(server.address + RECORDS, safe='')}"
 
     def flush(self) -> None:
@@ -81,11 +76,10 @@ class WebPage:
 
 @contextlib.contextmanager
 def private_link(address: str) -> Iterator[str]:
-    """Yield the address of a file that redirects browsers to a page; the file exists during the block.
+    """Yield the address of a private file that redirects browsers to a page. The file exists in the block.
 
-    Other users can see the arguments of a browser's process, but can't read this file.
+    Other users can see the arguments of a browser's process, but can't read the file.
     """
-    # only its owner can read the file
     with tempfile.NamedTemporaryFile("w", prefix="pycram-page-", suffix=".html") as file:
         file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}">')
         file.flush()
@@ -93,7 +87,7 @@ def private_link(address: str) -> Iterator[str]:
 
 
 class GrowingFile:
-    """The records of a stream, in a file without a name."""
+    """The records of a stream in a file without a name."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._grown = threading.Condition()
@@ -109,7 +103,7 @@ class GrowingFile:
             self._grown.notify_all()
 
     def pieces(self) -> Iterator[bytes]:
-        """Yield the content from the beginning, then all added content; the iteration never ends."""
+        """Yield the content from the beginning, and then all added content. The iteration never ends."""
         at = 0
         while True:
             with self._grown:
@@ -121,7 +115,7 @@ class GrowingFile:
 
 RECORDS: Final = "records.rrd"
 INDEX: Final = "index.html"
-_REQUEST_TIMEOUT: Final = 10.0  # seconds for a client to send its request
+_REQUEST_TIMEOUT: Final = 10.0  # s; a client must send its request in this time
 _TYPES: Final = {
     "html": "text/html",
     "js": "text/javascript",
@@ -141,37 +135,37 @@ _HEADERS: Final = {
 
 
 class PageServer(ThreadingHTTPServer):
-    """Serves the page in its own threads until it is closed, or this process ends.
+    """A server of the page, with its own threads, until the server is closed or this process ends.
 
     Args:
-        port: the port; 0 for any free port. If the port isn't free, OSError is raised.
-        files: called when a browser requests the first file; returns the content of each file of the page.
-        pieces: yields the content of ``RECORDS``, from the beginning for each browser.
+        port: The port; 0 for any free port. An occupied port raises OSError.
+        files: A function that returns the content of each file of the page. The first request of a file calls it.
+        pieces: A function that yields the content of ``RECORDS`` from the beginning, for each browser.
     """
 
     daemon_threads = True
-    allow_reuse_address = False  # a port that is in use is refused
+    allow_reuse_address = False  # occupied ports are refused
 
     def __init__(self, port: int, files: Callable[[], dict[str, bytes]], pieces: Callable[[], Iterable[bytes]]) -> None:
         super().__init__((HOST, port), _Request)
         self.files, self.pieces = files, pieces
-        self.host = f"{HOST}:{self.server_port}"  # name and port of the server, as browsers send them
-        self.token = secrets.token_urlsafe(16)  # secret token, which each request must contain
+        self.host = f"{HOST}:{self.server_port}"  # name and port of the server in requests
+        self.token = secrets.token_urlsafe(16)  # each request must contain the token
         threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
 
     @property
     def address(self) -> str:
-        """The address of the page's folder; anybody who knows the address may read the records."""
+        """The address of the page's folder. Everybody with this address can read the records."""
         return f"http://{self.host}/{self.token}/"
 
     def server_bind(self) -> None:
-        """Bind without looking up this machine's name on the network."""
+        """Bind without a lookup of this machine's name on the network."""
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = HOST, int(self.server_address[1])
 
     def handle_error(self, request: object, client_address: object) -> None:
-        """Print nothing: standard error belongs to the plan, and clients may send anything."""
+        """Print nothing, because standard error belongs to the plan."""
 
 
 class _Request(BaseHTTPRequestHandler):
@@ -216,7 +210,7 @@ class _Request(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _refuse(self, status: HTTPStatus) -> None:
-        """Answer without content, so that strangers learn nothing."""
+        """Send an answer without content, so that strangers learn nothing."""
         self.close_connection = True
         with contextlib.suppress(OSError):
             self.send_response(status)
@@ -224,14 +218,14 @@ class _Request(BaseHTTPRequestHandler):
             self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002  the library's name
-        """Log nothing: standard error belongs to the plan."""
+        """Log nothing, because standard error belongs to the plan."""
 
 
 NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
 _PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
-_TIMEOUT: Final = 20.0  # seconds for the program to answer
+_TIMEOUT: Final = 20.0  # s; the program must answer in this time
 _ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
-# If the program gets an address of records, it serves only the page. CI=1 turns its usage statistics off.
+# With an address of records, the program only serves the page. CI=1 turns its usage statistics off.
 _OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")
 _ENVIRONMENT: Final = {"CI": "1", "NO_COLOR": "1", "RUST_LOG": "re_sdk=info"}
 _END_WITH_PARENT: Final = """
@@ -243,8 +237,8 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 
 def read_viewer_files() -> dict[str, bytes]:
-    """Return the content of each of ``NAMES``; raise ViewerGone if the viewer's program doesn't serve them."""
-    with subprocess.Popen(  # noqa: S603  the library's own viewer
+    """Return the content of the files ``NAMES``. Raise ViewerGone if the viewer's program doesn't serve the files."""
+    with subprocess.Popen(  # noqa: S603
         [sys.executable, "-c", _END_WITH_PARENT, str(_PROGRAM), *_OPTIONS],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
@@ -267,7 +261,7 @@ def read_viewer_files() -> dict[str, bytes]:
 
 
 def _port(process: subprocess.Popen[bytes]) -> int:
-    """Return the port that the program prints: a port that was free earlier may now belong to another server."""
+    """Return the port that the program prints. A port that was free earlier may now belong to another server."""
     said = b""
     for line in process.stderr or ():
         said = line

@@ -1,8 +1,7 @@
 """``debug --dap``: the Debug Adapter Protocol, with which an editor controls a session of the debugger.
 
-The main thread executes the editor's requests in their order. A second thread reads the requests, so that ``pause``,
-``disconnect`` and a closed connection reach a running plan. See
-https://microsoft.github.io/debug-adapter-protocol/specification.
+The main thread executes the editor's requests in order. A second thread reads the requests, so that ``pause`` and
+``disconnect`` reach a running plan. See https://microsoft.github.io/debug-adapter-protocol/specification.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import sys
 import tempfile
 import threading
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias, cast
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from replay.state.state import Body, World
 
     _Lister = Callable[[], Iterable["_Variable"]]
+    _Move = Callable[[], Halt]
 
 Message: TypeAlias = "dict[str, Any]"
 
@@ -49,32 +50,43 @@ _STDIN, _STDOUT = 0, 1
 _LOOPBACK: Final = "127.0.0.1"
 _THREAD: Final = 1  # one branch of the plan runs at a time
 _FAILURES: Final = "failure"  # the filter of exception breakpoints
-_TASK_FRAMES: Final = 1_000_000  # ids of the frames that are tasks begin here
+_TASK_FRAMES: Final = 1_000_000  # smallest id of a frame that is a task
 _CAPABILITIES: Final = {
-    "supportsConfigurationDoneRequest": True,
-    "supportsFunctionBreakpoints": True,
-    "supportsDataBreakpoints": True,
-    "supportsEvaluateForHovers": True,
-    "supportsStepBack": True,
-    "supportsGotoTargetsRequest": True,
-    "supportsCompletionsRequest": True,
-    "supportsExceptionInfoRequest": True,
-    "supportsTerminateRequest": True,
+    **dict.fromkeys(
+        (
+            "supportsConfigurationDoneRequest", "supportsFunctionBreakpoints", "supportsDataBreakpoints",
+            "supportsEvaluateForHovers", "supportsStepBack", "supportsGotoTargetsRequest",
+            "supportsCompletionsRequest", "supportsExceptionInfoRequest", "supportsTerminateRequest",
+        ),
+        True,
+    ),
     "exceptionBreakpointFilters": [{"filter": _FAILURES, "label": "Failures", "default": False}],
-}
-#: Names in the protocol for the reason of a stop.
+}  # fmt: skip
+#: The protocol's names for the reason of a stop.
 _LINE, _TASK, _DATA, _EXCEPTION = "breakpoint", "function breakpoint", "data breakpoint", "exception"
+#: Requests that move the plan, as functions of the session and the arguments of the request.
+_MOVES: Final[dict[str, Callable[[Session, Message], Halt]]] = {
+    "continue": lambda session, _: session.forward(),
+    "reverseContinue": lambda session, _: session.back(),
+    "next": lambda session, _: session.forward(session.timeline.following(session.step)),
+    "stepIn": lambda session, _: session.forward(session.step + 1),
+    "stepOut": lambda session, _: session.forward(session.timeline.end(session.step)),
+    "stepBack": lambda session, given: session.back(
+        session.step - 1 if given.get("granularity") == "instruction" else session.timeline.preceding(session.step)
+    ),
+    "goto": lambda session, given: session.go(given["targetId"]),
+}
 
 
 def serve(port: int | None, recording: str | None = None) -> int:
-    """Serve one editor: on stdin and stdout, or on a port of this machine (0: a free port, which is printed on stderr).
+    """Serve an editor on stdin and stdout, or on a port of this machine.
 
-    ``recording`` is debugged if the editor names no recording.
+    Port 0 is a free port, which is printed on stderr. If the editor names no recording, ``recording`` is debugged.
     """
     if port is None:
         # a thread that reads sys.stdin would hold its lock when Python ends
         reading, writing = os.fdopen(os.dup(_STDIN), "rb"), os.fdopen(os.dup(_STDOUT), "wb")
-        os.dup2(sys.stderr.fileno(), _STDOUT)  # native code and verbs print there; the protocol has its own descriptor
+        os.dup2(sys.stderr.fileno(), _STDOUT)  # native code and verbs print on this descriptor
         Adapter(reading, writing, recording).run()
         return FINE
     with socket.create_server((_LOOPBACK, port)) as listening:
@@ -82,13 +94,9 @@ def serve(port: int | None, recording: str | None = None) -> int:
         connected, _ = listening.accept()
     with connected, connected.makefile("rb") as reading, connected.makefile("wb") as writing:
         Adapter(cast("BinaryIO", reading), cast("BinaryIO", writing), recording).run()
-        with contextlib.suppress(OSError):  # the editor has closed it
+        with contextlib.suppress(OSError):  # the editor may have closed the connection
             connected.shutdown(socket.SHUT_RDWR)  # ends the reading thread
     return FINE
-
-
-class _Wrong(ReplayError):
-    """The editor's request can't be executed now."""
 
 
 @dataclass(slots=True)
@@ -104,7 +112,7 @@ class _Variable:
 
 
 class Adapter:
-    """Answers an editor's requests about one plan."""
+    """The server of an editor's requests about a plan."""
 
     def __init__(self, reading: BinaryIO, writing: BinaryIO, recording: str | None = None) -> None:
         self._reading = reading
@@ -115,32 +123,28 @@ class Adapter:
         self._open = contextlib.ExitStack()  # recording, plan
         self._prompt: Prompt | None = None
         self._client: Message = {}  # the editor's capabilities
-        self._start = 0  # the step at which the plan stops first
-        self._then: Callable[[], None] | None = None  # executed after the response
-        self._recording: subprocess.Popen[str] | None = None  # the process of a plan that is recorded first
+        self._start = 0  # first step at which the plan stops
+        self._then: Callable[[], None] | None = None  # called after the response
+        self._recording: subprocess.Popen[str] | None = None  # the process that records a plan
         self._ending = False  # whether the editor has disconnected
-        self._numbers: dict[int, str] = {}  # kinds of breakpoints, by their numbers
-        self._lists: list[
-            _Lister
-        ] = []  # functions that list variables; the editor may unfold them until the plan moves
+        self._numbers: dict[int, str] = {}  # kinds of breakpoints by number
+        # functions that list variables, which the editor may unfold until the plan moves
+        self._lists: list[_Lister] = []
         self._listed: dict[tuple[int, str], _Variable] = {}
 
     def run(self) -> None:
         """Answer requests until the editor disconnects."""
         threading.Thread(target=self._read, daemon=True).start()
-        try:
-            with self._open:
-                while (request := self._requests.get()) is not None:
-                    self._answer(request)
-                    if request.get("command") == "disconnect":
-                        break
-        except BrokenPipeError:  # the editor is gone
-            pass
+        with contextlib.suppress(BrokenPipeError), self._open:  # the editor may have ended
+            while (request := self._requests.get()) is not None:
+                self._answer(request)
+                if request.get("command") == "disconnect":
+                    break
 
     # --- messages ---------------------------------------------------------------------------------------------------
 
     def _read(self) -> None:
-        """Queue requests; a request that can't wait for the running plan also stops the plan."""
+        """Queue requests. Some requests also stop the running plan."""
         while (request := _message(self._reading)) is not None:
             if request.get("command") == "pause":
                 self._stop()
@@ -177,20 +181,18 @@ class Adapter:
             self._event("output", category=category, output=visible(text))
 
     def _answer(self, request: Message) -> None:
-        command = str(request.get("command"))
+        command, given = str(request.get("command")), request.get("arguments") or {}
         answered = {"request_seq": request.get("seq", 0), "command": command}
-        handler = getattr(self, f"_on_{command}", None)
+        handler = partial(self._moved, command) if command in _MOVES else getattr(self, f"_on_{command}", None)
         self._then = None
         try:
             if handler is None:
-                raise _Wrong(f"the request {command} isn't supported")
-            body = handler(request.get("arguments") or {})
-        except (
-            ReplayError,
-            KeyboardInterrupt,
-        ) as error:  # a pause during an evaluation raises KeyboardInterrupt
+                raise ReplayError(f"the request {command} isn't supported")
+            body = handler(given)
+        except (ReplayError, KeyboardInterrupt) as error:  # a pause during an evaluation raises KeyboardInterrupt
             text = str(error) or "interrupted"
-            facts = {"error": {"id": 1, "format": _braced(text), "showUser": command in ("launch", "attach")}}
+            plain = text.replace("{", "(").replace("}", ")")  # the protocol expands {variables}
+            facts = {"error": {"id": 1, "format": plain, "showUser": command in ("launch", "attach")}}
             self._send("response", success=False, message=text, body=facts, **answered)
             return
         self._send("response", success=True, body=body or {}, **answered)
@@ -205,7 +207,7 @@ class Adapter:
     @property
     def _at_prompt(self) -> Prompt:
         if self._prompt is None:
-            raise _Wrong("nothing was launched")
+            raise ReplayError("nothing was launched")
         return self._prompt
 
     # --- begin and end ----------------------------------------------------------------------------------------------
@@ -219,7 +221,7 @@ class Adapter:
         program = arguments.get("program")
         recording = arguments.get("recording") or (None if program else self._given)
         if not recording and not program:
-            raise _Wrong("launch: give recording, a file, or program, a plan that is recorded first")
+            raise ReplayError("launch: give recording, a file, or program, a plan that is recorded first")
         if not recording:
             recording = self._recorded(str(program), list(arguments.get("args", ())), arguments.get("log"))
         log = self._open.enter_context(Recording(recording))
@@ -230,18 +232,18 @@ class Adapter:
         self._start = min(step, plan.last)
         self._prompt = Prompt(new_session(log, plan))
         self._output("".join(f"note: {each}\n" for each in plan.notes))
-        self._then = lambda: self._event("initialized")
+        self._then = partial(self._event, "initialized")
 
     _on_attach = _on_launch
 
     def _recorded(self, program: str, arguments: Sequence[str], log: str | None) -> str:
         """Run a plan, and return its recording."""
         if not Path(program).is_file():
-            raise _Wrong(f"{program}: there is no such plan")
+            raise ReplayError(f"{program}: there is no such plan")
         file = log or str(Path(tempfile.mkdtemp(prefix="pycram-debug-")) / f"{Path(program).stem}.mcap")
         command = [sys.executable, "-m", "pycram", "run", program, "--log", file, "--overwrite", *arguments]
-        with self._told(f"recording {Path(program).name}"):
-            self._recording = subprocess.Popen(  # noqa: S603  the plan that the user wants to run
+        with self._progress(f"recording {Path(program).name}"):
+            self._recording = subprocess.Popen(  # noqa: S603  the user chose the plan
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
             )
             if self._ending:
@@ -251,34 +253,33 @@ class Adapter:
                     self._output(line, "stdout")
         self._recording = None
         if not Path(file).is_file():
-            raise _Wrong(f"{program}: the plan left no recording; its output says why")
+            raise ReplayError(f"{program}: the plan left no recording; its output says why")
         return file
 
     def _on_configurationDone(self, _: Message) -> None:  # noqa: N802  the protocol's names, here and below
         self._moving(lambda: self._session.go(self._start), "entry", f"running the plan up to step {self._start}")
 
     def _on_disconnect(self, _: Message) -> None:
-        """Do nothing: the reading thread has ended the plan."""
+        """Do nothing, because the reading thread has ended the plan."""
 
     def _on_terminate(self, _: Message) -> None:
-        self._then = lambda: self._event("terminated")
+        self._then = partial(self._event, "terminated")
 
     # --- breakpoints ------------------------------------------------------------------------------------------------
 
     def _on_setBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
-        file = str(arguments["source"].get("path") or arguments["source"].get("name"))
-        self._drop(_LINE, lambda each: each.line is not None and each.line[0] == file)
-        lines = [each["line"] for each in arguments.get("breakpoints", ())]
-        return {"breakpoints": [self._placed(_LINE, f"{file}:{line}") for line in lines]}
+        file = _file(arguments)
+        places = [f"{file}:{each['line']}" for each in arguments.get("breakpoints", ())]
+        return self._set(_LINE, places, lambda each: each.line is not None and each.line[0] == file)
 
     def _on_setFunctionBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
-        self._drop(_TASK)
-        return {"breakpoints": [self._placed(_TASK, each["name"]) for each in arguments["breakpoints"]]}
+        return self._set(_TASK, [each["name"] for each in arguments["breakpoints"]])
 
     def _on_setExceptionBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
-        self._drop(_EXCEPTION)
-        wanted = [each for each in arguments["filters"] if each == _FAILURES]
-        return {"breakpoints": [self._placed(_EXCEPTION, each) for each in wanted]}
+        return self._set(_EXCEPTION, [each for each in arguments["filters"] if each == _FAILURES])
+
+    def _on_setDataBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
+        return self._set(_DATA, [each["dataId"] for each in arguments["breakpoints"]])
 
     def _on_dataBreakpointInfo(self, arguments: Message) -> Message:  # noqa: N802
         name = arguments["name"]
@@ -288,11 +289,15 @@ class Adapter:
             return {"dataId": None, "description": f"{name} can't be watched"}
         return {"dataId": watched, "description": watched, "accessTypes": ["write"], "canPersist": True}
 
-    def _on_setDataBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
-        self._drop(_DATA)
-        return {"breakpoints": [self._placed(_DATA, each["dataId"]) for each in arguments["breakpoints"]]}
+    def _set(
+        self, kind: str, places: Sequence[str], replaced: Callable[[Breakpoint], bool] = lambda _: True
+    ) -> Message:
+        """Replace breakpoints of a kind."""
+        old = self._session.breakpoints
+        old[:] = [each for each in old if self._numbers.get(each.number) != kind or not replaced(each)]
+        return {"breakpoints": [self._added(kind, place) for place in places]}
 
-    def _placed(self, kind: str, place: str) -> Message:
+    def _added(self, kind: str, place: str) -> Message:
         try:
             if kind == _DATA:
                 made = self._session.set_watch(place, self._at_prompt.frame)
@@ -304,61 +309,38 @@ class Adapter:
         line = {} if made.line is None else {"line": made.line[1], "source": self._source(made.line[0])}
         return {"id": made.number, "verified": True, "message": made.counted, **line}
 
-    def _drop(self, kind: str, which: Callable[[Breakpoint], bool] = lambda _: True) -> None:
-        placed = self._session.breakpoints
-        placed[:] = [each for each in placed if self._numbers.get(each.number) != kind or not which(each)]
-
     # --- from step to step ------------------------------------------------------------------------------------------
 
-    def _on_continue(self, _: Message) -> Message:
-        self._moving(self._session.forward)
-        return {"allThreadsContinued": True}
-
-    def _on_reverseContinue(self, _: Message) -> None:  # noqa: N802
-        self._moving(self._session.back)
-
-    def _on_next(self, _: Message) -> None:
-        self._moving(lambda: self._session.forward(self._session.timeline.following(self._session.step)))
-
-    def _on_stepIn(self, _: Message) -> None:  # noqa: N802
-        self._moving(lambda: self._session.forward(self._session.step + 1))
-
-    def _on_stepOut(self, _: Message) -> None:  # noqa: N802
-        self._moving(lambda: self._session.forward(self._session.timeline.end(self._session.step)))
-
-    def _on_stepBack(self, arguments: Message) -> None:  # noqa: N802
-        now, timeline = self._session.step, self._session.timeline
-        fine = arguments.get("granularity") == "instruction"
-        self._moving(lambda: self._session.back(now - 1 if fine else timeline.preceding(now)))
+    def _moved(self, command: str, arguments: Message) -> Message:
+        reason = "goto" if command == "goto" else "step"
+        self._moving(lambda: _MOVES[command](self._session, arguments), reason)
+        return {"allThreadsContinued": True} if command == "continue" else {}
 
     def _on_gotoTargets(self, arguments: Message) -> Message:  # noqa: N802
-        file = arguments["source"].get("path") or arguments["source"].get("name")
-        found = breakpoint_at(self._session.log, self._session.timeline, 0, f"{file}:{arguments['line']}")
+        place = f"{_file(arguments)}:{arguments['line']}"
+        found = breakpoint_at(self._session.log, self._session.timeline, 0, place)
         line = found.line[1] if found.line is not None else arguments["line"]
         return {"targets": [{"id": step, "label": f"step {step}", "line": line} for step in found.steps]}
-
-    def _on_goto(self, arguments: Message) -> None:
-        self._moving(lambda: self._session.go(arguments["targetId"]), "goto")
 
     def _on_pause(self, _: Message) -> None:
         self._session.plan.pause(wanted=False)  # the previous request has already stopped
 
-    def _moving(self, move: Callable[[], Halt], reason: str = "step", title: str = "") -> None:
+    def _moving(self, move: _Move, reason: str, title: str = "") -> None:
         self._session  # noqa: B018  raises an error if nothing was launched
         self._then = lambda: self._move(move, reason, title)
 
-    def _move(self, move: Callable[[], Halt], reason: str, title: str) -> None:
-        """Move the plan, then send the editor its position and the reason of the stop."""
+    def _move(self, move: _Move, reason: str, title: str) -> None:
+        """Move the plan, and send the position and the reason of the stop to the editor."""
         prompt, before = self._at_prompt, self._session.step
         try:
-            with self._told(title):
+            with self._progress(title):
                 halt = move()
         except ReplayError as error:
             if isinstance(error, PlanEnded) or self._session.step < 0:
                 self._output(f"{error}\n", "important")
                 self._event("terminated")
             else:  # there is no further step, or the plan was interrupted twice
-                self._stand("pause", str(error))
+                self._stopped("pause", str(error))
             return
         step = halt.arrival.step
         for output in self._session.log.records(Output, before + 1, step + 1):
@@ -373,10 +355,10 @@ class Adapter:
             self._output(f"the plan differs from its recording after step {step}: {halt.arrival.text}\n", "important")
         if reason == "entry" and self._failure() is not None:
             kinds = [_EXCEPTION]
-        what = phrases.record_line(self._session.log[step])
-        self._stand(kinds[0] if kinds else reason, f"step {step}: {what}", met)
+        shown = f"step {step}: {phrases.record_line(self._session.log[step])}"
+        self._stopped(kinds[0] if kinds else reason, shown, met)
 
-    def _stand(self, reason: str, description: str, met: Sequence[int] = ()) -> None:
+    def _stopped(self, reason: str, description: str, met: Sequence[int] = ()) -> None:
         self._lists.clear()
         self._listed.clear()
         failure = self._failure() if reason == _EXCEPTION else None
@@ -387,7 +369,7 @@ class Adapter:
         )
 
     @contextlib.contextmanager
-    def _told(self, title: str) -> Iterator[None]:
+    def _progress(self, title: str) -> Iterator[None]:
         """Report a long action to an editor that shows progress."""
         shown = bool(title) and self._client.get("supportsProgressReporting")
         number = str(self._sent)
@@ -399,7 +381,7 @@ class Adapter:
             if shown:
                 self._event("progressEnd", progressId=number)
 
-    # --- variables, frames and sources at a step ------------------------------------------------------------------
+    # --- variables, frames and sources at a step --------------------------------------------------------------------
 
     def _on_threads(self, _: Message) -> Message:
         step = self._session.step if self._prompt is not None else -1
@@ -407,37 +389,33 @@ class Adapter:
         return {"threads": [{"id": _THREAD, "name": branch}]}
 
     def _on_stackTrace(self, arguments: Message) -> Message:  # noqa: N802
-        """The plan's frames, innermost first; then the tasks around the step, shown as labels."""
+        """Return the plan's frames, innermost first, and then the tasks around the step as labels."""
         frames: list[Message] = []
         for number, each in enumerate(self._at_prompt.stack):
             place = {"source": self._source(each["file"]), "line": each["line"], "column": 1}
             frames.append({"id": number, "name": each["function"], **place})
-        for task in self._tasks():
-            name = phrases.task(task.kind, task.name, argument_values(task.parameters))
-            label = {"line": 0, "column": 0, "presentationHint": "label"}
-            frames.append({"id": _TASK_FRAMES + task.seq, "name": name, **label})
+        for task in map(self._session.log.__getitem__, self._session.timeline.around(self._session.step)):
+            if isinstance(task, Task):
+                name = phrases.task(task.kind, task.name, argument_values(task.parameters))
+                label = {"line": 0, "column": 0, "presentationHint": "label"}
+                frames.append({"id": _TASK_FRAMES + task.seq, "name": name, **label})
         first = arguments.get("startFrame") or 0
         last = first + arguments["levels"] if arguments.get("levels") else len(frames)
         return {"stackFrames": frames[first:last], "totalFrames": len(frames)}
-
-    def _tasks(self) -> list[Task]:
-        """The starts of the tasks around the step, innermost first."""
-        timeline, log = self._session.timeline, self._session.log
-        starts = [log[step] for step in timeline.around(self._session.step)]
-        return [each for each in starts if isinstance(each, Task)]
 
     def _source(self, file: str) -> Message:
         recorded = Path(file) in self._session.plan.recorded_files
         return {"name": Path(file).name, "path": file, **({"origin": "recorded source"} if recorded else {})}
 
     def _on_scopes(self, arguments: Message) -> Message:
-        frame, scopes = arguments["frameId"], [("World", self._worlds), ("Beliefs", self._beliefs)]
-        if frame < _TASK_FRAMES:
-            scopes.insert(0, ("Locals", lambda: self._locals(frame)))
-        else:
-            scopes.insert(0, ("Parameters", lambda: self._parameters(frame - _TASK_FRAMES)))
-        scopes.append(("Last query", self._last_query))
-        listed = [(name, self._reference(lister)) for name, lister in scopes]
+        frame = arguments["frameId"]
+        scopes: dict[str, _Lister] = (
+            {"Locals": partial(self._locals, frame)}
+            if frame < _TASK_FRAMES
+            else {"Parameters": partial(self._parameters, frame - _TASK_FRAMES)}
+        )
+        scopes |= {"World": self._worlds, "Beliefs": self._beliefs, "Last query": self._last_query}
+        listed = [(name, self._reference(lister)) for name, lister in scopes.items()]
         return {"scopes": [{"name": name, "variablesReference": number, "expensive": False} for name, number in listed]}
 
     def _reference(self, lister: _Lister | None) -> int:
@@ -449,7 +427,7 @@ class Adapter:
     def _on_variables(self, arguments: Message) -> Message:
         reference = arguments["variablesReference"]
         if not 0 < reference <= len(self._lists):
-            raise _Wrong("the plan has moved to another step since then")
+            raise ReplayError("the plan has moved to another step since then")
         found = []
         for each in self._lists[reference - 1]():
             self._listed[reference, each.name] = each
@@ -458,81 +436,72 @@ class Adapter:
             found.append({**shown, "variablesReference": self._reference(each.parts)})
         return {"variables": found}
 
-    def _locals(self, frame: int) -> list[_Variable]:
-        found = self._session.plan.ask("variables", frame=frame, arguments=False)
-        return [self._of_plan(frame, each) for each in found]
-
-    def _of_plan(self, frame: int, found: Message) -> _Variable:
-        expression, parts = found["expression"], found.pop("parts")
-
-        def listed() -> list[_Variable]:
-            inner = self._session.plan.ask("parts", frame=frame, expression=expression)
-            return [self._of_plan(frame, each) for each in inner]
-
-        return _Variable(**found, parts=listed if parts else None)
+    def _locals(self, frame: int, **within: str) -> list[_Variable]:
+        """Return the variables of a frame, or the parts of a variable (``expression``)."""
+        plan = self._session.plan
+        found = (
+            plan.ask("parts", frame=frame, **within) if within else plan.ask("variables", frame=frame, arguments=False)
+        )
+        return [
+            _Variable(**each, parts=partial(self._locals, frame, expression=each["expression"]) if parts else None)
+            for each in found
+            for parts in [each.pop("parts")]
+        ]
 
     def _parameters(self, step: int) -> list[_Variable]:
         task = self._session.log[step]
         values = argument_values(task.parameters) if isinstance(task, Task) else {}
         return [_Variable(name, phrases.value(value)) for name, value in values.items()]
 
+    def _state(self) -> Iterable[World]:
+        return self._session.log.state_at(self._session.step).worlds.values()
+
     def _worlds(self) -> list[_Variable]:
-        opened = [each for each in self._session.log.state_at(self._session.step).worlds.values() if each.open]
+        opened = [each for each in self._state() if each.open]
         if len(opened) == 1:
             return _bodies(opened[0], "")
         return [
-            _Variable(each.title, phrases.plural(len(each.bodies), "object"), parts=_later(_bodies, each, each.name))
+            _Variable(each.title, phrases.plural(len(each.bodies), "object"), parts=partial(_bodies, each, each.name))
             for each in opened
         ]
 
     def _beliefs(self) -> list[_Variable]:
-        worlds = self._session.log.state_at(self._session.step).worlds.values()
-        return [
-            _Variable(
-                each.object, f"{phrases.vector(each.position)} {phrases.learned(each.source, each.step)}", each.robot
-            )
-            for world in worlds
-            for each in world.believed()
-        ]
+        believed = [each for world in self._state() for each in world.believed()]
+        texts = [f"{phrases.vector(each.position)} {phrases.learned(each.source, each.step)}" for each in believed]
+        return [_Variable(each.object, text, each.robot) for each, text in zip(believed, texts, strict=True)]
 
     def _last_query(self) -> list[_Variable]:
-        log, step = self._session.log, self._session.step
-        query = next(iter(log.backwards(step, Query)), None)
+        query = next(iter(self._session.log.backwards(self._session.step, Query)), None)
         if query is None:
             return []
-        facts = [("question", phrases.question(query)), ("answer", phrases.answer(query)), ("step", str(query.seq))]
+        facts = {"question": phrases.question(query), "answer": phrases.answer(query), "step": str(query.seq)}
         if query.candidates:
-            facts.append(("reasons", phrases.reasons(query)))
-        return [_Variable(name, value) for name, value in facts]
+            facts["reasons"] = phrases.reasons(query)
+        return [_Variable(name, value) for name, value in facts.items()]
 
     def _on_evaluate(self, arguments: Message) -> Message:
-        """Evaluate an expression; at the console, also execute any command of the prompt."""
+        """Evaluate an expression, or execute a command of the prompt that was typed at the editor's console."""
         text, prompt = str(arguments["expression"]).strip(), self._at_prompt
         if 0 <= arguments.get("frameId", -1) < _TASK_FRAMES:
             prompt.frame = arguments["frameId"]
-        word = text.partition(" ")[0]
-        if arguments.get("context") == "repl" and hasattr(prompt, f"do_{word}"):
-            return self._commanded(text)
+        if arguments.get("context") == "repl" and hasattr(prompt, f"do_{text.partition(' ')[0]}"):
+            before, printed = self._session.step, io.StringIO()
+            with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+                prompt.onecmd(text)
+            if self._session.step != before:
+                self._then = lambda: self._stopped("goto", f"step {self._session.step}")
+            return {"result": visible(printed.getvalue().rstrip("\n")), "variablesReference": 0}
         if not prompt.stack:
-            raise _Wrong("no function of the plan runs at this step")
+            raise ReplayError("no function of the plan runs at this step")
         answer = self._session.plan.ask("evaluate", frame=prompt.frame, expression=text, pretty=False)
         self._output(answer["printed"], "stdout")
         if "error" in answer:
-            raise _Wrong(answer["error"])
+            raise ReplayError(answer["error"])
         return {"result": visible(answer["value"]), "variablesReference": 0}
-
-    def _commanded(self, text: str) -> Message:
-        prompt, before, printed = self._at_prompt, self._session.step, io.StringIO()
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            prompt.onecmd(text)
-        if self._session.step != before:
-            self._then = lambda: self._stand("goto", f"step {self._session.step}")
-        return {"result": visible(printed.getvalue().rstrip("\n")), "variablesReference": 0}
 
     def _on_completions(self, arguments: Message) -> Message:
         text = str(arguments["text"])[: arguments["column"] - 1]
-        word = text.rpartition(" ")[2]
-        prompt = self._at_prompt
+        word, prompt = text.rpartition(" ")[2], self._at_prompt
         names = prompt.completedefault(word) + ([] if " " in text else prompt.completenames(text))
         return {"targets": [{"label": each, "start": len(text) - len(word), "length": len(word)} for each in names]}
 
@@ -551,12 +520,12 @@ class Adapter:
     def _on_exceptionInfo(self, _: Message) -> Message:  # noqa: N802
         failure = self._failure()
         if failure is None:
-            raise _Wrong("nothing failed at this step")
+            raise ReplayError("nothing failed at this step")
         log, printed = self._session.log, io.StringIO()
         with contextlib.redirect_stdout(printed):
             try:
                 main.call("why", log, [str(self._session.step)])
-            except ReplayError:  # the plan's own code failed, outside of all tasks
+            except ReplayError:  # the plan's own code failed outside of all tasks
                 main.call("why", log, [])
         return {
             "exceptionId": failure.type,
@@ -567,15 +536,16 @@ class Adapter:
 
 
 def _bodies(world: World, prefix: str) -> list[_Variable]:
+    carriers = {name: world.carrier(name) for name in world.bodies}
     return [
-        _Variable(name, _place(world, body), body.type, parts=_later(_quantities, world, body, prefix))
+        _Variable(
+            name,
+            phrases.vector(body.position) + (f", {phrases.carrier(held)}" if (held := carriers[name]) else ""),
+            body.type,
+            parts=partial(_quantities, world, body, prefix),
+        )
         for name, body in world.bodies.items()
     ]
-
-
-def _place(world: World, body: Body) -> str:
-    held = world.carrier(body.name)
-    return phrases.vector(body.position) + (f", {phrases.carrier(held)}" if held is not None else "")
 
 
 def _quantities(world: World, body: Body, prefix: str) -> list[_Variable]:
@@ -589,17 +559,12 @@ def _quantities(world: World, body: Body, prefix: str) -> list[_Variable]:
     ]
 
 
-def _later(lister: Callable[..., list[_Variable]], *arguments: object) -> _Lister:
-    return lambda: lister(*arguments)
-
-
-def _braced(text: str) -> str:
-    """Escape braces, so that the protocol finds no variables in a text."""
-    return text.replace("{", "(").replace("}", ")")
+def _file(arguments: Message) -> str:
+    return str(arguments["source"].get("path") or arguments["source"].get("name"))
 
 
 def _message(reading: BinaryIO) -> Message | None:
-    """Read a message; None at the end of the input, or if it isn't a message."""
+    """Read a message; return None at the end of the input and for other input."""
     length = 0
     while (line := reading.readline()).strip():
         name, _, value = line.partition(b":")
