@@ -38,11 +38,10 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from recorder.records import Failure
-    from replay.debug.session import Breakpoint, Halt, Session
+    from replay.debug.session import Halt, Session
     from replay.state.state import Body, World
 
     _Lister = Callable[[], Iterable["_Variable"]]
-    _Move = Callable[[], Halt]
 
 Message: TypeAlias = "dict[str, Any]"
 
@@ -147,18 +146,15 @@ class Adapter:
         """Queue requests. Some requests also stop the running plan."""
         while (request := _message(self._reading)) is not None:
             if request.get("command") == "pause":
-                self._stop()
+                if self._recording is not None:
+                    self._recording.send_signal(signal.SIGINT)
+                if self._prompt is not None:
+                    self._prompt.session.plan.pause(wanted=True)
             elif request.get("command") in ("disconnect", "terminate"):
                 self._end()
             self._requests.put(request)
         self._end()
         self._requests.put(None)
-
-    def _stop(self) -> None:
-        if self._recording is not None:
-            self._recording.send_signal(signal.SIGINT)
-        if self._prompt is not None:
-            self._prompt.session.plan.pause(wanted=True)
 
     def _end(self) -> None:
         self._ending = True
@@ -183,12 +179,9 @@ class Adapter:
     def _answer(self, request: Message) -> None:
         command, given = str(request.get("command")), request.get("arguments") or {}
         answered = {"request_seq": request.get("seq", 0), "command": command}
-        handler = partial(self._moved, command) if command in _MOVES else getattr(self, f"_on_{command}", None)
         self._then = None
         try:
-            if handler is None:
-                raise ReplayError(f"the request {command} isn't supported")
-            body = handler(given)
+            body = getattr(self, f"_on_{command}", partial(self._on_other, command))(given)
         except (ReplayError, KeyboardInterrupt) as error:  # a pause during an evaluation raises KeyboardInterrupt
             text = str(error) or "interrupted"
             plain = text.replace("{", "(").replace("}", ")")  # the protocol expands {variables}
@@ -257,7 +250,8 @@ class Adapter:
         return file
 
     def _on_configurationDone(self, _: Message) -> None:  # noqa: N802  the protocol's names, here and below
-        self._moving(lambda: self._session.go(self._start), "entry", f"running the plan up to step {self._start}")
+        move = partial(self._session.go, self._start)
+        self._then = partial(self._move, move, "entry", f"running the plan up to step {self._start}")
 
     def _on_disconnect(self, _: Message) -> None:
         """Do nothing, because the reading thread has ended the plan."""
@@ -270,7 +264,7 @@ class Adapter:
     def _on_setBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
         file = _file(arguments)
         places = [f"{file}:{each['line']}" for each in arguments.get("breakpoints", ())]
-        return self._set(_LINE, places, lambda each: each.line is not None and each.line[0] == file)
+        return self._set(_LINE, places, file)
 
     def _on_setFunctionBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
         return self._set(_TASK, [each["name"] for each in arguments["breakpoints"]])
@@ -289,12 +283,11 @@ class Adapter:
             return {"dataId": None, "description": f"{name} can't be watched"}
         return {"dataId": watched, "description": watched, "accessTypes": ["write"], "canPersist": True}
 
-    def _set(
-        self, kind: str, places: Sequence[str], replaced: Callable[[Breakpoint], bool] = lambda _: True
-    ) -> Message:
-        """Replace breakpoints of a kind."""
+    def _set(self, kind: str, places: Sequence[str], file: str = "") -> Message:
+        """Replace the breakpoints of a kind, and of a file if it is given."""
         old = self._session.breakpoints
-        old[:] = [each for each in old if self._numbers.get(each.number) != kind or not replaced(each)]
+        kept = [each for each in old if self._numbers.get(each.number) != kind]
+        old[:] = [each for each in old if each in kept or (file and (each.line is None or each.line[0] != file))]
         return {"breakpoints": [self._added(kind, place) for place in places]}
 
     def _added(self, kind: str, place: str) -> Message:
@@ -311,9 +304,11 @@ class Adapter:
 
     # --- from step to step ------------------------------------------------------------------------------------------
 
-    def _moved(self, command: str, arguments: Message) -> Message:
-        reason = "goto" if command == "goto" else "step"
-        self._moving(lambda: _MOVES[command](self._session, arguments), reason)
+    def _on_other(self, command: str, arguments: Message) -> Message:
+        if command not in _MOVES:
+            raise ReplayError(f"the request {command} isn't supported")
+        move = partial(_MOVES[command], self._session, arguments)
+        self._then = partial(self._move, move, "goto" if command == "goto" else "step")
         return {"allThreadsContinued": True} if command == "continue" else {}
 
     def _on_gotoTargets(self, arguments: Message) -> Message:  # noqa: N802
@@ -325,11 +320,7 @@ class Adapter:
     def _on_pause(self, _: Message) -> None:
         self._session.plan.pause(wanted=False)  # the previous request has already stopped
 
-    def _moving(self, move: _Move, reason: str, title: str = "") -> None:
-        self._session  # noqa: B018  raises an error if nothing was launched
-        self._then = lambda: self._move(move, reason, title)
-
-    def _move(self, move: _Move, reason: str, title: str) -> None:
+    def _move(self, move: Callable[[], Halt], reason: str, title: str = "") -> None:
         """Move the plan, and send the position and the reason of the stop to the editor."""
         prompt, before = self._at_prompt, self._session.step
         try:
@@ -361,25 +352,20 @@ class Adapter:
     def _stopped(self, reason: str, description: str, met: Sequence[int] = ()) -> None:
         self._lists.clear()
         self._listed.clear()
-        failure = self._failure() if reason == _EXCEPTION else None
-        text = {} if failure is None else {"text": failure.type}
-        ids = {"hitBreakpointIds": list(met)} if met else {}
-        self._event(
-            "stopped", reason=reason, description=description, threadId=_THREAD, allThreadsStopped=True, **text, **ids
-        )
+        body: Message = {"reason": reason, "description": description, "threadId": _THREAD, "allThreadsStopped": True}
+        if reason == _EXCEPTION and (failure := self._failure()) is not None:
+            body["text"] = failure.type
+        self._event("stopped", **body, **({"hitBreakpointIds": list(met)} if met else {}))
 
     @contextlib.contextmanager
     def _progress(self, title: str) -> Iterator[None]:
         """Report a long action to an editor that shows progress."""
-        shown = bool(title) and self._client.get("supportsProgressReporting")
-        number = str(self._sent)
-        if shown:
-            self._event("progressStart", progressId=number, title=title)
-        try:
+        with contextlib.ExitStack() as ending:
+            if title and self._client.get("supportsProgressReporting"):
+                number = str(self._sent)
+                self._event("progressStart", progressId=number, title=title)
+                ending.callback(self._event, "progressEnd", progressId=number)
             yield
-        finally:
-            if shown:
-                self._event("progressEnd", progressId=number)
 
     # --- variables, frames and sources at a step --------------------------------------------------------------------
 
@@ -438,10 +424,8 @@ class Adapter:
 
     def _locals(self, frame: int, **within: str) -> list[_Variable]:
         """Return the variables of a frame, or the parts of a variable (``expression``)."""
-        plan = self._session.plan
-        found = (
-            plan.ask("parts", frame=frame, **within) if within else plan.ask("variables", frame=frame, arguments=False)
-        )
+        question, given = ("parts", within) if within else ("variables", {"arguments": False})
+        found = self._session.plan.ask(question, frame=frame, **given)
         return [
             _Variable(**each, parts=partial(self._locals, frame, expression=each["expression"]) if parts else None)
             for each in found
