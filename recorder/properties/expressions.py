@@ -1,23 +1,23 @@
 """Expressions about one state, such as ``milk.z > 0.5`` or ``holding(left) is milk``.
 
-Python's parser reads them, but they are never executed: each node of the syntax tree that is allowed here becomes a
-function of a :class:`Scene`. Names are bodies (``robot`` is the plan's robot), worlds, and the robot's arms. If several
-worlds have a body of this name, the name means the body in the world that was opened last; ``lab.milk`` means the body
-in the world ``lab``. Write a name that isn't an identifier in quotes: ``'milk carton'.z``, ``lab['milk carton'].z``.
-
-A condition has a margin: the smallest distance of its quantities from values that would change the answer. The margin
-is positive, or 0, if the condition holds. Conditions about names have an infinite margin.
+Python parses expressions, but never executes them: each allowed node of the syntax tree becomes a function of a
+:class:`Scene`. Names are bodies (``robot`` is the plan's robot), worlds, and the robot's arms. A body of several worlds
+is in the world that was opened last; ``lab.milk`` is in the world ``lab``. Names that aren't identifiers need quotes.
+The margin of a condition is the smallest distance of its quantities from values that would change the answer. If the
+condition holds, the margin is at least 0. Conditions about names have an infinite margin.
 """
 
 from __future__ import annotations
 
 import ast
 import math
+import operator
 import re
 import tomllib
 import warnings
+from contextlib import suppress
 from fnmatch import fnmatchcase
-from functools import cache, cached_property
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Protocol, TypeAlias
 
@@ -32,45 +32,40 @@ if TYPE_CHECKING:
     Function: TypeAlias = "Callable[[Scene], Any]"
 
 UNITS: Final[Mapping[str, tuple[float, str]]] = {
-    "m": (1.0, "m"),
-    "cm": (0.01, "m"),
-    "mm": (0.001, "m"),
-    "rad": (1.0, "rad"),
-    "deg": (math.pi / 180, "rad"),
-    "s": (1.0, "s"),
-    "ms": (0.001, "s"),
-    "min": (60.0, "s"),
-}
-"""Units of numbers: their size in m, rad or s, and which of these three it is."""
+    "m": (1.0, "m"), "cm": (0.01, "m"), "mm": (0.001, "m"),
+    "rad": (1.0, "rad"), "deg": (math.pi / 180, "rad"),
+    "s": (1.0, "s"), "ms": (0.001, "s"), "min": (60.0, "s"),
+}  # fmt: skip
+"""Units of numbers: their size in m, rad or s, and the name of this base unit."""
 NUMBER: Final = r"(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
 RANGE: Final = 0.05
-"""m; contacts are measured up to this distance, which is thus the largest margin of "no contact"."""
+"""Contacts are measured up to this distance in m. So "no contact" has at most this margin."""
 ROUNDING: Final = 1e-6
-"""Numbers that differ by less are equal."""
+"""Numbers with a smaller difference are equal."""
 
 _QUANTITY: Final = re.compile(rf"(?<![\w.])({NUMBER})\s*({'|'.join(sorted(UNITS, key=len, reverse=True))})\b(?!\s*\()")
 _STRINGS: Final = re.compile(r"""('(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*")""")
-_MEASURED: Final = "_measured"  # stands in the syntax tree for a number with a unit
+_MEASURED: Final = "_measured"  # function in the syntax tree for a number with a unit
 _UPRIGHT: Final = math.radians(10)  # rad, default tolerance
 PARTS: Final = ("x", "y", "z", "position", "orientation", "velocity", "speed", "roll", "pitch", "yaw", "carrier")
-"""Quantities of a body; its joints are quantities, too."""
+"""Quantities of a body, in addition to its joints."""
 _KINDS: Final = {
     **dict.fromkeys(("x", "y", "z", "distance"), "m"),
     **dict.fromkeys(("roll", "pitch", "yaw", "tilt", "angle"), "rad"),
     **dict.fromkeys(("speed", "position", "orientation", "velocity", "carrier"), ""),
 }
-"""Units of quantities; all others are joints."""
-_MAX_LENGTH: Final = 2000  # characters; Python's parser fails on deeper nesting than such a text has
+"""Units of quantities. Other quantities are joints."""
+_MAX_LENGTH: Final = 2000  # characters; Python's parser fails on deeply nested text
 
 
 class BadProperty(PortableError, ValueError):
-    """A text isn't a property, or a part of it isn't in the language."""
+    """A text isn't a property of the language."""
 
     def __init__(self, text: str, cause: str, source: str = "") -> None:
         super().__init__(f"{source}{': ' if source else ''}{text}: {cause}")
         self.text = text
         self.cause = cause
-        self.source = source  # file and line; "" outside of files
+        self.source = source  # file and line; "" without a file
 
 
 class NoValue(LookupError):
@@ -78,47 +73,47 @@ class NoValue(LookupError):
 
     def __init__(self, cause: str, name: str = "", known: Iterable[str] = ()) -> None:
         super().__init__(cause)
-        self.name = name  # the unknown name; "" for other causes
-        self.known = tuple(known)  # the known names
+        self.name = name  # the unknown name; "" for another cause
+        self.known = tuple(known)
 
 
 class Truth(NamedTuple):
-    """Whether a condition holds, and by which margin."""
+    """Whether a condition holds, and its margin."""
 
     margin: float
     holds: bool
 
     def negated(self) -> Truth:
-        """Return the opposite."""
+        """Return the truth of the opposite condition."""
         return Truth(-self.margin, not self.holds)
 
 
 class Touch(NamedTuple):
-    """Whether two bodies touch; if they don't, margins are distances in m, at most RANGE."""
+    """Whether two bodies touch. Margins are distances in m, at most RANGE."""
 
     contact: Truth
-    on: Truth  # whether the first lies on the second
+    on: Truth  # whether the first body lies on the second body
 
 
 class Geometry(Protocol):
-    """Measures distances between bodies, which needs their shapes."""
+    """A measure of distances between the shapes of bodies."""
 
     def touch(self, world: FoldedWorld, one: tuple[str, str], other: tuple[str, str]) -> Touch:
-        """Return the nearest points of two bodies in RANGE; each has a name and a link ("" for all links)."""
+        """Return whether two bodies touch. A body is a name and a link; the link "" means all links."""
 
     def owner(self, world: FoldedWorld, link: str) -> str:
-        """Return the body with a link of this name; "" if no body has it."""
+        """Return the body with a link of this name; "" without such a body."""
 
 
 class Scene:
-    """The present state of all worlds, in which names have values."""
+    """The present state of all worlds, which gives values to names."""
 
     def __init__(self, worlds: Mapping[str, FoldedWorld], geometry: Geometry | None = None) -> None:
         self.worlds = worlds
         self.geometry = geometry
 
     def opened(self) -> list[FoldedWorld]:
-        """Return the open worlds, the last opened first."""
+        """Return the open worlds; the world that was opened last is the first."""
         found = [world for world in self.worlds.values() if world.open]
         if not found:
             raise NoValue("no world is open")
@@ -138,7 +133,7 @@ class Scene:
         raise NoValue(f"no object is called {name}", name, known)
 
     def holding(self, arm: str | None = None) -> str | None:
-        """Return the name of the object that the robot holds, like the fluent ``holding``."""
+        """Return the name of the object that the robot holds with an arm, or with any arm; None without an object."""
         opened = self.opened()
         world = next((each for each in opened if each.robot in each.bodies), opened[0])
         links = None
@@ -153,7 +148,7 @@ class Scene:
         return None
 
     def touches(self, one: str, other: str) -> Contacts:
-        """Return the nearest points of all pairs of bodies. Bodies are named with ``*``, by BODY.LINK, or by a link."""
+        """Return the contacts of pairs of bodies. Both names are a body, BODY.LINK, a link, or a pattern with ``*``."""
         if self.geometry is None:
             raise NoValue("contacts need the executor")
         for world in self.opened():
@@ -182,7 +177,7 @@ class Scene:
 
 
 class Contacts:
-    """The nearest points of pairs of bodies."""
+    """Whether pairs of bodies touch."""
 
     def __init__(self, pairs: Mapping[tuple[tuple[str, str], tuple[str, str]], Touch]) -> None:
         self.touching = [f"{a[0]} and {b[0]}" for (a, b), touch in pairs.items() if touch.contact.holds]
@@ -194,7 +189,7 @@ class Contacts:
 
 
 class BodyQuantities:
-    """A body of a world, with its quantities as attributes."""
+    """The quantities of a body of a world."""
 
     __slots__ = ("_body", "_world", "name")
 
@@ -223,7 +218,7 @@ class BodyQuantities:
 
     @property
     def tilt(self) -> float:
-        """The angle in rad between the body's vertical axis and the world's vertical axis."""
+        """The angle between the vertical axes of the body and the world in rad."""
         return geometry.lean(geometry.IDENTITY[1], self._body.orientation)
 
 
@@ -233,7 +228,6 @@ def _identifier(name: str) -> str:
 
 
 def _find(world: FoldedWorld, name: str) -> BodyQuantities | str | None:
-    """Return a body, the robot or the name of an arm; None for an unknown name."""
     if name in world.bodies:
         return BodyQuantities(world, name)
     for each in world.bodies:
@@ -251,7 +245,7 @@ def _arms(world: FoldedWorld) -> Mapping[str, frozenset[str]]:
 
 @cache
 def _described_arms(description: str) -> Mapping[str, frozenset[str]]:
-    """Return the links of each arm's hand, by the names of the arms in a robot's description."""
+    """Return the links of each arm's hand in a robot's description, by the name of the arm."""
     try:
         arms = tomllib.loads(description).get("arms", {})
         hands = {name: arm.get("gripper", {}) for name, arm in arms.items()}
@@ -278,7 +272,7 @@ def plain(value: object) -> Any:
 
 
 def truth(value: object) -> Truth:
-    """Return the truth of a value. A value that isn't a condition is true as in Python, with an infinite margin."""
+    """Return the truth of a value. Values other than conditions are true as in Python, with an infinite margin."""
     if isinstance(value, Truth):
         return value
     if isinstance(value, Contacts):
@@ -287,17 +281,13 @@ def truth(value: object) -> Truth:
 
 
 class PropertyExpression:
-    """A compiled expression; ``source`` is the property's file and line.
-
-    Raises:
-        BadProperty: the text has something that the language lacks.
-    """
+    """A compiled expression. ``source`` is the file and line of the property. Other texts raise BadProperty."""
 
     def __init__(self, text: str, source: str = "") -> None:
         self.text = " ".join(text.split())
         self.source = source
-        self.quantities: dict[str, Function] = {}  # functions by texts of parts and calls; these contain no others
-        self.units: set[str] = set()  # units of its comparisons
+        self.quantities: dict[str, Function] = {}  # functions by the texts of parts and calls
+        self.units: set[str] = set()  # units of the comparisons
         self.names: dict[str, None] = {}  # names of objects, arms and worlds
         self.needs_geometry = False
         if len(text) > _MAX_LENGTH:
@@ -305,7 +295,7 @@ class PropertyExpression:
         parts = _STRINGS.split(text.strip())
         parts[::2] = [_QUANTITY.sub(rf'{_MEASURED}(\1,"\2")', part) for part in parts[::2]]
         try:
-            with warnings.catch_warnings(action="ignore"):  # Python warns about text that looks like mistaken code
+            with warnings.catch_warnings(action="ignore"):  # about text that looks like mistaken code
                 tree = _meant(ast.parse("".join(parts), mode="eval").body)
             self._function = self._compile(tree)
         except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
@@ -314,23 +304,23 @@ class PropertyExpression:
             self._refuse(f"it isn't an expression: {error.msg if isinstance(error, SyntaxError) else error}")
 
     def value(self, scene: Scene) -> Any:
-        """Return the value in a scene; raise NoValue if there is none."""
+        """Return the value in a scene; raise NoValue without a value."""
         try:
             return self._function(scene)
         except (ArithmeticError, TypeError, ValueError) as error:
             raise NoValue(str(error)) from None
 
     def truth(self, scene: Scene) -> Truth:
-        """Return whether the expression holds in a scene; raise NoValue if it has no value."""
+        """Return whether the expression holds in a scene; raise NoValue without a value."""
         return truth(self.value(scene))
 
     @property
     def unit(self) -> str:
-        """The unit of the margin; "" if its comparisons have several units."""
+        """The unit of the margin; "" for comparisons with several units."""
         return next(iter(self.units)) if len(self.units) == 1 else ""
 
     def values(self, scene: Scene) -> dict[str, Any]:
-        """Return the values of its quantities in a scene."""
+        """Return the values of the quantities in a scene; None for a quantity without a value."""
         found = {}
         for text, function in self.quantities.items():
             try:
@@ -347,56 +337,38 @@ class PropertyExpression:
 
     # --- the allowed nodes --------------------------------------------------------------------------------------------
 
-    def _compile(self, node: ast.expr) -> Function:
-        return (self._compilers.get(type(node)) or self._refuse_node(node))(node)
-
-    @cached_property
-    def _compilers(self) -> Mapping[type, Callable[[Any], Function]]:
-        return {
-            ast.BoolOp: self._logic,
-            ast.UnaryOp: self._unary,
-            ast.BinOp: self._arithmetic,
-            ast.Compare: self._comparison,
-            ast.Call: self._call,
-            ast.Attribute: self._attribute,
-            ast.Subscript: self._subscript,
-            ast.Name: self._object,
-            ast.Constant: self._constant,
-            ast.Tuple: self._tuple,
-            ast.List: self._tuple,
-        }
-
-    def _object(self, node: ast.Name) -> Function:
-        self.names[node.id] = None
-        return lambda scene: scene.named(node.id)
-
-    def _constant(self, node: ast.Constant) -> Function:
-        value = node.value
-        if isinstance(value, str) or value is None or isinstance(value, bool):
-            return lambda _: value
-        if not isinstance(value, int | float):
-            self._refuse_node(node)
-        number = float(value)  # powers of integers could take hours
-        return lambda _: number
-
-    def _tuple(self, node: ast.Tuple | ast.List) -> Function:
-        items = [self._compile(each) for each in node.elts]
-        return lambda scene: tuple(item(scene) for item in items)
-
-    def _logic(self, node: ast.BoolOp) -> Function:
-        operands = [self._compile(each) for each in node.values]
-        choose = min if isinstance(node.op, ast.And) else max
-        return lambda scene: choose([truth(operand(scene)) for operand in operands])
-
-    def _unary(self, node: ast.UnaryOp) -> Function:
-        operand = self._compile(node.operand)
-        operation = _UNARY.get(type(node.op)) or self._refuse_node(node)
-        return lambda scene: operation(operand(scene))
-
-    def _arithmetic(self, node: ast.BinOp) -> Function:
-        operation = _OPERATIONS.get(type(node.op)) or self._refuse_node(node)
-        left, right = self._compile(node.left), self._compile(node.right)
-        return lambda scene: operation(left(scene), right(scene))
+    def _compile(self, node: ast.expr) -> Function:  # noqa: C901, PLR0911  a case for each allowed node
+        match node:
+            case ast.Name(id=name):
+                self.names[name] = None
+                return lambda scene: scene.named(name)
+            case ast.Constant(value=str() | bool() | None as value):
+                return lambda _: value
+            case ast.Constant(value=int() | float() as value):
+                number = float(value)  # powers of integers could take hours
+                return lambda _: number
+            case ast.Tuple(elts=nodes) | ast.List(elts=nodes):
+                items = [self._compile(each) for each in nodes]
+                return lambda scene: tuple(item(scene) for item in items)
+            case ast.BoolOp(op=op, values=nodes):
+                operands, choose = [self._compile(each) for each in nodes], min if isinstance(op, ast.And) else max
+                return lambda scene: choose([truth(operand(scene)) for operand in operands])
+            case ast.UnaryOp(op=op) | ast.BinOp(op=op) if operation := _OPERATIONS.get(type(op)):
+                nodes = [node.operand] if isinstance(node, ast.UnaryOp) else [node.left, node.right]
+                operands = [self._compile(each) for each in nodes]
+                return lambda scene: operation(*[operand(scene) for operand in operands])
+            case ast.Compare():
+                return self._comparison(node)
+            case ast.Attribute(value=inner, attr=part):
+                owner = self._compile(_meant(inner))
+                return self._quantity(node, lambda scene: _part(owner(scene), part))
+            case ast.Subscript(value=inner, slice=index):
+                owner, key = self._compile(_meant(inner)), self._index(node, index)
+                return self._quantity(node, lambda scene: _item(owner(scene), key))
+            case ast.Call(func=ast.Name(id=name), keywords=[]):
+                return self._call(node, name)
+            case _:
+                return self._refuse_node(node)
 
     def _comparison(self, node: ast.Compare) -> Function:
         nodes = [node.left, *node.comparators]
@@ -428,34 +400,24 @@ class PropertyExpression:
             number = f"{node.value:g}"
             self._refuse(f"{number} is an angle of more than 2 pi rad; write {number} deg, or {number} rad")
 
-    def _attribute(self, node: ast.Attribute) -> Function:
-        owner, part = self._compile(_meant(node.value)), node.attr
-        return self._quantity(node, lambda scene: _part(owner(scene), part))
-
-    def _subscript(self, node: ast.Subscript) -> Function:
-        owner, index = self._compile(_meant(node.value)), node.slice
-        if (
-            isinstance(index, ast.UnaryOp)
-            and isinstance(index.op, ast.USub)
-            and isinstance(index.operand, ast.Constant)
-        ):
-            index = ast.Constant(-index.operand.value if isinstance(index.operand.value, int) else None)
-        if not isinstance(index, ast.Constant) or not isinstance(index.value, int | str):
+    def _index(self, node: ast.expr, index: ast.expr) -> int | str:
+        key = None
+        with suppress(ValueError, TypeError):
+            key = ast.literal_eval(index)
+        if not isinstance(key, int | str):
             self._refuse(f"{_written(node)}: an index is a number, or a name in quotes")
-        key = index.value
-        return self._quantity(node, lambda scene: _item(owner(scene), key))
+        return key
 
     def _quantity(self, node: ast.expr, function: Function) -> Function:
-        self.quantities.pop(_written(getattr(node, "value", node)), None)  # lab.milk isn't a quantity of lab.milk.z
+        self.quantities.pop(_written(getattr(node, "value", node)), None)  # lab.milk isn't a quantity in lab.milk.z
         self.quantities[_written(node)] = function
         return function
 
-    def _call(self, node: ast.Call) -> Function:
-        if not isinstance(node.func, ast.Name) or node.keywords:
-            self._refuse_node(node)
-        name, arguments = node.func.id, node.args
+    def _call(self, node: ast.Call, name: str) -> Function:
+        arguments = node.args
         if name == _MEASURED:
-            size = _size(node)
+            number, unit = map(ast.literal_eval, arguments)
+            size = float(number) * UNITS[unit][0]
             return lambda _: size
         if name not in _FUNCTIONS:
             self._refuse(f"there is no function {name}{did_you_mean(name, _FUNCTIONS)}")
@@ -464,7 +426,7 @@ class PropertyExpression:
             takes = str(least) if least == most else f"{least} to {most}"
             self._refuse(f"{name} takes {takes} argument{'' if takes == '1' else 's'}, not {len(arguments)}")
         if name in _BY_NAME:
-            return self._call_by_name(node, name, [self._name(each) for each in arguments])
+            return self._quantity(node, self._function_of_names(name, [self._name(each) for each in arguments]))
         for each in arguments[_ANGLES.get(name, 9) :]:
             self._check_angle(each)
         before = dict(self.quantities)
@@ -483,18 +445,15 @@ class PropertyExpression:
         self.quantities[f"tilt({_written(arguments[0])})"] = lambda scene: _body(terms[0](scene)).tilt
         return call
 
-    def _call_by_name(self, node: ast.Call, name: str, names: list[str]) -> Function:
+    def _function_of_names(self, name: str, names: list[str]) -> Function:
         self.names |= dict.fromkeys(names)
         if name == "holding":
-            return self._quantity(node, lambda scene: scene.holding(*names))
+            return lambda scene: scene.holding(*names)
         self.needs_geometry = True
         self.units.add("m")
-        if name == "on":
-            return self._quantity(node, lambda scene: scene.touches(*names).on)
-        return self._quantity(node, lambda scene: scene.touches(*names))
+        return lambda scene: scene.touches(*names).on if name == "on" else scene.touches(*names)
 
     def _name(self, node: ast.expr) -> str:
-        """Return an argument as a name."""
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             return node.value
         if isinstance(node, ast.Name):
@@ -510,19 +469,14 @@ def _written(node: ast.expr) -> str:
 
 
 def _meant(node: ast.expr) -> ast.expr:
-    """Turn a string into a name where an object or a world is meant."""
+    """Turn a string that stands for an object or a world into a name."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return ast.Name(node.value, ast.Load())
     return node
 
 
-def _size(node: ast.Call) -> float:
-    number, unit = (each.value if isinstance(each, ast.Constant) else None for each in node.args)
-    return float(number) * UNITS[str(unit)][0]  # type: ignore[arg-type]  # the pattern's number
-
-
 def _kind(node: ast.expr) -> str:
-    """Return the unit of a quantity: "m", "rad" or "s"; "joint" for "m" or "rad" (unknown which); "" if unknown."""
+    """Return the unit of a quantity: "m", "rad" or "s"; "joint" for a joint; "" for an unknown unit."""
     kind = ""
     match node:
         case ast.Attribute(attr=part):
@@ -566,15 +520,8 @@ def _described(value: object) -> str:
     return value.name if isinstance(value, BodyQuantities) else str(plain(value))
 
 
-def _compared(value: Any) -> Any:
-    """Return a value in the form that ``is`` compares: the name of a body, and whether a condition holds."""
-    if isinstance(value, Truth | Contacts):
-        return truth(value).holds
-    return value.name if isinstance(value, BodyQuantities) else value
-
-
 def _equal(a: Any, b: Any) -> Truth:
-    a, b = _compared(a), _compared(b)
+    a, b = (value.name if isinstance(value, BodyQuantities) else _holds(value) for value in (a, b))
     if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b) > 0:
         return min(map(_equal, a, b))
     if _is_number(a) and _is_number(b):
@@ -582,24 +529,23 @@ def _equal(a: Any, b: Any) -> Truth:
     return truth(a == b)
 
 
-def _at_least(a: Any, b: Any) -> Truth:
-    _check_numbers(a, b)
-    return Truth(a - b, a >= b)
-
-
-def _more(a: Any, b: Any) -> Truth:
-    _check_numbers(a, b)
-    return Truth(a - b, a > b)
+def _holds(value: Any) -> Any:
+    return truth(value).holds if isinstance(value, Truth | Contacts) else value
 
 
 def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _check_numbers(*values: object) -> None:
-    for value in values:
+def _difference(a: Any, b: Any) -> Any:
+    for value in (a, b):
         if not _is_number(value):
             raise NoValue(f"{_described(value)} isn't a number")
+    return a - b
+
+
+def _at_least(a: Any, b: Any) -> Truth:
+    return Truth(_difference(a, b), a >= b)
 
 
 def _among(value: Any, others: Any) -> Truth:
@@ -608,22 +554,20 @@ def _among(value: Any, others: Any) -> Truth:
     return max(_equal(value, other) for other in others)
 
 
-_UNARY: Final[Mapping[type, Callable[[Any], Any]]] = {
+_OPERATIONS: Final[Mapping[type, Callable[..., Any]]] = {
     ast.Not: lambda value: truth(value).negated(),
-    ast.USub: lambda value: -value,
-    ast.UAdd: lambda value: +value,
-}
-_OPERATIONS: Final[Mapping[type, Callable[[Any, Any], Any]]] = {
-    ast.Add: lambda a, b: a + b,
-    ast.Sub: lambda a, b: a - b,
-    ast.Mult: lambda a, b: a * b,
-    ast.Div: lambda a, b: a / b,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
     ast.Pow: lambda a, b: float(a) ** float(b),
 }
 _COMPARISONS: Final[Mapping[type, Callable[[Any, Any], Truth]]] = {
-    ast.Lt: lambda a, b: _more(b, a),
+    ast.Lt: lambda a, b: Truth(_difference(b, a), b > a),
     ast.LtE: lambda a, b: _at_least(b, a),
-    ast.Gt: _more,
+    ast.Gt: lambda a, b: Truth(_difference(a, b), a > b),
     ast.GtE: _at_least,
     ast.Eq: _equal,
     ast.Is: _equal,
@@ -655,32 +599,24 @@ def _body(value: Any) -> BodyQuantities:
     return value
 
 
-def _count(value: Any) -> int:
-    return len(value) if isinstance(value, Contacts | tuple) else int(truth(value).holds)
-
-
 _CALLED: Final[Mapping[str, Callable[..., Any]]] = {
     **{each.__name__: each for each in (abs, len, max, min, round, sum)},
     "sqrt": math.sqrt,
     "degrees": math.degrees,
-    "count": _count,
+    "count": lambda value: len(value) if isinstance(value, Contacts | tuple) else int(truth(value).holds),
     "distance": lambda a, b: math.dist(_point(a), _point(b)),
     "angle": _angle,
     "tilt": lambda body: _body(body).tilt,
     "upright": lambda body, tolerance=_UPRIGHT: _at_least(tolerance, _body(body).tilt),
 }
-#: Smallest and largest numbers of arguments.
+#: Smallest and largest number of arguments of each function.
 _FUNCTIONS: Final = {
     **dict.fromkeys(_CALLED, (1, 1)),
-    "distance": (2, 2),
-    "angle": (2, 2),
+    **dict.fromkeys(("distance", "angle", "contact", "on"), (2, 2)),
+    **dict.fromkeys(("min", "max"), (1, 9)),
     "upright": (1, 2),
-    "min": (1, 9),
-    "max": (1, 9),
     "holding": (0, 1),
-    "contact": (2, 2),
-    "on": (2, 2),
 }
 _BY_NAME: Final = ("holding", "contact", "on")  # functions of names
-_ANGLES: Final = {"upright": 1, "angle": 0}  # functions of angles, and the index of their first angle
-_OF_BODIES: Final = ("distance", "angle", "tilt", "upright")  # functions that take a text as the name of an object
+_ANGLES: Final = {"upright": 1, "angle": 0}  # index of the first angle among the arguments
+_OF_BODIES: Final = ("distance", "angle", "tilt", "upright")  # a text argument of these functions is an object

@@ -1,4 +1,4 @@
-"""``ask``: the answer to a reasoning query at a past step, also under changed conditions."""
+"""``ask``: the answer to a reasoning query at a past step, also with moved objects."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the question and changed conditions."""
+    """Add the step, the question and the moves of objects."""
     parser.epilog = (
         "docs/reasoning.md explains the queries. For a property, such as 'milk.z > 0.5', use 'pycram-replay check'."
     )
@@ -26,7 +26,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "question",
         metavar="QUESTION",
         nargs="?",
-        help="such as 'visible(milk, wide_stereo_optical_frame)'; default: repeat the query that this step recorded",
+        help="such as 'visible(milk, wide_stereo_optical_frame)'; default: the query that the step recorded",
     )
     parser.add_argument(
         "--move",
@@ -35,7 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         default=[],
         help="before the query, move an object to a position (m) and an orientation (quaternion); repeatable",
     )
-    parser.add_argument("--world", metavar="NAME", help="ask in this world (default: the last opened world)")
+    parser.add_argument("--world", metavar="NAME", help="world of the query (default: the last opened world)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:

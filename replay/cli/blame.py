@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the object, the step and the world."""
     parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
-    parser.add_argument("--at", metavar="STEP", help=f"find the last change up to this step: {HINT}")
+    parser.add_argument("--at", metavar="STEP", help=f"last step of the search: {HINT}")
     parser.add_argument(
-        "--world", metavar="NAME", help="look in this world (default: the last opened world with the object)"
+        "--world", metavar="NAME", help="world of the object (default: the last opened world with the object)"
     )
 
 

@@ -1,4 +1,4 @@
-"""``cheat``: a page that says what to type for which question. The help of each verb shows its examples."""
+"""``cheat``: a page with examples of all verbs. The help of each verb shows its examples."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from replay.cli.console import print_text
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-#: Headings, with verbs, each with two examples: arguments, and what the command shows or does.
+#: Verbs by heading. Each verb has two examples: arguments, and the result of the command.
 SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
     "What happened": {
         "info": (
@@ -138,7 +138,7 @@ Steps
 
 
 def examples(verb: str) -> Iterator[tuple[str, str]]:
-    """Yield a verb's examples: commands, and what they show or do."""
+    """Yield the examples of a verb: commands and their results."""
     for verbs in SHEET.values():
         for arguments, result in verbs.get(verb, ()):
             yield f"pycram-replay {verb} {arguments}", result

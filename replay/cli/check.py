@@ -51,7 +51,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         with Recording(runs.path / name) as log:
             try:
                 rows.append((name, _check(log, properties)))
-            except ReplayError as error:  # this run may have ended before an object was loaded
+            except ReplayError as error:  # the run may have ended before an object was loaded
                 print_message(f"left out: {name}: {error}")
     if options.json:
         print_result(lambda: {name: report.data(found) for name, found in rows}, (), as_json=True)

@@ -1,4 +1,4 @@
-"""Completion of names that a recording holds: steps, objects, joints, worlds and tasks."""
+"""Completion of the names in a recording: steps, objects, joints, worlds and tasks."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from recorder.terminal import Parser
     from replay.recording import Recording
 
-_LIMIT: Final = 0.1  # seconds for reading a long recording; names that come later in it aren't offered
+_LIMIT: Final = 0.1  # s; names that take longer to read aren't completed
 
 
 def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.ArgumentParser], None]) -> None:
-    """Add the arguments of a verb from the cache; importing the verb's module takes longer than completion may."""
+    """Add the arguments of a verb from the cache, because importing the verb's module is too slow."""
     source, folder = Path(__file__).with_name(f"{module}.py"), cache_folder()
     file = None if folder is None else folder / f"completion-{verb}.json"
     key = [str(source), source.stat().st_mtime_ns]
@@ -43,7 +43,7 @@ def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.A
 
 
 def _plain(action: argparse.Action) -> tuple[list[str], dict[str, object]]:
-    """Return what completion needs of an argument: its flags, and options for ``add_argument``."""
+    """Return the flags of an argument, and the options that completion needs for ``add_argument``."""
     options: dict[str, object] = {"choices": action.choices and [*action.choices], "metavar": action.metavar}
     if action.nargs == 0:
         options = {"action": "store_true"}
@@ -55,7 +55,7 @@ def _plain(action: argparse.Action) -> tuple[list[str], dict[str, object]]:
 
 
 def _names(find: Callable[[Recording], Iterator[str]]) -> Callable[..., list[str]]:
-    """Return a completer of the names that a function finds in the recording."""
+    """Return a completer for the names that a function finds in the recording."""
 
     def complete(prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
         from replay.errors import ReplayError  # noqa: PLC0415  verbs and options are completed without a recording
@@ -96,7 +96,7 @@ def _within_limit(records: Iterator[Any]) -> Iterator[Any]:
         yield record
 
 
-#: Completers by the names or the placeholders of arguments.
+#: Completers by the name or placeholder of an argument.
 COMPLETERS: Final[dict[str, Callable[..., list[str]]]] = {
     "LOG": files_ending(".mcap"),
     "LOG2": files_ending(".mcap"),

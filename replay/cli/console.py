@@ -1,7 +1,7 @@
 """Console output: results to stdout, messages to stderr.
 
-Recorded texts are untrusted, and terminals obey control characters, so control characters are printed as escapes. JSON
-is ASCII, so that no terminal's encoding loses a character. While a world is open, output of native code goes to stderr.
+Control characters are printed as escapes, because recorded texts are untrusted and terminals obey control characters.
+JSON is ASCII, so that no encoding of a terminal loses characters.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 _STDOUT, _STDERR = 1, 2
-#: The texts that are coloured on a terminal.
+#: Texts with a colour on a terminal.
 _COLOURED: Final = re.compile(
     r"(?P<bold>^[a-z]{1,10}(?=  +\S)|(?:(?<=\n\n)|(?<=\A\n)|\A)[A-Z][^\n.]*(?=\n  ))"  # fields of info, headings
     r"|(?P<yellow>\bsteps? \d+(?:-\d+)?|^ *\d+(?= +(?:[\d.]+s )?[a-z-]+ ))"
@@ -34,8 +34,7 @@ _COLOURED: Final = re.compile(
     r"|(?P<green>\bsucceeded\b|(?<=^complete     )yes|^[> ] *\+(?= )|^\+(?= ))",
     re.MULTILINE,
 )
-#: Control characters except newlines and tabs, characters that change the direction of text, and
-#: surrogates, which represent bytes that aren't UTF-8.
+#: Control characters except newlines and tabs, characters that change the direction of text, and surrogates.
 _CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\\u2066-\\u2069\\ud800-\\udfff]")
 
 
@@ -50,12 +49,15 @@ def _escape(match: re.Match[str]) -> str:
 
 
 def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
-    """Print a result, on a terminal in colours."""
+    """Print a result, in colours on a terminal."""
     print(painted(visible(text), _COLOURED, sys.stdout), end=end, flush=flush)
 
 
 def print_json(value: object, *, flush: bool = False) -> None:
-    """Print a result as a line of JSON. Numbers that JSON lacks become strings ("nan"); invalid bytes, escapes."""
+    """Print a result as a line of JSON.
+
+    Numbers without JSON become strings ("nan"), and invalid bytes become escapes.
+    """
     print(_json(value), flush=flush)
 
 
@@ -71,7 +73,7 @@ def print_json_list(values: Iterable[object]) -> None:
 def _json(value: object) -> str:
     try:
         text = json.dumps(value, allow_nan=False)
-    except ValueError:  # only inconsistent recordings have such numbers
+    except ValueError:  # only inconsistent recordings have numbers without JSON
         text = json.dumps(_sound(value), allow_nan=False)
     if "\\udc" in text:  # invalid bytes, or parts of valid surrogate pairs
         text = json.dumps(_sound(value), allow_nan=False)
@@ -105,7 +107,7 @@ def print_message(text: str) -> None:
 
 @contextmanager
 def native_output_to_stderr() -> Iterator[None]:
-    """Redirect the file descriptor of stdout to stderr; Python's own ``sys.stdout`` keeps its target."""
+    """Redirect the file descriptor of stdout to stderr, but not ``sys.stdout``."""
     from pycram.foundation.redirect import redirected  # noqa: PLC0415  verbs that only read don't need it
 
     python = sys.stdout
@@ -128,7 +130,7 @@ def _is_descriptor_of_stdout(stream: object) -> bool:
 
 
 def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
-    """If the step is a time within a stretch of simulation, print how exactly its state is known."""
+    """If the step is a time within a simulation, print the precision of its state."""
     from replay.report.phrases import sampled  # noqa: PLC0415  slow to import
 
     within = log.state_at(step).sampled
@@ -139,10 +141,10 @@ def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
 def numbers(
     text: str, expected: str, *counts: int, separator: str = ",", kind: Callable[[str], float] = float
 ) -> list[float]:
-    """Parse finite numbers, such as "0.5,1,0"; ``counts`` says how many numbers are allowed.
+    """Parse finite numbers, such as "0.5,1,0". ``counts`` are the allowed lengths.
 
     Raises:
-        ReplayError: the text is invalid; ``expected`` is part of the message.
+        ReplayError: The text is invalid. ``expected`` is part of the message.
     """
     try:
         values = [kind(part) for part in text.split(separator)]

@@ -1,7 +1,7 @@
 """``debug``: a prompt at a step of a recording, in the plan's frame, that steps forwards and back.
 
-The commands are those of pdb, and verbs of ``pycram-replay``, applied to the step. Lines come from a terminal, with
-history and completion, or from a script on stdin.
+Commands are pdb's commands, and verbs of ``pycram-replay`` at the step. Lines come from a terminal or from a script on
+stdin.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-_HISTORY: Final = 1000  # largest number of lines in the history of commands
+_HISTORY: Final = 1000  # the history of commands has at most this many lines
 _MAIN_THREAD: Final = "MainThread"
-_AROUND: Final = 5  # number of lines that are listed before and after the current line, as in pdb
-#: Verbs of ``pycram-replay`` as commands: the words before and after the user's words; "STEP" is the current step.
+_AROUND: Final = 5  # ``list`` shows this many lines before and after the current line, as in pdb
+#: Verbs of ``pycram-replay`` as commands: words before and after the user's words. "STEP" is the current step.
 _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "ask": (("STEP",), ()),
     "blame": ((), ("--at", "STEP")),
@@ -72,13 +72,11 @@ help (h) [COMMAND]  quit (q)"""
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the plan and the checkpoints."""
-    parser.epilog = "The commands are the same as in pdb; help lists them. A script on stdin may contain commands, too."
-    parser.add_argument(
-        "step", metavar="STEP", nargs="?", help=f"begin at this step (default: the failure, or 0): {HINT}"
-    )
+    parser.epilog = "The commands are those of pdb; type help for a list. A script on stdin can contain commands, too."
+    parser.add_argument("step", metavar="STEP", nargs="?", help=f"first step (default: the failure, or 0): {HINT}")
     parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it was moved after the recording")
     parser.add_argument(
-        "--no-checkpoints", action="store_true", help="keep no copies of the process; run the plan again to step back"
+        "--no-checkpoints", action="store_true", help="keep no copies of the process; to step back, the plan runs again"
     )
     parser.add_argument(
         "--dap",
@@ -116,7 +114,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def first_step(log: Recording, step: int | str | None) -> int:
-    """Return the number of a given step; without a given step, the step of the failure, or 0."""
+    """Return the number of a step. The default is the step of the failure, or 0."""
     from replay.retrace.plan_process import last_own_step  # noqa: PLC0415  needs the executor
 
     if step is not None:
@@ -125,7 +123,7 @@ def first_step(log: Recording, step: int | str | None) -> int:
 
 
 def new_session(log: Recording, plan: GuidedPlan) -> Session:
-    """Return a session. Its source lines are the lines that run, even if the files on the disk differ."""
+    """Return a session. It shows the source lines that run, even if the files on the disk differ."""
     from replay.debug.session import Session  # noqa: PLC0415  needs the executor
 
     for file, source in plan.recorded_files.items():
@@ -135,7 +133,7 @@ def new_session(log: Recording, plan: GuidedPlan) -> Session:
 
 
 class Prompt(cmd.Cmd):
-    """A prompt in the plan's frames. Commands come from a terminal or from stdin; lines from stdin are echoed."""
+    """A prompt in the plan's frames. Commands come from a terminal or from stdin. Lines from stdin are echoed."""
 
     prompt = "(debug) "
 
@@ -145,8 +143,8 @@ class Prompt(cmd.Cmd):
         self.log = session.log  # the recording
         self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
         self.frame = 0  # index of the chosen frame; 0 is the innermost frame
-        self._listed = 0  # the line after the last listed line; 0: no line was listed
-        # function that moves the viewer to a step; None without a viewer
+        self._listed = 0  # the line after the last listed line; 0 before a list
+        # a function that moves the viewer to a step; None without a viewer
         self.follow: Callable[[int], None] | None = None
         self._asks = self.use_rawinput = sys.stdin.isatty()
         self._coloured = has_colours(sys.stdout)
@@ -164,7 +162,7 @@ class Prompt(cmd.Cmd):
 
     @contextlib.contextmanager
     def _history(self) -> Iterator[None]:
-        """Read the history of typed commands, and write it at the end."""
+        """Read the history of typed commands, and write the history at the end."""
         folder = cache_folder() if self._asks else None
         try:
             import readline  # noqa: PLC0415  some systems lack it
@@ -187,7 +185,7 @@ class Prompt(cmd.Cmd):
     # --- lines ------------------------------------------------------------------------------------------------------
 
     def precmd(self, line: str) -> str:
-        """Split a line at ``;;``, as pdb does; echo lines of a script."""
+        """Split a line at ``;;``, as pdb does, and echo lines of a script."""
         if not self._asks:
             print("" if line == "EOF" else visible(line.rstrip("\n")))
         first, separator, rest = line.partition(";;")
@@ -196,7 +194,7 @@ class Prompt(cmd.Cmd):
         return "" if first.lstrip().startswith("#") else first.strip()
 
     def onecmd(self, line: str) -> bool:
-        """Execute a command; print the user's mistakes."""
+        """Execute a command, and print mistakes of the user."""
         try:
             return bool(super().onecmd(line))
         except ReplayError as error:
@@ -210,7 +208,7 @@ class Prompt(cmd.Cmd):
         return False
 
     def emptyline(self) -> bool:
-        """Repeat the last command at a terminal, as pdb does; do nothing in a script."""
+        """Repeat the last command at a terminal, as pdb does. In a script, do nothing."""
         return bool(self._asks and self.lastcmd and self.onecmd(self.lastcmd))
 
     # --- output ------------------------------------------------------------------------------------------------------
@@ -225,13 +223,13 @@ class Prompt(cmd.Cmd):
             print(visible(line))
 
     def painted(self, text: str, colour: str) -> str:
-        """Return a text in a colour; without a terminal, the plain text."""
+        """Return a text in a colour, or the plain text without a terminal."""
         return coloured(visible(text), colour) if self._coloured else visible(text)
 
     # --- the current step ---------------------------------------------------------------------------------------------
 
     def begin(self, step: int) -> None:
-        """Go to the first step; if Ctrl-C ends the plan before that step, go to the start."""
+        """Go to a step. If Ctrl-C ends the plan before the step, go to the step of the interrupt."""
         from replay.debug.guided_plan import PlanInterrupted  # noqa: PLC0415  needs the executor
 
         try:
@@ -259,7 +257,7 @@ class Prompt(cmd.Cmd):
         self.stack = self.session.plan.ask("where")
         lines = [each.line for each in halt.met if each.line is not None]
         stopped = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
-        self.frame = stopped[0] if stopped else 0  # the frame at the breakpoint, or the innermost frame
+        self.frame = stopped[0] if stopped else 0
         self._listed = 0
         self._print_step(step)
         if self.follow is not None:

@@ -27,10 +27,10 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--all",
         action="store_true",
-        help="also print every joint, and small moves of objects that settle in simulation",
+        help="also print every joint, and small moves of objects",
     )
     parser.add_argument(
-        "--tolerance", type=_tolerance, default=0.0, metavar="X", help="treat numbers that differ by at most X as equal"
+        "--tolerance", type=_tolerance, default=0.0, metavar="X", help="ignore differences of numbers up to X"
     )
 
 
@@ -51,11 +51,11 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{options.first}: no such recording; to compare two steps of this recording, give both")
     with Recording(options.first) as other:
         compared = compare_recordings(log, other, options.tolerance)
-        problems = other.problems  # they are known after the recording was read to the end
+        problems = other.problems  # problems are known after the recording was read to the end
     print_result(lambda: report.data(compared), comparison_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")
-    if problems or log.problems:  # the difference may come from lost records
+    if problems or log.problems:  # lost records may cause the difference
         return INCOMPLETE
     return FAILED if compared.divergence is not None or compared.difference else FINE
 

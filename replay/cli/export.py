@@ -1,8 +1,8 @@
 """``export``: the trajectories of a recording as a table; a folder of recordings as a data set for training.
 
-The table has a row for each moment of a joint, for planned and for driven positions. Driven positions are known 30
-times in a simulated second, from the samples of simulations. Velocities of joints are read from the engine. A base has
-no velocities, because it moves from pose to pose.
+The table has planned and driven positions of joints over time. Driven positions are the samples of simulations, 30 in a
+simulated second. Velocities of joints come from the engine. A base has no velocities, because it moves from pose to
+pose.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--to",
         nargs=2,
         metavar=("FORMAT", "OUT"),
-        help="for a folder: write a data set for training policies; FORMAT is lerobot, OUT is a new folder",
+        help="for a folder: write a data set for training policies; FORMAT is 'lerobot', OUT is a new folder",
     )
     parser.add_argument(
         "--plan", metavar="NAME", help="for a folder: only runs of this plan (default: the most frequent plan)"
@@ -114,7 +114,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _camera(frame: str) -> Draw:
-    """Return a function that draws the view from a frame of the robot, by default from its camera."""
+    """Return a function that draws the view from a frame of the robot, by default the camera's frame."""
     import numpy as np  # noqa: PLC0415  slow to import
 
     from replay.restore.render import DrawnWorld  # noqa: PLC0415  needs an extra
@@ -153,19 +153,19 @@ class MotionRow(NamedTuple):
     world: str
     trajectory: int  # number of the trajectory in the world
     body: str
-    joint: str  # name of a joint, or x, y or yaw of the base in the world frame
+    joint: str  # name of a joint, or "x", "y" or "yaw" of the base in the world
     source: str  # "planned" or "driven"
-    time: float  # the trajectory's own time in s; it slows down when the trajectory is stopped
-    seconds: float  # simulated time of the world in s; for a planned position, as if the trajectory isn't stopped
+    time: float  # time on the trajectory in s, which slows down after a stop
+    seconds: float  # simulated time of the world in s; planned positions ignore stops
     position: float  # rad or m
-    velocity: float | None  # rad/s or m/s; None if unknown
+    velocity: float | None
 
 
 def motion_rows(log: RecordReader) -> Iterator[MotionRow]:
-    """Yield all rows of a recording: for each trajectory first the planned rows, then the driven rows.
+    """Yield all rows of a recording: for each trajectory the planned rows, and then the driven rows.
 
     Raises:
-        Damaged: a record is inconsistent.
+        Damaged: A record is inconsistent.
     """
     worlds: dict[str, FoldedWorld] = {}
     for record in log.records((Mutation, Keyframe)):
@@ -189,7 +189,7 @@ def _planned(record: Mutation) -> Iterator[MotionRow]:
 
 
 def _driven(world: World, record: Mutation) -> Iterator[MotionRow]:
-    """Yield the rows of a stretch of simulation; ``world`` is the state before it."""
+    """Yield the rows of a simulation. ``world`` is the state before the simulation."""
     ends = {each.number: each.time for each in record.simulate.driven}
     followed = {number: each for number, each in world.following.items() if number in ends}
     values = {each.begin.body: _values(world.bodies.get(each.begin.body)) for each in followed.values()}
@@ -214,15 +214,15 @@ def _names(begin: BeginTrajectory) -> Sequence[str]:
 
 
 def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
-    """Return position and velocity of a body's joints and base coordinates, by name."""
-    if body is None:  # the record of the body's loading is lost
+    """Return position and velocity of a body's joints and base coordinates by name."""
+    if body is None:  # the body's loading isn't recorded
         return {}
     joints = {name: (position, body.joint_velocities[name]) for name, position in body.joints.items()}
     return joints | _place(body.position) | _heading(body.orientation)
 
 
 def _values_in(state: BodyState) -> dict[str, tuple[float, float | None]]:
-    """Return the positions and velocities in a record, by name."""
+    """Return the positions and velocities in a record by name."""
     speeds = state.joint_velocities or [0.0] * len(state.joints)
     joints = zip(state.joint_positions, speeds, strict=True)
     found: dict[str, tuple[float, float | None]] = dict(zip(state.joints, joints, strict=True))

@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.runs.folder import Runs
 
-_MAX_WORLDS: Final = 8  # largest number of listed worlds
+_MAX_WORLDS: Final = 8  # at most this many worlds are listed
 _DIGITS: Final = 12  # number of shown digits of a commit or hash
 _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Turn off suggestions of next commands, which only ``pycram-replay LOG`` prints."""
+    """Suggest no next commands. Only ``pycram-replay LOG`` suggests commands."""
     parser.set_defaults(next_steps=False)
 
 
@@ -65,10 +65,10 @@ def _data(log: Recording, info: Summary) -> dict[str, object]:
 
 
 def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
-    """Yield names and texts; a text is empty if the recording lacks the fact."""
+    """Yield names and texts. Without a recorded fact, the text is empty."""
     start, metadata = info.start or Run(), info.metadata
     yield "file", f"{log.path} ({f'{info.size / 1e6:.1f} MB' if info.size >= 1e5 else f'{info.size} bytes'})"
-    # older recordings have one text for all arguments
+    # recordings of older releases have a text of all arguments
     given = shlex.join(start.arguments) or metadata.get("plan_arguments", "")
     yield "plan", f"{info.plan} {given}".strip()
     yield "parameters", ", ".join(f"{each.name}={each.value_json}" for each in start.parameters)

@@ -1,4 +1,4 @@
-"""``log``, ``show`` and ``tree``: print records as lines, a whole record, or the task tree."""
+"""``log`` prints records as lines, ``show`` a whole record, ``tree`` the task tree."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
 
 
 _POLL_PERIOD: Final = 0.2  # seconds between reads of a growing recording
-_FIELD_WIDTH: Final = 100  # largest number of characters in a line; longer values take several lines
-_MAX_IN_LINE: Final = 12  # largest count of numbers in a line; more numbers are printed in rows
-_MANY: Final = 100  # largest count of numbers that are all printed
-_ENDS: Final = 18  # count of numbers that are printed from each end of a longer list
+_FIELD_WIDTH: Final = 100  # longer values take several lines
+_MAX_IN_LINE: Final = 12  # longer lists of numbers are printed in rows
+_MANY: Final = 100  # longer lists of numbers are shortened
+_ENDS: Final = 18  # a shortened list has this many numbers from both ends
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -43,13 +43,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="only records about this world")
     parser.add_argument("--where", metavar="FILE[:LINE]", help="only records with this line in their call stack")
     parser.add_argument("--text", metavar="TEXT", help="only records whose line contains this text")
-    parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"begin at this step: {HINT}")
-    parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="end at this step")
+    parser.add_argument("--from", dest="start", default="0", metavar="STEP", help=f"first step: {HINT}")
+    parser.add_argument("--to", dest="end", default="last", metavar="STEP", help="last step")
     parser.add_argument("--follow", action="store_true", help="continue while the recording is being written")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the lines; with ``--json``, a JSON object on each line."""
+    """Print the lines. With ``--json``, each line is a JSON object."""
     where = None if options.where is None else line_of(options.where)
     wanted = RecordFilter(options.kind or (), options.task, options.object, options.world, options.text, where)
     start, stop = log.step(options.start), log.step(options.end) + 1
@@ -71,7 +71,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def line_of(text: str) -> tuple[str, int | None]:
-    """Return file and line of ``FILE:LINE`` or ``FILE``."""
+    """Return the file and line of ``FILE:LINE`` or ``FILE``."""
     file, colon, number = text.rpartition(":")
     return (file, int(number)) if colon and number.isdecimal() else (text, None)
 
@@ -95,18 +95,18 @@ def follow(
 
 @dataclass(slots=True)
 class RecordFilter:
-    """Selects records of a recording that may be growing."""
+    """A selection of records in a recording that may grow."""
 
-    kinds: Collection[str]  # kinds of records ("task", "mutation", ...); empty for all kinds
-    task: str | None  # id of a task, or part of its name; subtasks match, too
+    kinds: Collection[str]  # such as "task" and "mutation"; empty for all kinds
+    task: str | None  # id of a task, or part of the name; subtasks match, too
     body: str | None  # name of a body that the record mentions
     world: str | None  # name of the record's world
-    text: str | None  # part of the record's line, in any case
-    #: A file of the plan, and a line number or None, in the record's call stack.
+    text: str | None  # part of the record's line; upper case doesn't matter
+    #: A file of the plan in the record's call stack, and a line number or None.
     where: tuple[str, int | None] | None = None
     _tasks: set[int] = field(default_factory=set)  # ids of the matching tasks
     _led_to: set[int] = field(default_factory=set)  # ids of the tasks whose call stack contains the line
-    _known: int = 0  # the first step that has not been searched for tasks
+    _known: int = 0  # first step that has not been searched for tasks
 
     def matches(self, log: Recording, start: int, stop: int) -> Iterator[tuple[Record, str]]:
         """Yield the matching records with their lines."""
@@ -136,10 +136,10 @@ class RecordFilter:
         return any(is_file(path, file) and number in (None, line) for path, line in stack)
 
     def check(self, log: Recording) -> None:
-        """Check the names of the filter.
+        """Check that the names of the filter exist.
 
         Raises:
-            NoSuchName: the recording has no such object, task, world or line.
+            NoSuchName: The recording has no such object, task, world or line.
         """
         if self.world is not None and all(lifetime.world != self.world for lifetime in log.lifetimes):
             raise NoSuchName("world", self.world, (lifetime.world for lifetime in log.lifetimes))
@@ -222,7 +222,7 @@ def _items(values: list[Plain], indent: str) -> Iterator[str]:
 
 
 def _numbers(texts: list[str]) -> Iterator[str]:
-    """Yield rows of numbers; a long list, such as a trajectory, is reduced to its first and last numbers."""
+    """Yield rows of numbers. A long list, such as a trajectory, is shortened to its ends."""
     if len(texts) <= _MANY:
         yield from textwrap.wrap(", ".join(texts), _FIELD_WIDTH)
         return
@@ -233,7 +233,7 @@ def _numbers(texts: list[str]) -> Iterator[str]:
 
 def add_tree(parser: argparse.ArgumentParser) -> None:
     """Add the part of the tree, and the format."""
-    parser.add_argument("--at", metavar="STEP", help=f"print the tree after this step: {HINT}")
+    parser.add_argument("--at", metavar="STEP", help=f"step of the tree: {HINT}")
     parser.add_argument("--depth", type=int, metavar="N", help="number of levels")
     parser.add_argument("--all", action="store_true", help="also print repeated tasks")
     form = parser.add_mutually_exclusive_group()
@@ -249,7 +249,7 @@ def run_tree(log: Recording, options: argparse.Namespace) -> int:
     elif options.dot:
         print_text(tree.to_dot(), end="")
     elif options.svg:
-        encoding = sys.stdout.encoding or "ascii"  # characters that the encoding lacks are written as XML references
+        encoding = sys.stdout.encoding or "ascii"  # other characters are written as XML references
         picture = tree.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
         print_text(picture.decode(encoding), end="")
     elif not (tree.roots or tree.output):

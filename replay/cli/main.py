@@ -1,8 +1,5 @@
 # PYTHON_ARGCOMPLETE_OK
-"""``pycram-replay VERB LOG ...``: results on stdout, messages on stderr.
-
-Exit codes: 0 success, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, 4 an internal error.
-"""
+"""``pycram-replay VERB LOG ...``: results on stdout, messages on stderr."""
 
 from __future__ import annotations
 
@@ -31,7 +28,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.runs.folder import Runs
 
-#: A verb's file is imported when the verb is called, because some verbs need libraries that others don't.
+#: The file of a verb is imported when the verb is called, because some verbs need further libraries.
 VERBS: Final = {
     "info": "summarise a run: plan, time, outcome, worlds, versions",
     "log": "print records as lines",
@@ -60,59 +57,44 @@ VERBS: Final = {
     "stats": "report success rates, causes of failures and slow parts of a folder of recordings",
     "separate": "find facts that separate failed from successful runs in a folder of recordings",
 }
-#: Verbs that share another verb's file, in which they have functions such as ``add_fork`` and ``run_fork``.
+#: Verbs in the file of another verb. Their functions have names such as ``add_fork`` and ``run_fork``.
 _FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
-_CHEAT: Final = "cheat"  # the only verb that takes no recording
+_CHEAT: Final = "cheat"  # the only verb without a recording
 _DEBUG: Final = "debug"
-_READ: Final = (
-    "info",
-    "log",
-    "source",
-    "show",
-    "tree",
-    "state",
-    "diff",
-    "blame",
-    "why",
-    "check",
-    "sql",
-    "stats",
-    "separate",
-)
-"""Verbs whose output is paged."""
-_TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs that are meant for incomplete recordings
+_READ: Final = tuple("info log source show tree state diff blame why check sql stats separate".split())  # noqa: SIM905
+"""Verbs with a pager for their output."""
+_TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs for incomplete recordings
 _FOLDER: Final = "the folder of recordings"
 _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
     ("info", "diff", "why", "check", "view", "export"), "the recording, or a folder of recordings"
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
-_PROGRESS_PERIOD: Final = 1.0  # seconds before the first line of progress
-_MAX_SKIPPED: Final = 8  # largest number of skipped files that are listed by name
+_PROGRESS_PERIOD: Final = 1.0  # s; the first line of progress comes after this time
+_MAX_SKIPPED: Final = 8  # at most this many skipped files are named
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")
-_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a negative time; its error message explains the range
+_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a negative time; the error message explains the range
 
 
 class Verb(NamedTuple):
-    """The functions that implement a verb."""
+    """The functions of a verb."""
 
-    add: Callable[[argparse.ArgumentParser], None]  # function that adds the verb's arguments
-    #: Function that runs the verb on a recording; None if the verb takes only folders.
+    add: Callable[[argparse.ArgumentParser], None]  # a function that adds the arguments of the verb
+    #: A function that runs the verb on a recording; None if the verb only takes folders.
     run: Callable[[Recording, argparse.Namespace], int] | None
-    run_folder: (
-        Callable[[Runs, argparse.Namespace], int] | None
-    )  # function that runs the verb on a folder of recordings; None if the verb takes no folders
+    #: A function that runs the verb on a folder of recordings; None if the verb takes no folders.
+    run_folder: Callable[[Runs, argparse.Namespace], int] | None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb, by default with the arguments of the process, and return the exit code."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:  # the shell closed the stream: the next opened file would get its descriptor
-            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  until the process ends
+        if getattr(sys, name) is None:  # the shell closed the stream, whose descriptor the next opened file would get
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  open until the end
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # names may contain characters that a terminal lacks
+            stream.reconfigure(errors="backslashreplace")  # terminals may lack characters of names
     arguments = _joined(sys.argv[1:] if argv is None else argv)
     code = FINE
     try:
@@ -120,7 +102,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _command(arguments)
     except OSError as error:
         discard(sys.stdout)
-        return _report(str(error), USAGE)  # for example a full disk
+        return _report(str(error), USAGE)  # such as a full disk
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
@@ -145,7 +127,7 @@ def _command(arguments: list[str]) -> int:
         return _report(f"there is no verb {first!r}; {suggestion(first, (*VERBS, _CHEAT))}", USAGE)
     try:
         options = _parser([first]).parse_args([first, *rest])
-    except SystemExit as end:  # after printing help, or an error
+    except SystemExit as end:  # help or an error was printed
         return FINE if not end.code else USAGE
     if options.verb == _CHEAT:
         from replay.cli.cheat import print_sheet  # noqa: PLC0415  as verbs
@@ -175,7 +157,7 @@ def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
     """Run a verb on an open recording.
 
     Raises:
-        SystemExit: The arguments were wrong; a message was printed.
+        SystemExit: The arguments were wrong, and a message was printed.
         ReplayError: The verb failed.
     """
     run = _verb(verb).run
@@ -184,7 +166,7 @@ def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
 
 
 def _own_error(error: Exception) -> str:
-    """Write the traceback of an unexpected error to a file, and return a message that names the file."""
+    """Write the traceback of an unexpected error to a file, and return a message with the name of the file."""
     import tempfile  # noqa: PLC0415  slow to import
     import traceback  # noqa: PLC0415
 
@@ -201,9 +183,9 @@ def _own_error(error: Exception) -> str:
 
 
 def _joined(arguments: Sequence[str]) -> list[str]:
-    """Change negative points and times in the arguments so that argparse doesn't take them for options.
+    """Change negative points and times in the arguments, because argparse would take them for options.
 
-    A point is joined to its option with "=". A time gets a space before it, because no option begins with a space.
+    Points are joined to their option with "=". Times get a space at the beginning.
     """
     joined: list[str] = []
     for text in arguments:
@@ -248,14 +230,14 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         description = f"{text[0].upper()}{text[1:]}."
         examples = functools.partial(_examples, name)
         verb = verbs.add_parser(name, help=text, description=description, examples=examples, completers=completers)
-        count = "?" if name == _DEBUG else None  # the recording is optional, because an editor may name it later
+        count = "?" if name == _DEBUG else None  # an editor may name the recording later
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
             add_cached(name, _FILES.get(name, name), verb, lambda parser: _verb(parser.prog.split()[-1]).add(parser))
         elif name in arguments:
             _verb(name).add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")
-    verbs.add_parser(_CHEAT, help="print a cheat sheet: what to type for which question")
+    verbs.add_parser(_CHEAT, help="print a cheat sheet with examples of all verbs")
     return parser
 
 
@@ -274,7 +256,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
                 code = _report(str(error), INCOMPLETE if lost else USAGE)
-            except NotInstalled as error:  # restoring needs the executor, and rendering needs meshes
+            except NotInstalled as error:  # some verbs need more extras
                 code = _report(f"{options.verb}: {error}", USAGE)
             problems = log.problems
     except Unreadable as error:
@@ -283,7 +265,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
         return _report(str(error), USAGE)
     except OSError:
         raise
-    except Exception as error:  # noqa: BLE001  an unexpected exception is a defect, whatever the recording contains
+    except Exception as error:  # noqa: BLE001  an unexpected exception is a defect of PyCRAM
         return _report(_own_error(error), INTERNAL)
     if problems and options.verb not in _TAKE_INCOMPLETE:
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
@@ -314,7 +296,7 @@ def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
 
 @contextmanager
 def opened(path: str) -> Iterator[Runs]:
-    """Open a folder of recordings; print progress on a terminal."""
+    """Open a folder of recordings, and print progress on a terminal."""
     with needed("runs"):
         from replay.runs.folder import Runs  # noqa: PLC0415  an extra
     began, shown = time.monotonic(), False
@@ -326,7 +308,7 @@ def opened(path: str) -> Iterator[Runs]:
             print(f"\rpycram-replay: reading recordings: {done} of {of}", end="", file=sys.stderr, flush=True)
 
     with ExitStack() as opening:
-        if Path(path).is_file():  # a single recording is treated as a folder
+        if Path(path).is_file():  # a recording becomes a folder
             path = opening.enter_context(_folder_of(Path(path).absolute()))
         runs = opening.enter_context(Runs(path, progress))
         if shown:
@@ -336,7 +318,7 @@ def opened(path: str) -> Iterator[Runs]:
 
 @contextmanager
 def _folder_of(file: Path) -> Iterator[str]:
-    """Make a folder that has only this recording, and the models that it may share."""
+    """Make a folder with this recording and the shared models of its folder."""
     import tempfile  # noqa: PLC0415  slow to import
 
     with tempfile.TemporaryDirectory() as folder:

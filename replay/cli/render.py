@@ -29,7 +29,9 @@ def add(parser: argparse.ArgumentParser) -> None:
         "-o", dest="file", metavar="FILE", help="file of the picture, or folder of several (default: LOG_STEP.png)"
     )
     parser.add_argument(
-        "--camera", metavar="FRAME", help="draw the view from a frame of the robot, such as wide_stereo_optical_frame"
+        "--camera",
+        metavar="FRAME",
+        help="draw the view from this frame of the robot, such as wide_stereo_optical_frame",
     )
     parser.add_argument(
         "--from",
@@ -44,7 +46,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="centre of the picture: an object, a link or a point in m (default: the robot and all movable objects)",
     )
     parser.add_argument("--size", metavar="WxH", default="640x480", help="size in pixels (default: 640x480)")
-    parser.add_argument("--world", metavar="NAME", help="draw this world (default: the last opened world)")
+    parser.add_argument("--world", metavar="NAME", help="world of the picture (default: the last opened world)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -92,7 +94,7 @@ def _saved(picture: Image.Image, given: str | None, name: str, *, several: bool)
 
 
 def _point(text: str | None) -> list[float] | str | None:
-    """Return a point, or the name of an object or a side."""
+    """Return a point, or else the text: the name of an object or a side."""
     if text is None or not _NUMBERS.fullmatch(text):
         return text
     return numbers(text, "a point X,Y,Z in m, or the name of an object", 3)

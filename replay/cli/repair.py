@@ -1,7 +1,4 @@
-"""Verbs that copy a recording: ``repair`` copies the readable parts, ``pack`` the recording and its models.
-
-A copy is written atomically, and can replace only recordings.
-"""
+"""Verbs that copy a recording: ``repair`` copies the readable parts, ``pack`` the recording and its models."""
 
 from __future__ import annotations
 
@@ -68,13 +65,13 @@ def add_output(parser: argparse.ArgumentParser, kind: str) -> None:
 
 
 def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, overwrite: bool) -> R:
-    """Write a copy of a recording with a function, and return its result.
+    """Write a copy of a recording with the function ``write``, and return the result of ``write``.
 
     Raises:
-        ReplayError: the copy can't be written there.
+        ReplayError: The copy can't be written.
     """
     _check(log, target, overwrite=overwrite)
-    part = target.with_name(f"{target.name}.part")  # the copy appears either complete or not at all
+    part = target.with_name(f"{target.name}.part")  # readers never see an incomplete copy
     try:
         with open_output(part) as file:
             result = write(file)

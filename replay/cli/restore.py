@@ -47,12 +47,12 @@ def add(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="repeat every change exactly, so that later changes have the same effects as in the original",
     )
-    parser.add_argument("--world", metavar="NAME", help="restore this world (default: the last opened world)")
+    parser.add_argument("--world", metavar="NAME", help="world to restore (default: the last opened world)")
     parser.add_argument("--log", dest="target", metavar="FILE", help="record the session into this file")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Restore the world, then run the script, the shell or the window."""
+    """Restore the world, and run the script, the shell or the window."""
     from pycram.foundation.failures import DisplayError  # noqa: PLC0415  imports the engine
     from recorder import RecordingError, record  # noqa: PLC0415
 
@@ -114,7 +114,7 @@ def _plain(step: int, world: BulletWorld, *, exact: bool) -> Plain:
 def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, object]:
     """Return the variables of a session: ``world``, ``robot``, ``objects``, ``log``, ``step``, ``btr`` (queries).
 
-    Each object is a variable, too; underscores replace characters that identifiers can't contain.
+    Each object is also a variable. In its name, underscores replace characters that identifiers can't contain.
     """
     from pycram import bullet_world_reasoning as btr  # noqa: PLC0415  imports the engine
 
@@ -128,7 +128,7 @@ def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, 
 
 
 def run_script(script: Path, variables: Mapping[str, object]) -> int:
-    """Run a Python file as a program with some variables; return its exit code, or 1 if it raised an exception."""
+    """Run a Python file as a program with variables. Return its exit code, or 1 after an exception."""
     before = sys.argv, list(sys.path)
     sys.argv = [str(script)]
     sys.path.insert(0, str(script.parent.resolve()))
@@ -138,7 +138,7 @@ def run_script(script: Path, variables: Mapping[str, object]) -> int:
         if isinstance(end.code, str):
             print(end.code, file=sys.stderr)
         return end.code if isinstance(end.code, int) else FAILED if end.code else FINE
-    except Exception:  # noqa: BLE001  the script may raise any exception, which the user sees
+    except Exception:  # noqa: BLE001  the script may raise any exception
         traceback.print_exc()
         return FAILED
     finally:
@@ -147,10 +147,10 @@ def run_script(script: Path, variables: Mapping[str, object]) -> int:
 
 
 def shell(variables: Mapping[str, object], banner: str) -> None:
-    """Run an interactive Python shell until the end of the input; the banner is printed on stderr."""
+    """Run an interactive Python shell until the end of the input, and print the banner on stderr."""
     local = dict(variables)
     if sys.stdin.isatty():
-        with contextlib.suppress(ImportError):  # without it, lines can't be edited
+        with contextlib.suppress(ImportError):  # without readline, lines can't be edited
             import readline  # noqa: PLC0415
             import rlcompleter  # noqa: PLC0415
 
@@ -159,7 +159,7 @@ def shell(variables: Mapping[str, object], banner: str) -> None:
         code.interact(banner, local=local, exitmsg="")
         return
     prompts = getattr(sys, "ps1", None), getattr(sys, "ps2", None)
-    sys.ps1 = sys.ps2 = ""  # prompts would be mixed into the results
+    sys.ps1 = sys.ps2 = ""  # prompts would mix with the results
     try:
         code.interact(banner, local=local, exitmsg="")
     finally:

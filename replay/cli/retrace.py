@@ -1,4 +1,4 @@
-"""Verbs that run a plan again: ``retrace`` compares, ``fork`` and ``resume`` write a new recording."""
+"""Verbs that run a plan again: ``retrace`` compares the records, ``fork`` and ``resume`` write a new recording."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from replay.retrace.retrace import Retracing
 
 
-AGAIN: Final = "effects outside of its worlds (files, network) happen again"
-_MAX_FIELDS: Final = 4  # largest number of listed fields
+AGAIN: Final = "effects outside of the plan's worlds (files, network) happen again"
+_MAX_FIELDS: Final = 4  # at most this many fields are listed
 _MAX_CALLERS: Final = 4
 
 
@@ -51,13 +51,13 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--answers",
         choices=("asked", "recorded"),
         default="asked",
-        help="asked (default): repeat each query and compare the answers; recorded: use the recorded answers (faster)",
+        help="'asked' (default) repeats each query and compares the answers; 'recorded' (faster) uses the recorded answers",
     )
     add_source_and_arguments(parser)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Retrace the recordings one after another; return the highest exit code."""
+    """Retrace the recordings one after another, and return the highest exit code."""
     results: list[dict[str, object]] = []
     code = _retrace(log, options, results)
     for name in options.more:
@@ -86,7 +86,7 @@ def _retrace(log: Recording, options: argparse.Namespace, results: list[dict[str
             answers=options.answers,
             recorded_source=options.recorded_source,
         )
-    except CantRetrace as error:  # the remaining plans still run
+    except CantRetrace as error:
         return _report_not_run(str(log.path), error, results)
     results.append({"file": str(log.path), **_facts(result)})
     if not options.json:
@@ -105,7 +105,7 @@ def _facts(result: Retracing) -> dict[str, object]:
 
 
 def _lines(result: Retracing, of: str) -> Iterator[str]:
-    """Yield the result as text; ``of`` is printed before the plan's name."""
+    """Yield the result as text. The plan's name follows ``of``."""
     difference = result.difference
     of += phrases.path(str(result.plan))
     if difference is None:
@@ -136,22 +136,20 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         "or a decision of --answer didn't come. "
         "With --control, the exit code is 0 if the control run matches the recording, and 1 if it differs."
     )
+    parser.add_argument("--at", metavar="STEP", required=True, help=f"the last unchanged step: {HINT}")
     parser.add_argument(
-        "--at", metavar="STEP", required=True, help=f"fork after this step, the last unchanged step: {HINT}"
-    )
-    parser.add_argument(
-        "--plan", metavar="FILE", help="continue with this edited plan, which must do the same up to that step"
+        "--plan", metavar="FILE", help="continue with this edited plan, which must act as recorded up to the step"
     )
     parser.add_argument(
         "--set",
         metavar="WHAT=VALUE",
         action="append",
         default=[],
-        help="set a value after that step: milk.position=1,2,0.9 (also orientation, color), pr2.torso_lift_joint=0.2, "
+        help="set a value after the step: milk.position=1,2,0.9 (also orientation, color), pr2.torso_lift_joint=0.2, "
         "milk.hand=left (or none), gravity=0,0,-9.8, or a fluent, battery=20 (fluent:left.battery=20 if its name has a "
         "dot); repeatable",
     )
-    parser.add_argument("--world", metavar="NAME", help="set values in this world (default: the last opened world)")
+    parser.add_argument("--world", metavar="NAME", help="world of the values (default: the last opened world)")
     parser.add_argument(
         "--answer",
         metavar="DECISION=VALUE",
@@ -163,10 +161,10 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         "limit, 'timeout(...)=30'; a call that isn't made, 'remove(milk)=skip'; repeatable",
     )
     parser.add_argument(
-        "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after that step"
+        "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after the step"
     )
     parser.add_argument(
-        "--control", action="store_true", help="also run without the changes, and compare that run with the recording"
+        "--control", action="store_true", help="also run without the changes, and compare this run with the recording"
     )
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
     add_source_and_arguments(parser)

@@ -29,9 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the cause, and the number of claims."""
     parser.epilog = "With random data, fewer than 1 of 100 folders would yield a claim (Westfall, Young)."
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
-    parser.add_argument(
-        "--cause", metavar="N", type=int, help="only failures with cause number N of the output of stats"
-    )
+    parser.add_argument("--cause", metavar="N", type=int, help="only failures with cause N in the output of stats")
     parser.add_argument("--all", action="store_true", help=f"print all claims (default: {_MAX_CLAIMS})")
 
 
@@ -62,9 +60,9 @@ def _cause(runs: Runs, plan: str, number: int | None) -> str | None:
 def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[str]:
     yield f"{found.failures} failures and {found.successes} successes; {plural(found.compared, 'fact')} compared"
     if not found.failures or not found.successes:
-        yield "no comparison is possible: it needs failures and successes"
+        yield "a comparison needs failures and successes"
     elif not found.claims:
-        yield "no recorded fact separates them"
+        yield "no recorded fact separates failures from successes"
     for number, claim in enumerate(shown, 1):
         yield from ("", f"{number}. {sentence(claim, found)}")
         low, high = claim.fact.interval

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from replay.recording import Recording
 
-_SHORT = 8  # number of shown digits of a hash
+_SHORT = 8  # number of printed digits of a hash
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         nargs="?",
-        help="print this file, or HASH/FILE if several files have the name (default: list all files)",
+        help="print this file; if several files have this name, HASH/FILE (default: list all files)",
     )
     parser.add_argument("-o", dest="target", metavar="PATH", help="write the file to PATH, or all files to a folder")
 
@@ -51,9 +51,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _find(keys: list[str], name: str) -> str:
-    """Return the key of an attached file by its name; ``HASH/FILE`` distinguishes files with the same name."""
+    """Return the key of an attached file by name. ``HASH/FILE`` distinguishes files with the same name."""
     digits, _, file = name.rpartition("/")
-    if digits.strip("0123456789abcdef"):  # this isn't a hash, but a folder of a path as in a call stack
+    if digits.strip("0123456789abcdef"):  # the text is a folder instead of a hash
         digits = ""
     fitting = [key for key in keys if name_of(key) == file and key.startswith(digits)]
     if not fitting:
@@ -65,7 +65,7 @@ def _find(keys: list[str], name: str) -> str:
 
 
 def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
-    """Write attached files, and return their paths. If files have the same name, their hashes are added."""
+    """Write attached files, and return their paths. Files with the same name get their hash as a prefix."""
     # names from an untrusted recording could control the terminal that lists the folder
     names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
     written = []
@@ -74,7 +74,7 @@ def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> lis
         file = target / (f"{key[:_SHORT]}_{name}" if shared else name) if whole or target.is_dir() else target
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("xb") as output:  # an existing file may be the plan that the user edits
+            with file.open("xb") as output:  # never replace a file of the user
                 output.write(log.assets[key])
         except OSError as error:
             raise ReplayError(f"{file}: {error.strerror or error}") from error

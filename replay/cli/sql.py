@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from replay.runs.folder import Answer, Runs
 
-_WIDEST: Final = 60  # largest number of characters of a cell in a terminal
+_WIDEST: Final = 60  # cells with more characters are shortened
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -91,7 +91,7 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON data; maps become objects."""
+    """Return a value as JSON data. Maps become objects."""
     if isinstance(value, list):
         pairs = value and all(isinstance(each, tuple) for each in value)
         return dict(value) if pairs else [_plain(each) for each in value]

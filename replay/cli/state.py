@@ -1,4 +1,4 @@
-"""``state``: poses, joints, attachments and the robots' beliefs after a step."""
+"""``state``: poses, joints, attachments and beliefs of robots after a step."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("step", metavar="STEP", help=HINT)
     parser.add_argument("object", metavar="OBJECT", nargs="?", help="print only this object, with its joints")
     parser.add_argument("--world", metavar="NAME", help="print only this world")
-    parser.add_argument("--links", action="store_true", help="also print the pose of each link in the world frame")
+    parser.add_argument("--links", action="store_true", help="also print the pose of each link in the world")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
@@ -101,7 +101,7 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
 
 
 def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
-    """Yield the robots' beliefs about some objects, and the distance of each belief to the true position."""
+    """Yield the beliefs of robots about objects, and the distance of each belief from the true position."""
     for belief in reversed(world.believed()):
         if {belief.robot, belief.object}.isdisjoint(shown):
             continue

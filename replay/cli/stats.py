@@ -37,16 +37,16 @@ _MAX_SLOW: Final = 5
 _SIZE: Final = (320, 240)
 _COLUMNS: Final = 4
 _MAX_PICTURES: Final = 12
-_CAPTION: Final = 34  # height in pixels below a picture
-_LETTERS: Final = 52  # largest number of letters in a line of a caption
-_PICTURES: Final = 8  # largest number of causes with a picture
+_CAPTION: Final = 34  # height of a caption in pixels
+_LETTERS: Final = 52  # a line of a caption has at most this many letters
+_PICTURES: Final = 8  # at most this many causes have a picture
 _CLAIMS: Final = 10
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the plan, the report and the picture."""
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
-    parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures, as a single file")
+    parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures into a single file")
     parser.add_argument("--picture", metavar="FILE", help="write a picture for each cause of failures into a PNG file")
 
 
@@ -134,7 +134,7 @@ def _slow(title: str, slow: Sequence[Slow]) -> Iterator[str]:
 
 
 def html_report(folder: Path, stats: Statistics, found: Separation, file: Path) -> str:
-    """Return the page; its links are relative to ``file``, where the page will be written."""
+    """Return the page of the report. Links are relative to ``file``, the path of the report."""
     links = quote(os.path.relpath(folder.resolve(), file.resolve().parent))
     success, left_out = stats.success, [f"{count} of plan {plan}" for plan, count in stats.others]
     left_out += [f"{each.name} ({each.reason})" for each in stats.skipped]
@@ -233,16 +233,16 @@ def _command(verb: str, *files: Path) -> str:
 
 
 def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
-    """Return a picture of a run at a step, by default at the run's end; None if it can't be drawn."""
+    """Return a picture of a run at a step, by default at the end. Return None if no picture can be drawn."""
     with Recording(folder / run) as log:
         try:
             return log.render(log.final_step() if step is None else step, size=_SIZE)
-        except ReplayError:  # no world was open, or a model is lost: the other pictures matter more
+        except ReplayError:  # no world was open, or a model is missing
             return None
 
 
 def contact_sheet(folder: Path, stats: Statistics) -> bytes:
-    """Return a sheet (PNG) with pictures of the first failures of each cause."""
+    """Return a PNG sheet with pictures of the first failures of each cause."""
     from PIL import Image, ImageDraw  # noqa: PLC0415  an extra
 
     chosen = list(_pictured(stats.causes))
