@@ -51,7 +51,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--answers",
         choices=("asked", "recorded"),
         default="asked",
-        help="'asked' (default) repeats each query and compares the answers; 'recorded' (faster) uses the recorded answers",
+        help="'asked' (default) repeats each query and compares the answers; 'recorded' (faster) uses recorded answers",
     )
     add_source_and_arguments(parser)
 
