@@ -48,6 +48,7 @@ VERBS: Final = {
     "retrace": "run the plan again, and report the first difference from the recording",
     "fork": "run the plan again up to a step, then continue with another plan, world, answer or seed",
     "debug": "open a prompt at a step, in the plan's frame, and step forwards and back",
+    "minimise": "find a smaller plan and scene with the same failure",
     "resume": "continue a plan whose process was killed",
     "export": "write planned and driven positions as a table (CSV, Parquet), or runs as a data set (LeRobot)",
     "repair": "copy the readable parts of a damaged recording, and list the lost parts",

@@ -123,25 +123,30 @@ class GuidedRun:
                 sys.argv = [began.called_as or plan, *arguments]
                 sys.path.insert(0, str(Path(plan).parent.resolve()))
                 with contextlib.suppress(BaseException):  # the recording contains any exception that this raises
-                    _run_program(plan)
+                    run_program(plan)
             else:
-                seed = int(began.seed) if began.seed.isdecimal() else None
-                given = {each.name: json.loads(each.value_json) for each in began.parameters}
-                watched = [each for each in self.recorded.records(Check) if each.by_run and each.phase == Check.WATCHED]
-                spec = running.RunSpec(
-                    Path(plan),
-                    tuple(arguments),
-                    seed,
-                    began.order,
-                    began.environment,
-                    given,
-                    tuple(each.property for each in watched),
-                    any(each.only_record for each in watched),
-                )
-                running.run(spec, file)
+                running.run(spec_of(self.recorded, plan, arguments), file)
 
 
-def _run_program(plan: str) -> None:
+def spec_of(recorded: RecordReader, plan: str | Path, arguments: Sequence[str]) -> running.RunSpec:
+    """Return the settings of a recorded run, for this plan and these arguments."""
+    began = recorded[0]
+    if not isinstance(began, Run):
+        raise TypeError("the recording doesn't begin with a run")  # the caller has checked this
+    watched = [each for each in recorded.records(Check) if each.by_run and each.phase == Check.WATCHED]
+    return running.RunSpec(
+        Path(plan),
+        tuple(arguments),
+        int(began.seed) if began.seed.isdecimal() else None,
+        began.order,
+        began.environment,
+        {each.name: json.loads(each.value_json) for each in began.parameters},
+        tuple(each.property for each in watched),
+        any(each.only_record for each in watched),
+    )
+
+
+def run_program(plan: str) -> None:
     """Run a file as Python does. runpy isn't used, because it would name the module by its path."""
     module = ModuleType("__main__")
     module.__file__ = plan

@@ -371,7 +371,7 @@ class _RecordedSource:
         """Write the source, with links to the other files next to it, into a folder; return the plan's file in it."""
         name = self.program.parent.name
         target = folder / (name if name not in ("", "..") else "plan")  # the plan may have been run as ../plan.py
-        _lay(self.files, self.program.parent, target)
+        lay(self.files, self.program.parent, target)
         return target / self.program.name
 
     def __str__(self) -> str:
@@ -380,7 +380,7 @@ class _RecordedSource:
         return f"run from the recorded source: {names}; run from the disk: {others}all other files"
 
 
-def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
+def lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
     """Write files below a folder, and links to all other files that the original folder has."""
     target.mkdir(parents=True)
     within: dict[str, dict[Path, bytes]] = {}
@@ -390,7 +390,7 @@ def _lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
         else:
             within.setdefault(place.parts[0], {})[Path(*place.parts[1:])] = text
     for name, parts in within.items():
-        _lay(parts, original / name, target / name)
+        lay(parts, original / name, target / name)
     for other in original.iterdir() if original.is_dir() else ():
         if other.name != _CACHE and not (target / other.name).exists():
             (target / other.name).symlink_to(other)

@@ -1,0 +1,54 @@
+"""``minimise``: a smaller plan that fails like the recorded one."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Final
+
+from replay.cli.console import print_message, print_result
+from replay.cli.main import FINE
+from replay.cli.retrace import AGAIN
+from replay.report.page import write
+
+if TYPE_CHECKING:
+    import argparse
+
+    from replay.recording import Recording
+
+_BUDGET: Final = 200
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the file, and the limits of the search."""
+    parser.add_argument("-o", dest="file", metavar="FILE", help="file of the smaller plan (default: PLAN_small.py)")
+    add_trials(parser, _BUDGET)
+
+
+def add_trials(parser: argparse.ArgumentParser, budget: int) -> None:
+    """Add the options of verbs that try edited plans."""
+    parser.add_argument(
+        "--budget", metavar="RUNS", type=int, default=budget, help=f"largest number of whole runs (default: {budget})"
+    )
+    parser.add_argument(
+        "--allow-effects",
+        action="store_true",
+        help="also try a plan that writes files outside of its folder, starts processes or opens sockets",
+    )
+
+
+def run(log: Recording, options: argparse.Namespace) -> int:
+    """Write the smaller plan."""
+    from replay.fix.minimise import minimise  # noqa: PLC0415  needs the executor
+    from replay.fix.trials import Trials  # noqa: PLC0415  as above
+
+    with Trials(log, allow_effects=options.allow_effects) as trials:
+        print_message(f"{trials.program.name} runs again, up to {options.budget} times; {AGAIN}")
+        found = minimise(trials, options.budget)
+    file = options.file or f"{trials.program.stem}_small.py"
+    write(file, found.text.encode())
+    left = f"{found.lines[1]} of {found.lines[0]} lines, {found.objects[1]} of {found.objects[0]} objects"
+    lines = [f"{file}: {left}, after {found.runs} runs", f"  it fails in the same way: {found.failure}"]
+    if found.exhausted:
+        lines.append("  the search ended at --budget; it may become smaller")
+    print_result(lambda: asdict(found) | {"file": file}, lines, as_json=options.json)
+    return FINE

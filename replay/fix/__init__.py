@@ -1,0 +1,1 @@
+"""Edited plans that are tried as whole runs: smaller plans with the same failure, and repairs."""

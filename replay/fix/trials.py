@@ -1,0 +1,213 @@
+"""Trials: whole runs of edited plans, each in a process and a folder of its own, under the recorded conditions."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+import tempfile
+from collections import deque
+from contextlib import ExitStack, closing, suppress
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self
+
+from pycram import running
+from pycram.exploration import Ending, EndingSink
+from pycram.projection.child import GRACE, ChildPool, run_from_start, usable_cores
+from recorder.mcap_sink import McapSink
+from recorder.provenance import metadata
+from recorder.recording import redirected
+from recorder.records import Run
+from recorder.tracing.journal import NullSink
+from recorder.user_folders import cache_folder
+from replay.errors import ReplayError
+from replay.history.source import PlanSource
+from replay.retrace.guided_run import run_program, spec_of
+from replay.retrace.plan_process import CantRetrace, PlanProcess, lay
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from recorder.tracing.journal import Sink
+    from replay.file.record_reader import RecordReader
+
+LIMIT: Final = 10.0  # a trial may take this many times as long as the recorded run,
+LEAST: Final = 20.0  # but at least this many seconds of wall-clock time
+_NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
+#: Audit events of Python that reach other processes and machines.
+_REACHING: Final = frozenset(
+    {"subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind"}
+)
+#: Audit events that change files, with the number of the argument that is the path.
+_CHANGING: Final = {"os.remove": 0, "os.rename": 1, "os.rmdir": 0, "os.mkdir": 0, "shutil.rmtree": 0}
+_WRITES: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
+
+
+class OutsideEffect(BaseException):
+    """A trial reaches outside of its folder; not an ``Exception``, so that plans don't catch it."""
+
+
+class PlanHasEffects(ReplayError):
+    """A plan can't be tried, because it would change files outside of its folder, or reach other processes."""
+
+    def __init__(self, what: str) -> None:
+        super().__init__(
+            f"the plan reaches outside of its folder: {what}; each trial would do so: allow it with --allow-effects"
+        )
+        self.what = what
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A run of an edited plan."""
+
+    ending: Ending
+    seconds: float  # wall-clock time
+    recording: Path | None = None  # its recording, if requested
+
+
+class Trials:
+    """Runs edited versions of a recorded plan, several in parallel.
+
+    Raises:
+        CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated.
+    """
+
+    def __init__(self, log: RecordReader, *, allow_effects: bool = False) -> None:
+        process, began = PlanProcess(log, recorded_source=True), log[0]
+        if not isinstance(began, Run):
+            raise CantRetrace(f"{log.path}: its start is lost")
+        self.log = log
+        self.program = process.program  # the plan's main file
+        self.text = PlanSource(log).text(str(process.program))  # its recorded source
+        self.runs = 0  # number of runs until now
+        self.reference = Ending("")  # the ending of the unchanged plan
+        self._began = began
+        self._allow_effects = allow_effects
+        self._limit = max(LEAST, LIMIT * (log[-1].monotonic_ns - began.monotonic_ns) / 1e9)
+        self._undoing = ExitStack()
+        self._folder = Path(self._undoing.enter_context(tempfile.TemporaryDirectory(prefix="pycram-trials-")))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._undoing.close()
+
+    def control(self) -> Ending:
+        """Run the unchanged plan; its ending is the reference.
+
+        Raises:
+            ReplayError: it doesn't end as recorded.
+        """
+        self.reference = self.one(self.text).ending
+        recorded = EndingSink()
+        for record in self.log:
+            recorded.write("", record, b"")
+        if not alike(recorded.ending, self.reference):
+            now = self.reference.failure or self.reference.kind
+            raise ReplayError(f"the plan doesn't end as recorded: now {now}; was {recorded.ending.failure}")
+        return self.reference
+
+    def one(self, text: str, file: Path | None = None, **settings: Any) -> Trial:
+        """Run one version; ``settings`` replace fields of the recorded :class:`~pycram.running.RunSpec`."""
+        ((_, trial),) = self.all([text], file, **settings)
+        return trial
+
+    def all(self, texts: Iterable[str], file: Path | None = None, **settings: Any) -> Iterator[tuple[int, Trial]]:
+        """Run versions in parallel; yield index and trial when a run ends. Closing the generator kills the others."""
+        pool: ChildPool[tuple[int, str]] = ChildPool(usable_cores(), self._limit, GRACE)
+
+        def start(job: tuple[int, str]) -> Any:
+            self.runs += 1
+            place = self._folder / str(self.runs) / self.program.parent.name
+            lay({Path(self.program.name): job[1].encode()}, self.program.parent, place)
+            plan = place / self.program.name
+            return run_from_start(partial(self._answer, plan, file, settings))
+
+        with closing(pool.run(deque(enumerate(texts)), start)) as results:
+            for (index, _), result in results:
+                answer = json.loads(result.answer) if result.answer else {}
+                if answer.get("outside"):
+                    raise PlanHasEffects(answer["outside"])
+                ending = Ending(**answer["ending"]) if answer else Ending("died", f"its process {result.how}")
+                if result.late:
+                    ending = Ending("time limit", f"it was still running after {self._limit:.0f} s")
+                yield index, Trial(ending, result.seconds, file)
+
+    def _answer(self, plan: Path, file: Path | None, settings: Mapping[str, Any]) -> bytes:
+        """Run a plan in this child process; return its ending as JSON."""
+        sinks: list[EndingSink] = []
+        outside: list[str] = []
+        folder = None if file is None else file.parent
+
+        def sink_of(began: Run) -> Sink:
+            if sinks:
+                return NullSink()  # only the plan's first recording counts
+            sinks.append(EndingSink(None if file is None else McapSink(file, metadata(began))))
+            if not self._allow_effects:  # from here on: the recorder itself asks git for the plan's revision
+                allowed = [
+                    plan.parent,
+                    Path(tempfile.gettempdir()),
+                    *(each for each in (folder, cache_folder()) if each),
+                ]
+                _watch_effects([each.resolve() for each in allowed], outside)
+            return sinks[-1]
+
+        with suppress(OSError):
+            os.chdir(self._began.directory)
+        arguments = list(self._began.arguments)
+        with redirected(sink_of):
+            if self._began.by_program:
+                sys.argv = [self._began.called_as or str(plan), *arguments]
+                sys.path.insert(0, str(plan.parent))
+                with suppress(BaseException):  # the recording has it
+                    run_program(str(plan))
+            else:
+                running.run(
+                    replace(spec_of(self.log, plan, arguments), **settings), file or Path(os.devnull), overwrite=True
+                )
+        ending = sinks[0].ending if sinks else Ending("died", "it couldn't be recorded")
+        return json.dumps({"ending": asdict(ending), "outside": outside[0] if outside else ""}).encode()
+
+
+def _watch_effects(allowed: Sequence[Path], outside: list[str]) -> None:
+    """Refuse effects outside of some folders in this process, and note the first one."""
+
+    def is_inside(path: object) -> bool:
+        if isinstance(path, int):
+            return True  # a descriptor that is open already
+        with suppress(OSError, ValueError, TypeError):
+            target = Path(os.fsdecode(path)).resolve()  # type: ignore[arg-type]
+            return target == Path(os.devnull) or any(target.is_relative_to(folder) for folder in allowed)
+        return True
+
+    def audit(event: str, arguments: tuple[Any, ...]) -> None:
+        if event == "open":
+            path, mode, flags = arguments
+            writes = bool(flags & _WRITES) if isinstance(flags, int) else bool(set(str(mode)) & set("wax+"))
+            refused = writes and not is_inside(path)
+        elif event in _CHANGING:
+            path = arguments[_CHANGING[event]]
+            refused = not is_inside(path)
+        else:
+            refused = event in _REACHING
+            path = arguments
+        if refused:
+            outside.append(f"{event} {path!r:.100}")
+            raise OutsideEffect(outside[0])
+
+    sys.addaudithook(audit)
+
+
+def alike(one: Ending, other: Ending) -> bool:
+    """Return whether two runs ended alike: by the same failure of the same line, but for numbers in its message."""
+    return one.kind == other.kind and _cause(one) == _cause(other)
+
+
+def _cause(ending: Ending) -> tuple[str, str]:
+    file, _, line = ending.plan_line.rpartition(":")
+    return _NUMBER.sub("#", ending.failure), f"{Path(file).name}:{line}"
