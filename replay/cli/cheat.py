@@ -94,6 +94,11 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap", "a debugger that also steps back"),
             ("run.mcap task:pick-up@start", "a debugger at the start of a task"),
         ),
+        "minimise": (("run.mcap -o small.py", "a smaller plan with the same failure"),),
+        "test": (
+            ("run.mcap -o test_plan.py", "a pytest that fails until the plan is mended"),
+            ("run.mcap failure -o test_x.py", "a pytest of the motion that failed, in its scene"),
+        ),
         "resume": (
             ("run.mcap", "continue a plan whose process was killed"),
             ("run.mcap -o rest.mcap", "the same, recorded into rest.mcap"),

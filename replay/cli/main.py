@@ -49,6 +49,7 @@ VERBS: Final = {
     "fork": "run the plan again up to a step, then continue with another plan, world, answer or seed",
     "debug": "open a prompt at a step, in the plan's frame, and step forwards and back",
     "minimise": "find a smaller plan and scene with the same failure",
+    "test": "write a pytest that fails as the run did, and passes when the plan is mended",
     "resume": "continue a plan whose process was killed",
     "export": "write planned and driven positions as a table (CSV, Parquet), or runs as a data set (LeRobot)",
     "repair": "copy the readable parts of a damaged recording, and list the lost parts",

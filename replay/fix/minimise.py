@@ -12,6 +12,7 @@ import re
 import textwrap
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
@@ -59,6 +60,12 @@ def minimise(trials: Trials, budget: int) -> Minimised:
         size = len(code_lines(text))
         for block in _levels(text):
             text, objects = _reduced(trials, budget, text, block, objects)
+        unwrapped = [each for each in map(partial(_unwrapped, text), ast.walk(ast.parse(text))) if each]
+        for start in range(0, len(unwrapped), usable_cores()):
+            found = _first_alike(trials, unwrapped[start : start + usable_cores()])
+            if found is not None:
+                _, text, objects = found
+                break
     short = _short(text)
     ending = trials.one(short).ending
     if not alike(_without_line(ending), _without_line(reference)):  # the plan reads its own lines
@@ -126,6 +133,18 @@ def _span(statement: ast.stmt) -> _Span:
     return _Span(first, statement.end_lineno or first)
 
 
+def _unwrapped(text: str, node: ast.AST) -> str:
+    """Return a plan with the body of an `if`, `with` or `try` in place of the whole statement; "" for other nodes."""
+    if not isinstance(node, ast.If | ast.With | ast.Try):
+        return ""
+    lines, body = text.splitlines(), node.body
+    kept = lines[_span(body[0]).start - 1 : body[-1].end_lineno]
+    inner = [line[body[0].col_offset - node.col_offset :] for line in kept]
+    lines[node.lineno - 1 : node.end_lineno] = [""] * ((node.end_lineno or node.lineno) + 1 - node.lineno)
+    lines[_span(body[0]).start - 1 : body[-1].end_lineno] = inner
+    return "\n".join(lines) + "\n"
+
+
 def _is_apart(lines: Sequence[str], span: _Span) -> bool:
     """Return whether nothing else stands on the lines of a statement, as in `if x: y` or in `x; y`."""
     try:
@@ -147,12 +166,15 @@ def _without(text: str, spans: Iterable[_Span]) -> str:
 
 def _first_alike(trials: Trials, texts: Sequence[str]) -> tuple[int, str, int] | None:
     """Return the index and text of the first version that ends like the plan, and its number of objects."""
-    tidied = [_tidied(text) for text in texts]
+    tidied = {index: _tidied(text) for index, text in enumerate(texts)}
+    tried = [index for index, text in tidied.items() if text not in trials.failed]
     ends: dict[int, int] = {}
-    with closing(trials.all(tidied)) as results:  # type: ignore[type-var]  # a generator
-        for index, trial in results:
+    with closing(trials.all([tidied[index] for index in tried])) as results:
+        for at, trial in results:
             if alike(trial.ending, trials.reference):
-                ends[index] = len(trial.ending.bodies)
+                ends[tried[at]] = len(trial.ending.bodies)
+            else:
+                trials.failed.add(tidied[tried[at]])
     return min(((index, tidied[index], objects) for index, objects in ends.items()), default=None)
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final, Self
 
 from pycram import running
 from pycram.exploration import Ending, EndingSink
+from pycram.models import store
 from pycram.projection.child import GRACE, ChildPool, run_from_start, usable_cores
 from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
@@ -29,7 +30,7 @@ from replay.retrace.guided_run import run_program, spec_of
 from replay.retrace.plan_process import CantRetrace, PlanProcess, lay
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Mapping, Sequence
 
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
@@ -84,6 +85,7 @@ class Trials:
         self.program = process.program  # the plan's main file
         self.text = PlanSource(log).text(str(process.program))  # its recorded source
         self.runs = 0  # number of runs until now
+        self.failed: set[str] = set()  # versions that a search has rejected
         self.reference = Ending("")  # the ending of the unchanged plan
         self._began = began
         self._allow_effects = allow_effects
@@ -117,7 +119,9 @@ class Trials:
         ((_, trial),) = self.all([text], file, **settings)
         return trial
 
-    def all(self, texts: Iterable[str], file: Path | None = None, **settings: Any) -> Iterator[tuple[int, Trial]]:
+    def all(
+        self, texts: Iterable[str], file: Path | None = None, **settings: Any
+    ) -> Generator[tuple[int, Trial], None, None]:
         """Run versions in parallel; yield index and trial when a run ends. Closing the generator kills the others."""
         pool: ChildPool[tuple[int, str]] = ChildPool(usable_cores(), self._limit, GRACE)
 
@@ -150,13 +154,12 @@ class Trials:
             sinks.append(EndingSink(None if file is None else McapSink(file, metadata(began))))
             if not self._allow_effects:  # from here on: the recorder itself asks git for the plan's revision
                 allowed = [
-                    plan.parent,
-                    Path(tempfile.gettempdir()),
-                    *(each for each in (folder, cache_folder()) if each),
+                    each for each in (plan.parents[1], store.folder(), folder, cache_folder()) if each is not None
                 ]
                 _watch_effects([each.resolve() for each in allowed], outside)
             return sinks[-1]
 
+        tempfile.tempdir = str(plan.parents[1])
         with suppress(OSError):
             os.chdir(self._began.directory)
         arguments = list(self._began.arguments)

@@ -135,10 +135,10 @@ class PlanProcess:
                     f"{program}: there is no such plan; give its file with --plan, or use --recorded-source"
                 )
             self.program = program.absolute()
-        self._arguments = list(began.arguments) if arguments is None else list(arguments)
+        self.arguments = list(began.arguments) if arguments is None else list(arguments)
         if any(LEFT_OUT in each.value_json for each in began.parameters):
             raise CantRetrace(f"{log.path}: secret parameters weren't recorded, so the plan can't run again")
-        if any(LEFT_OUT in text for text in self._arguments):
+        if any(LEFT_OUT in text for text in self.arguments):
             raise CantRetrace(
                 f"{log.path}: secret arguments weren't recorded; give all of them as the last option, --arguments"
             )
@@ -279,7 +279,7 @@ class PlanProcess:
             guidance = replace(guidance, moved=(str(program.parent), str(self.program.parent)))
         request = {
             "plan": str(program),
-            "arguments": self._arguments,
+            "arguments": self.arguments,
             "guidance": guidance.as_json(),
             "parent": os.getpid(),
             "folder": folder,

@@ -1,0 +1,60 @@
+"""``test``: a test for pytest, which fails as the recorded run did, and passes when the plan is mended."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from replay.cli.console import print_message, print_result
+from replay.cli.main import FAILED, FINE
+from replay.errors import ReplayError
+from replay.history.steps import HINT
+from replay.report.page import write
+
+if TYPE_CHECKING:
+    import argparse
+
+    from replay.recording import Recording
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the step, the file and the properties."""
+    parser.epilog = "Exit code 0: the test fails now, as it should. 1: the test passes, so it shows nothing."
+    parser.add_argument(
+        "step",
+        metavar="STEP",
+        nargs="?",
+        help=f"rebuild the scene before the failed motion of this step, and perform it (default: run the plan): {HINT}",
+    )
+    parser.add_argument("-o", dest="file", metavar="FILE", help="file of the test (default: test_PLAN.py)")
+    parser.add_argument(
+        "--holds", metavar="PROPERTY", action="append", default=[], help="also assert this property; repeatable"
+    )
+
+
+def run(log: Recording, options: argparse.Namespace) -> int:
+    """Write the test, and run it once."""
+    from replay.fix import written_test  # noqa: PLC0415  needs the executor
+    from replay.retrace.guided_run import spec_of  # noqa: PLC0415  as above
+    from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415  as above
+
+    process = PlanProcess(log)
+    file = Path(options.file or f"test_{process.program.stem}.py")
+    if file.exists() and options.file is None:
+        raise ReplayError(f"{file} exists; name another file with -o")
+    if options.step is None:
+        text = written_test.of_plan(log, spec_of(log, process.program, process.arguments), file, options.holds)
+    else:
+        task = log.why(options.step).task
+        if task is None:
+            raise ReplayError(f"no task failed at step {options.step}")
+        text = written_test.of_moment(log, task.motion, options.holds)
+    write(str(file), text.encode())
+    print_message(f"{file} runs once")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(file)]
+    red = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 1  # noqa: S603
+    how = "fails now, as the run did" if red else "doesn't fail now, so it shows nothing"
+    print_result(lambda: {"file": str(file), "fails": red}, [f"{file}: {how}"], as_json=options.json)
+    return FINE if red else FAILED
