@@ -43,7 +43,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap task:pick-up@end", "why this task failed"),
         ),
         "report": (
-            ("run.mcap -o run.html", "a page to send: why, pictures, timeline, film"),
+            ("run.mcap -o run.html", "a page to send, with pictures and a film"),
             ("run.mcap --good good.mcap", "with the difference from a good run"),
         ),
         "check": (
@@ -94,10 +94,13 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap", "a debugger that also steps back"),
             ("run.mcap task:pick-up@start", "a debugger at the start of a task"),
         ),
-        "minimise": (("run.mcap -o small.py", "a smaller plan with the same failure"),),
+        "minimise": (
+            ("run.mcap", "a smaller plan with the same failure"),
+            ("run.mcap -o small.py --budget 50", "the same, in at most 50 runs"),
+        ),
         "test": (
-            ("run.mcap -o test_plan.py", "a pytest that fails until the plan is mended"),
-            ("run.mcap failure -o test_x.py", "a pytest of the motion that failed, in its scene"),
+            ("run.mcap -o test_plan.py", "a pytest that fails until it is mended"),
+            ("run.mcap failure -o test_x.py", "a pytest of the failed motion in its scene"),
         ),
         "resume": (
             ("run.mcap", "continue a plan whose process was killed"),
