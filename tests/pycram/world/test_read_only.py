@@ -108,3 +108,16 @@ def test_attributes_of_the_plans_own_can_be_assigned(world: BulletWorld) -> None
     del cup.note
     with pytest.raises(ReadOnly):
         cup.name = "mug"
+
+
+def test_a_keyframe_follows_after_as_many_changed_objects_as_there_are(world: BulletWorld, sink: MemorySink) -> None:
+    first, *_ = [Object(f"milk_{x}", "milk", "milk.stl", [x, 0, 1]) for x in range(120)]
+    counts = []
+    for number in range(99 + 120):  # 20 objects were loaded after the first keyframe
+        first.set_position([0, 0, 1 + number / 1000])
+        counts.append(len(sink.of(Keyframe)))
+    assert [counts[98], counts[99], counts[218]] == [2, 3, 3]
+    for _ in range(101):
+        world.simulate_steps(1)  # changes all objects
+        counts.append(len(sink.of(Keyframe)))
+    assert [counts[219], counts[318], counts[319]] == [4, 4, 5]
