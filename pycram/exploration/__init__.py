@@ -32,6 +32,7 @@ from pycram.scheduling.order import ADDED, AppliedPrecedence, BranchLine, Preced
 from pycram.scheduling.schedule import refuse_held, scheduler, seed_order
 from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink, free_path
+from recorder.plan_lines import deciding
 from recorder.provenance import look_up_revisions, metadata
 from recorder.recording import record, redirected
 from recorder.records import Check, Fluent, Keyframe, Mutation, Run, format_failure, without_addresses
@@ -498,7 +499,8 @@ class EndingSink:
                 if passed := self._lines.get(ending.failure):
                     plan = passed[-1][0][0]  # file of the plan
                     ending.line = passed[0][-1][1]
-                    ending.plan_line = next(at for lines in passed for file, at in reversed(lines) if file == plan)
+                    own = [at for lines in passed for file, at in reversed(lines) if file == plan]
+                    ending.plan_line = own[deciding([(plan, int(at.rpartition(":")[2])) for at in own])]
                 ending.kind = DEADLOCK if record.failure.type == "DeadlockedBranches" else FAILED
 
     def _change(self, world: str, command: str, effect: Effect) -> None:

@@ -38,6 +38,7 @@ from pycram.foundation.forcing import decider, forced
 from pycram.foundation.refusals import refused
 from pycram.scheduling.order import BlockedWait, BranchLine, DeadlockedBranches, order_of
 from recorder import notebook
+from recorder.plan_lines import deciding
 from recorder.tracing import context, forking, interrupts, journal
 from recorder.tracing.call_stack import plan_frame, plan_frames, recorded_file
 from recorder.tracing.context import enter_branch, new_branch
@@ -195,10 +196,10 @@ def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine
         innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  as inspect has it
     lines = [(recorded_file(frame.f_code.co_filename), frame.f_lineno) for frame in plan_frames(innermost)]
     if branch is not None:  # prefer a line of the file that added the branch to a line of a helper function
-        site = next((line for line in lines if line[0] == branch.site[0]), branch.site)
-        return BranchLine(branch.name, *site, branch.label())
-    outermost = lines[-1][0] if lines else ""
-    site = next((line for line in lines if line[0] == outermost), None) or ("", 0)
+        own = [line for line in lines if line[0] == branch.site[0]] or [branch.site]
+        return BranchLine(branch.name, *own[deciding(own)], branch.label())
+    own = [line for line in lines if line[0] == lines[-1][0]]
+    site = own[deciding(own)] if own else ("", 0)
     return BranchLine(threading.current_thread().name, *site)
 
 

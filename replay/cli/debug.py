@@ -16,6 +16,7 @@ import sys
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
+from recorder.plan_lines import deciding
 from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
 from recorder.terminal import coloured, has_colours
 from recorder.user_folders import cache_folder
@@ -257,7 +258,8 @@ class Prompt(cmd.Cmd):
         self.stack = self.session.plan.ask("where")
         lines = [each.line for each in halt.met if each.line is not None]
         stopped = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
-        self.frame = stopped[0] if stopped else 0
+        decides = deciding([(each["file"], each["line"]) for each in self.stack])
+        self.frame = stopped[0] if stopped else decides
         self._listed = 0
         self._print_step(step)
         if self.follow is not None:

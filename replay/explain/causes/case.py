@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
+from recorder.plan_lines import deciding
 from recorder.records import Mutation, argument_values, from_json
 from replay.errors import NoSuchName
 from replay.history.blame import blame, commanded
@@ -326,9 +327,11 @@ class FailureCase:
     def line(self, stack: Sequence[Line]) -> Line | None:
         """Return the innermost informative line of a call stack.
 
-        A line is informative if it requested a single motion, or only motions with one name. Lines of general helper
-        functions aren't informative, because they request many motions.
+        Lines of helpers that only pass values on are left out. Of the others, a line is informative if it requested a
+        single motion, or only motions with one name.
         """
+        inner = [(line.file, line.number) for line in reversed(stack)]
+        stack = stack[: len(stack) - deciding(inner, self.source.text)]
         performed = [(line, self._motions_by_line[line.file, line.number]) for line in reversed(stack)]
         one = [line for line, motions in performed if len(motions) <= 1]
         one += [line for line, motions in performed if len({name for name, _ in motions}) <= 1]

@@ -179,3 +179,14 @@ def test_of_several_things_that_were_not_found_the_one_that_is_missed_is_told(ex
     swallowed = next(each for each in why.causes if isinstance(each, kinds.Swallowed))
     assert swallowed.failed.parameters["object-type"] == "cup"
     assert swallowed.went_on == swallowed.line
+
+
+def test_the_line_that_gives_the_values_comes_before_the_helper_that_passes_them_on(
+    explained: Callable[..., Why], tmp_path: Path
+) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        perform(type="pick-up", object=milk, arm="middle")
+    """)
+    (raised,) = why.causes
+    assert raised.line.number == line_of(tmp_path, 'arm="middle"')

@@ -1,0 +1,49 @@
+"""Which line of a call stack decides: helpers such as ``do(**slots)`` only pass on what their callers give."""
+
+from __future__ import annotations
+
+import ast
+from functools import lru_cache
+from linecache import getlines
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+
+def deciding(lines: Sequence[tuple[str, int]], text_of: Callable[[str], str] | None = None) -> int:
+    """Return the index of the first line that decides; 0 if all lines only pass values on.
+
+    Args:
+        lines: files and numbers of lines, innermost first.
+        text_of: returns the text of a file; by default, files are read from the disk.
+    """
+    read = text_of or (lambda file: "".join(getlines(file)))
+    return next((at for at, (file, number) in enumerate(lines) if not passes_on(read(file), number)), 0)
+
+
+@lru_cache(maxsize=256)
+def passes_on(text: str, number: int) -> bool:
+    """Return whether a line only passes parameters of its function on, unnamed, to another call."""
+    try:
+        nodes = [*ast.walk(ast.parse(text))]
+    except (SyntaxError, ValueError, RecursionError):
+        return False
+    around = [node for node in nodes if isinstance(node, ast.stmt) and node.lineno <= number <= (node.end_lineno or 0)]
+    functions = [node for node in around if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
+    if not functions or isinstance(around[-1], ast.FunctionDef | ast.AsyncFunctionDef):
+        return False
+    given = functions[-1].args
+    own = {each.arg for each in (*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg) if each}
+    calls = [node for node in ast.walk(around[-1]) if isinstance(node, ast.Call)]
+    passed = [argument for call in calls for argument in [*call.args, *call.keywords]]
+    return bool(passed) and all(_is_passed(each, own) for each in passed)
+
+
+def _is_passed(argument: ast.AST, own: set[str]) -> bool:
+    match argument:
+        case ast.Starred(value=value) | ast.keyword(arg=None, value=value):
+            return isinstance(value, ast.Name) and value.id in own
+        case ast.Name(id=name):
+            return name in own
+    return isinstance(argument, ast.Call)  # its own arguments are looked at
