@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -71,11 +72,18 @@ def prove(
     Raises:
         CantRetrace: the plan can't run again.
     """
-    with TemporaryDirectory(prefix="pycram-prove-") as temporary, ThreadPoolExecutor(_AT_ONCE) as pool:
+    unchanged = PlanProcess(log, None, arguments, recorded_source=recorded_source)
+    with (
+        TemporaryDirectory(prefix="pycram-prove-") as temporary,
+        ThreadPoolExecutor(_AT_ONCE) as pool,
+        ExitStack() as undoing,
+    ):
         folder = Path(temporary) if keep is None else keep
         folder.mkdir(parents=True, exist_ok=True)
-        control = pool.submit(compared, PlanProcess(log, None, arguments, recorded_source=recorded_source), log)
+        undoing.callback(unchanged.stop)  # otherwise an interrupted block would wait for its runs
+        control = pool.submit(compared, unchanged, log)
         prover = _Prover(log, why, folder, arguments, recorded_source=recorded_source, kept=keep is not None)
+        undoing.callback(prover.stop)
         tried: dict[int, list[TriedTrial]] = {number: [] for number in range(len(why.causes))}
         case = why.case
         trials = [list(cause.trials(case)) if case is not None else [] for cause in why.causes]
@@ -98,11 +106,15 @@ def prove(
 
 
 def _proof(tried: Sequence[TriedTrial], trials: int) -> Proof:
-    verdicts = [each.verdict for each in tried]
-    for verdict in (CONFIRMED, REFUTED, UNTESTED):
-        if verdict in verdicts:
-            text = tried[verdicts.index(verdict)].text
-            return Proof(verdict, f"{'not tested' if verdict == UNTESTED else verdict}: {text}", tuple(tried))
+    refuting = [each for each in tried if each.verdict == REFUTED]
+    if len(refuting) < len(tried):
+        refuting = [each for each in refuting if each.trial.decisive]
+    confirming = [each for each in tried if each.verdict == CONFIRMED]
+    for found in (confirming, refuting, [each for each in tried if each.verdict == UNTESTED], tried):
+        if found:
+            verdict = found[0].verdict if found is not tried else UNTESTED
+            text = f"{'not tested' if verdict == UNTESTED else verdict}: {found[0].text}"
+            return Proof(verdict, text, tuple(tried))
     reason = "the budget of forks was spent" if trials else "no change of a fork takes this cause away"
     return Proof(UNTESTED, f"not tested: {reason}")
 
@@ -152,10 +164,20 @@ class _Prover:
         self._steps = len(log)
         self._seconds = max(_SECONDS[0], _SECONDS[1] * why.run.seconds)
         self.forks = 0
+        self._running: set[PlanProcess] = set()
+        self._stopped = False
+
+    def stop(self) -> None:
+        """Stop all forks, and start no others."""
+        self._stopped = True
+        for process in [*self._running]:
+            process.stop()
 
     def tried(self, trial: Trial) -> TriedTrial:
         """Run a trial, and judge it."""
         with self._reading:
+            if self._stopped:
+                return TriedTrial(trial, UNTESTED, "stopped")
             self.forks += 1
             file = self._folder / f"{self._log.path.stem}.prove-{self.forks}.mcap"
             try:
@@ -166,10 +188,11 @@ class _Prover:
                 )
             except ReplayError as error:
                 return TriedTrial(trial, UNTESTED, f"{trial.words}: {error}")
-        verdict, text = self._run(process, file, changes)
+            self._running.add(process)
+        verdict, text = self._run(process, file, changes, trial)
         return TriedTrial(trial, verdict, f"{trial.words} after step {trial.step}: {text}", str(file) * self._kept)
 
-    def _run(self, process: PlanProcess, file: Path, changes: Sequence[Change]) -> tuple[str, str]:
+    def _run(self, process: PlanProcess, file: Path, changes: Sequence[Change], trial: Trial) -> tuple[str, str]:
         timer = threading.Timer(self._seconds, process.stop)
         timer.start()
         try:
@@ -186,6 +209,9 @@ class _Prover:
         if guided.unused:
             return UNTESTED, f"the decision {', '.join(guided.unused)} didn't come"
         with RecordReader(file) as forked:
+            needed = None if not trial.needs else _next_end(forked, trial)
+            if needed is not None and needed.status != Task.SUCCEEDED:
+                return UNTESTED, f"{trial.needs} fails nevertheless: {phrases.failure(needed.failure)}"
             return self._judged(forked, len(changes))
 
     def _judged(self, forked: RecordReader, added: int) -> tuple[str, str]:
@@ -266,6 +292,12 @@ def _same_task(log: RecordReader, wanted: _Failed) -> tuple[Task, Task] | None:
             if record.task == each.task and record.phase == Task.FINISHED:
                 return each, record
     return None
+
+
+def _next_end(log: RecordReader, trial: Trial) -> Task | None:
+    """Return the end of the motion that a trial lets succeed."""
+    ends = (each for each in log.records(Task, trial.step + 1) if each.kind == "motion" and each.name == trial.needs)
+    return next((each for each in ends if each.phase == Task.FINISHED), None)
 
 
 def _alike(log: RecordReader, kind: str, name: str, site: tuple[str, int]) -> Iterator[Task]:

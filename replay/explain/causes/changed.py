@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
@@ -165,8 +165,14 @@ class Gone(Cause):
         yield Gone(steps, name, removed, loaded)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial in which the object isn't removed."""
-        yield from trials.put_back(case, self.change)
+        """Yield the trials in which the object isn't removed, or the motion uses the object that was loaded since."""
+        if self.loaded is None:
+            yield from trials.put_back(case, self.change)
+        elif case.holder(self.body, self.change.step - 1):
+            for trial in trials.in_hand(case, self.body, str(case.given.get("arm") or "")):
+                yield from (replace(trial, answers=each.answers) for each in trials.replaced(case, "object", self.body))
+        elif case.motion is not None and self.body in objects_in(case.motion.parameters.get("object")):
+            yield from trials.replaced(case, "object", self.body)
 
     def _words(self) -> Iterator[str]:
         yield f"{self.body} had been removed at step {self.change.step}{self.change.originator}"

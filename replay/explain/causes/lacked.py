@@ -161,16 +161,16 @@ class RefusedRequest(Cause):
         """Yield the trial with the effect of the refused request, as far as that is possible."""
         given, failure = argument_values(self.asked.arguments), argument_values(self.asked.failure.data)
         hands = [arm for arm in case.hands if arm == case.given.get("arm")] or list(case.hands)
-        position, value = given.get("position"), failure.get("value", given.get("position"))
+        position = given.get("position")
         if self.precondition == "moved" and isinstance(position, list) and len(position) == 3:
-            yield from trials.placed(case, self.subject, [float(str(each)) for each in position])
+            yield from trials.placed(case, self.subject, [float(str(each)) for each in position], self.asked.seq)
         elif self.precondition == "joint-moved":
             body, positions = next(objects_in(given.get("object")), ""), given.get("positions")
-            for joint in _joints_meant(self.asked, given):
-                wanted = positions.get(joint, value) if isinstance(positions, dict) else value
+            asked = [*(positions.values() if isinstance(positions, dict) else ()), position]
+            for joint, wanted in zip(_joints_meant(self.asked, given), asked, strict=False):
                 low, high = failure.get("lower", wanted), failure.get("upper", wanted)
                 if all(isinstance(each, int | float) for each in (wanted, low, high)):
-                    yield from trials.joint_at(case, body, joint, min(max(wanted, low), high))  # type: ignore[type-var, arg-type]
+                    yield from trials.joint_at(case, body, joint, min(max(wanted, low), high), self.asked.seq)
         elif self.precondition in (*_HANDS, "clear"):
             yield from _effect(case, self.precondition, self.subject, hands[0] if hands else "", None)
 

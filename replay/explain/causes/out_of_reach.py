@@ -65,6 +65,9 @@ class ObstructingBody(Cause):
         if self.change is not None and self.change.how != "load":
             yield from trials.put_back(case, self.change)
         yield from trials.away(case, self.body)
+        if self.change is None and case.world is not None:
+            for joint in case.joints_to(self.body, self.link)[:1]:
+                yield from trials.joint_at(case, self.body, joint, 0.0)
 
     def _words(self) -> Iterator[str]:
         what = link_text(self.body, self.link)
@@ -117,7 +120,7 @@ class UnreachedTarget(Cause):
         """Yield the trials with the robot nearer, and without the last changes."""
         yield from trials.nearer(case, [float(str(each)) for each in case.data["target"]], self.miss or 0.0)  # type: ignore[union-attr]
         for change in reversed(self.changes):
-            yield from trials.put_back(case, change)
+            yield from trials.put_back(case, change) if change.how != "load" else ()
 
     def _words(self) -> Iterator[str]:
         what = self.body or "the target"
@@ -151,10 +154,15 @@ class NoCandidate(Cause):
         return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial without the free bodies that the candidates would touch."""
+        """Yield the trials without the free bodies that the candidates would touch, and with the robot nearer."""
         touched = [pair for each in self.asked.candidates for pair in _pairs(argument_values(each.data).get("pairs"))]
         for body in dict.fromkeys(touched):
             yield from trials.away(case, body)
+        goal = case.data.get("target")
+        misses = (argument_values(each.data).get("distance") for each in self.asked.candidates)
+        known = [each for each in misses if isinstance(each, int | float)]
+        if isinstance(goal, list) and known:
+            yield from trials.nearer(case, [float(str(each)) for each in goal], min(known))
 
     def _words(self) -> Iterator[str]:
         asked = self.asked

@@ -70,12 +70,15 @@ class Raised(Cause):
         line = lines[-1] if error.own else case.line(lines) or lines[-1]
         own = error.own and _is_raise(line)
         judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
-        steps = {*(each.seq for each in judged), *_refusal_of(case), case.step}
+        steps = {*(each.seq for each in judged), *(each.seq for each in _refusals(case)), case.step}
         yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials with other answers, longer waits, or another arm; nothing for a mistake in the plan."""
-        for each in reversed(self.answers if self.own else ()):
+        """Yield the trials with other answers, longer waits or another arm; for a mistake, without the refused call."""
+        if not self.own:
+            yield from (each for refusal in _refusals(case) for each in trials.skipped(refusal))
+            return
+        for each in reversed(self.answers):
             if isinstance(each, Query):
                 yield from trials.other_answer(each)
             elif isinstance(each, Task) and each.kind == "wait":
@@ -132,10 +135,11 @@ def is_mistake(case: FailureCase) -> bool:
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 
-def _refusal_of(case: FailureCase) -> Iterator[int]:
+def _refusals(case: FailureCase) -> Iterator[Refusal]:
+    """Yield the last refusal, if it is the failure."""
     for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
-            yield refusal.seq
+            yield refusal
         return
 
 

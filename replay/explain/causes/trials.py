@@ -7,9 +7,10 @@ them.
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from recorder.records import argument_values
 from replay.errors import NoSuchStep
 from replay.report import phrases
 from replay.report.question import QueryCall, question_of, written
@@ -18,7 +19,7 @@ from replay.state.fold import state_at
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from recorder.records import Query, Task
+    from recorder.records import Query, Refusal, Task
     from recorder.tasks import Node
     from replay.explain.causes.case import CausingChange, FailureCase
     from replay.state.state import Body
@@ -27,6 +28,8 @@ _FAR: Final = 30.0  # m to which an obstacle is moved away
 _ROOM: Final = 0.1  # m by which the robot is moved nearer than the arm's miss
 _LONGER: Final = 10.0  # factor of a limit
 NONE: Final = "none"
+_FLUENT: Final = "fluent:"
+_WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls that return nothing, besides setters
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +41,8 @@ class Trial:
     settings: tuple[str, ...] = ()  # as for ``fork --set``
     answers: tuple[str, ...] = ()  # as for ``fork --answer``
     world: str = ""  # the world of the settings
+    decisive: bool = True  # whether the same failure refutes the cause; otherwise, only if it comes in all forks
+    needs: str = ""  # name of the motion that has to succeed because of the change; otherwise, the fork decides nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +70,12 @@ CONFIRMED, REFUTED, UNTESTED = "confirmed", "refuted", "untested"
 
 
 def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
-    """Yield the trial that undoes a change right after it."""
+    """Yield the trial that undoes a change right after it; other changes may have the same effect."""
+    for trial in _undone(case, change):
+        yield replace(trial, decisive=False)
+
+
+def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
     before = _body(case, change.body, (change.task.seq if change.task is not None else change.step) - 1)
     name = written(change.body)
     if change.how == "removed":
@@ -104,7 +114,7 @@ def restored(case: FailureCase, names: Sequence[str], then: int, step: int) -> I
 
 
 def placed(case: FailureCase, body: str, position: Sequence[float], step: int | None = None) -> Iterator[Trial]:
-    """Yield the trial with a body at a position just before the failure."""
+    """Yield the trial with a body at a position, by default just before the failure."""
     text = f"{body} is at {phrases.vector(position)}"
     yield _set(case, _before(case) if step is None else step, text, {f"{written(body)}.position": position})
 
@@ -126,16 +136,16 @@ def in_hand(case: FailureCase, body: str, arm: str) -> Iterator[Trial]:
         yield _set(case, _before(case), f"the {arm} gripper holds {body}", {f"{written(body)}.hand": arm})
 
 
-def joint_at(case: FailureCase, body: str, joint: str, value: float) -> Iterator[Trial]:
-    """Yield the trial with a joint at a value just before the failure."""
+def joint_at(case: FailureCase, body: str, joint: str, value: float, step: int | None = None) -> Iterator[Trial]:
+    """Yield the trial with a joint at a value, by default just before the failure."""
     text = f"{joint} of {body} is at {phrases.number(value)}"
-    yield _set(case, _before(case), text, {f"{written(body)}.{joint}": value})
+    yield _set(case, _before(case) if step is None else step, text, {f"{written(body)}.{joint}": value})
 
 
 def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[Trial]:
     """Yield the trial with the robot nearer to a target just before the failure."""
     robot = case.robot
-    if robot is None or robot.fixed_base:
+    if robot is None:
         return
     away_x, away_y = target[0] - robot.position[0], target[1] - robot.position[1]
     distance = (away_x**2 + away_y**2) ** 0.5
@@ -166,7 +176,19 @@ def seen(case: FailureCase, task: Node) -> Iterator[Trial]:
     world = state_at(case.log, task.started.seq).worlds.get(task.started.world)
     bodies = [body.name for body in world.bodies.values() if body.type == kind] if world is not None else []
     for name in bodies[:1]:
-        yield Trial(task.motion.started.seq - 1, f"{name} is seen", answers=(f"visible({written(name)}, ...)=true",))
+        yield Trial(
+            task.motion.started.seq - 1,
+            f"{name} is seen",
+            answers=(f"visible({written(name)}, ...)=true",),
+            needs=task.motion.name,
+        )
+
+
+def replaced(case: FailureCase, slot: str, value: str) -> Iterator[Trial]:
+    """Yield the trial in which a slot of the failed motion has another value."""
+    if case.motion is not None:
+        answer = f"{case.motion.name}.{slot}(...)={written(value)}"
+        yield Trial(_before(case), f"{case.motion.name} has the slot {slot}={value}", answers=(answer,))
 
 
 def longer(started: Task, seconds: object) -> Iterator[Trial]:
@@ -176,13 +198,31 @@ def longer(started: Task, seconds: object) -> Iterator[Trial]:
         yield Trial(started.seq - 1, f"the limit is {seconds * _LONGER:g} s", answers=(answer,))
 
 
+def fulfilled(wait: Node, values: Mapping[str, object]) -> Iterator[Trial]:
+    """Yield the trial in which the false fluents of a wait become true."""
+    names = [name for name, value in values.items() if value is False]
+    if names:
+        settings = tuple(f"{_FLUENT}{name}=true" for name in names)
+        yield Trial(wait.started.seq, f"{phrases.names(names)} becomes true", settings)
+
+
+def skipped(refusal: Refusal) -> Iterator[Trial]:
+    """Yield the trial in which a refused call isn't made, if such calls have no result."""
+    if refusal.name.startswith("set_") or refusal.name in _WITHOUT_RESULT:
+        subject = argument_values(refusal.arguments).get("object")
+        name = subject.get("object") if isinstance(subject, dict) else None
+        given = f"object={written(str(name))}" if name else "..."
+        answer = f"{refusal.name}({given})=skip"
+        yield Trial(refusal.seq - 1, f"{phrases.refused(refusal)} isn't called", answers=(answer,))
+
+
 def other_arm(case: FailureCase, task: Node) -> Iterator[Trial]:
     """Yield the trial in which a failed motion uses another arm."""
     motion = task.motion
     others = [arm for arm in case.hands if arm != motion.parameters.get("arm")]
     for arm in others[:1] if motion.parameters.get("arm") else ():
         text = f"{phrases.node(motion)} uses the {arm} arm"
-        yield Trial(motion.started.seq - 1, text, answers=(f"{motion.name}.arm(...)={arm}",))
+        yield Trial(motion.started.seq - 1, text, answers=(f"{motion.name}.arm(...)={arm}",), needs=motion.name)
 
 
 def _set(case: FailureCase, step: int, words: str, values: Mapping[str, object]) -> Trial:

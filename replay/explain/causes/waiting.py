@@ -168,9 +168,12 @@ class Timeout(Cause):
                 yield _timeout(case, node.parameters.get("timeout"), "wall", (single,), (), case.line_of(node.started))
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial with a longer limit."""
+        """Yield the trials with a longer limit, and with the awaited fluents."""
         limited = case.task if case.task is not None and case.task.kind == "timeout" else self.pending[0].task
         yield from trials.longer(limited.started, self.seconds)
+        for each in self.pending:
+            if each.task.kind == "wait":
+                yield from trials.fulfilled(each.task, each.values)
 
     def _words(self) -> Iterator[str]:
         simulated = " of simulated time" if self.clock == _SIMULATED_TIME else ""
