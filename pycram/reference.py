@@ -20,7 +20,6 @@ from pycram.motions.motion_types import TYPES as MOTIONS
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-    from pycram.actions import ActionType
     from pycram.motions.motion_types import MotionType
     from pycram.motions.process_module import ProcessModule
     from pycram.motions.slots import Slot, SlotTable
@@ -55,11 +54,14 @@ def reference() -> str:
     modules = default_modules()
     failures: set[type[PlanFailure]] = {ActionFailed, NoPlace}
     parts = [_HEAD, "## Actions\n", _ACTIONS, _table(common)]
-    parts += [_action(each, [slot for slot in each.slots if slot not in common]) for each in types]
+    for each in types:
+        fails = "`ActionFailed`, if no choice succeeds" if each.choices else "the failures of its parts"
+        slots = _table(slot for slot in each.slots if slot not in common)
+        parts += [f"### {each.type}\n", f"{each.text}\n", slots, *demands(each), f"Fails with {fails}.\n"]
     parts += ["## Objects and places\n"]
     for kind in (ObjectDesignator, LocationDesignator):
         text = (inspect.getdoc(kind) or "").replace("``", "`")
-        parts.append("\n".join([f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *demands(kind.takes)]))
+        parts += [f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *demands(kind.takes)]
     parts += ["## Motions\n", _MOTIONS]
     for motion in MOTIONS.values():
         module = modules[motion.cmd]
@@ -68,12 +70,6 @@ def reference() -> str:
     # Failures are recorded under their public module, which isn't the file that defines them.
     source = "".join(file.read_text(encoding="utf-8") for file in Path(__file__).parent.rglob("*.py"))
     parts += ["## Failures\n", *(_failure(kind, source) for kind in sorted(failures, key=lambda kind: kind.__name__))]
-    return "\n".join(parts)
-
-
-def _action(kind: ActionType, slots: Sequence[Slot]) -> str:
-    fails = "`ActionFailed`, if no choice succeeds" if kind.choices else "the failures of its parts"
-    parts = [f"### {kind.type}\n", f"{kind.text}\n", _table(slots), *demands(kind), f"Fails with {fails}.\n"]
     return "\n".join(parts)
 
 

@@ -22,7 +22,7 @@ class MovableJoint:
     kind: str  # "revolute" (also continuous) or "prismatic"
     lower: float  # limit in rad or m, -inf if continuous
     upper: float  # limit in rad or m, inf if continuous
-    link: str  # the link that it moves
+    link: str  # the child link
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +60,7 @@ class ClosestPoint(NamedTuple):
 
     @property
     def carries(self) -> bool:
-        """Whether the second body rests on the first one at this point."""
+        """Whether the second body rests on the first body at this point."""
         return self.normal[2] < -_SUPPORT_SLOPE
 
 

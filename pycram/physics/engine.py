@@ -274,7 +274,7 @@ class Engine:
 
         The motor gets the difference as a velocity, and corrects a remaining error by its gain.
         """
-        bullet.setJointMotorControlArray(  # this call keeps the velocity limit from _hold
+        bullet.setJointMotorControlArray(  # this call doesn't change the velocity limit that _hold has set
             body.id,
             [joint.index for joint in joints],
             bullet.POSITION_CONTROL,
@@ -302,7 +302,7 @@ class Engine:
             force=body.forces[joint.name],
             positionGain=body.gain,
             velocityGain=1.0,
-            maxVelocity=100.0,  # without it, the engine keeps an earlier value
+            maxVelocity=100.0,  # without a limit here, the engine uses an earlier limit
             physicsClientId=self._client,
         )
 
@@ -475,7 +475,7 @@ class Engine:
         return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
 
     def friction(self, body: int, link: int) -> float:
-        """Return a link's coefficient of sliding friction by id and index; the friction of a contact is a product."""
+        """Return a link's coefficient of sliding friction, by id and index; contacts have the product of two."""
         coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
         return coefficient
 

@@ -24,7 +24,7 @@ MOTOR_GAIN: Final = 0.1
 """Share of a joint's error that a motor corrects in a step. It is PyBullet's default, for bodies that aren't robots."""
 #: Least forces (N m, N) with which motors hold joints. With less than 1e4 N the PR2's torso sinks.
 _LEAST: Final = {"revolute": 500.0, "prismatic": 1e4}
-_GRAVITY: Final = 9.81  # m/s^2, the gravity that motors of robots must resist
+_GRAVITY: Final = 9.81  # m/s^2, gravity for the motor forces of robots
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ class Loading:
     """Share of the error of a robot's joint that its motor corrects in a step. With 0.1, long chains of joints sagged
     by up to 5 mrad."""
     strength: float = 2.0
-    """Largest force of a robot's motors as a multiple of the largest load by gravity. It only raises the least forces.
-    Without it, an industrial arm of 330 kg sank by 1.3 rad."""
+    """Largest force of a robot's motors as a multiple of the largest load by gravity; the least forces are the
+    minimum. Without it, an industrial arm of 330 kg sank by 1.3 rad."""
 
     @classmethod
     def of(cls, record: LoadBody) -> Loading:
@@ -99,10 +99,7 @@ def least_forces(joints: Collection[MovableJoint]) -> dict[str, float]:
 def holding_forces(joints: Collection[MovableJoint], loads: Sequence[Load], strength: float) -> dict[str, float]:
     """Return the motor forces (N m or N) by joint that hold a robot's links in any posture.
 
-    Args:
-        joints: The joints with motors.
-        loads: Loads of all joints by index, including fixed joints.
-        strength: Motor forces as a multiple of the largest load by gravity.
+    ``loads`` has the loads of all joints by index; ``strength`` is a multiple of the largest load by gravity.
     """
     slides = [joint for joint in joints if joint.kind == "prismatic" and math.isfinite(joint.upper - joint.lower)]
     travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}

@@ -174,7 +174,9 @@ class _Moved:
 
 def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> dict[str, float]:
     """Return the equivalent joint positions that are nearest to the present positions."""
-    slides = [robot.urdf.joint(name).type == "prismatic" for name in wanted]  # these have no equivalent positions
+    slides = [
+        robot.urdf.joint(name).type == "prismatic" for name in wanted
+    ]  # prismatic joints have no equivalent positions
     lower, upper = np.array([robot.joint_limits(name) for name in wanted]).reshape(-1, 2).T
     lower = np.where(slides, np.inf, lower)
     start, goal = np.array([now[name] for name in wanted]), np.array([*wanted.values()])
@@ -256,7 +258,9 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
             chain, posture[None], goals, turns, np.zeros(1, dtype=np.intp), stop_early=True
         )
         change = found[0] - posture
-        moved = np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)  # by less than half a turn
+        moved = np.where(
+            chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi
+        )  # every joint moves by less than half a turn
         left = float(np.linalg.norm(way)) * (1 - (number - 1) / count)
         if not reached[0]:
             raise Unreachable(arm.name, position, left, "the straight line ends there")

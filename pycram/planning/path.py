@@ -82,7 +82,7 @@ def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
     """
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
-    reached = [query.start]  # and the nearest configuration of each search
+    reached = [query.start]  # the start, then the nearest configuration of each search
     rooms = (True, query.space, MAX_CHECKS // 2), (False, query.wider or query.space, MAX_CHECKS)
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
@@ -129,7 +129,7 @@ def _searched(query: Query, clearance: Clearance, space: Space, budget: int, rea
 
 
 def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knots:
-    """Return the fastest knots of a path for which its rounded corners are free."""
+    """Return the fastest knots of a path whose rounded corners are free."""
     for spacing in timing.SPACINGS:
         knots = timing.timed(path, query.rates, spacing)
         if clearance.free(_looked_at(query, knots, fine)):

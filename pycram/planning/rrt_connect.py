@@ -141,7 +141,7 @@ def _search(
         simplifier = geometric.PathSimplifier(information)
         simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
         simplifier.partialShortcutPath(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
-        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # this removes the ends of shortcuts
+        simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)  # this call removes the ends of shortcuts
         found = np.array([_row(state, range(dimensions)) for state in path.getStates()]) / weights
         found[0], found[-1] = start, goal
     reached = goal if found is not None else _nearest(information, planner, space, goal)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 MARGIN: Final = 5e-3  # m, least distance between the robot and other objects
 _DEEPER: Final = 1e-3  # m by which an overlap may exceed the overlap at the start or goal
-_SLACK: Final = 0.01  # m, additional allowed overlap between hulls of the robot's own links, without another path
+_SLACK: Final = 0.01  # m, additional allowed overlap of hulls of the robot's own links, if there is no other path
 _BATCH: Final = 64  # configurations that are checked together
 _FIRST_BATCH: Final = 16  # configurations, spread over an edge, of the first check; it finds most blocked edges
 
@@ -82,8 +82,8 @@ class Clearance:
         self._allowed: dict[Pair, float] = {}  # allowed overlap of each pair in m
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
-        # Whether the robot keeps its distance. If not, the robot may nearly touch objects, and hulls of its own links
-        # may overlap a little more, because hulls are larger than links.
+        # Whether the robot keeps a distance from objects. Otherwise the robot may nearly touch objects, and hulls of
+        # its own links may overlap a little more, because hulls are larger than links.
         self.strict = True
         self.checks = 0  # number of checked configurations
         # how often a pair of links was in the way
@@ -108,7 +108,9 @@ class Clearance:
         """Return whether configurations (n, d) are free; configurations spread over the rows are checked first."""
         if not len(rows):
             return True
-        spread = rows[_spread(len(rows))]
+        bits = max(1, (len(rows) - 1).bit_length())
+        # indices with reversed bits cover the rows coarsely first
+        spread = rows[sorted(range(len(rows)), key=lambda number: int(f"{number:0{bits}b}"[::-1], 2))]
         starts = (0, *range(_FIRST_BATCH, len(rows), _BATCH), len(rows))
         return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
 
@@ -157,9 +159,3 @@ class Clearance:
         elif self.strict and pair[2] is not self._checker.robot:
             usual = -MARGIN
         return max(usual, self._allowed.get(pair, usual))
-
-
-def _spread(count: int) -> Sequence[int]:
-    """Return the numbers from 0 to count - 1 in an order that covers the range coarsely first (by reversed bits)."""
-    bits = max(1, (count - 1).bit_length())
-    return sorted(range(count), key=lambda number: int(f"{number:0{bits}b}"[::-1], 2))

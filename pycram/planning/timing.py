@@ -208,7 +208,7 @@ def base_rates(robot: Object) -> Rates:
 
 
 def stacked(parts: Sequence[Rates]) -> Rates:
-    """Return the limits of several bodies together; the columns of each body follow those of the body before."""
+    """Return the limits of several bodies together; the columns of the bodies follow each other."""
     rows, columns = (sum(part.directions.shape[axis] for part in parts) for axis in (0, 1))
     directions = np.zeros((rows, columns))
     row = column = 0

@@ -226,7 +226,7 @@ def _project_all(
         with closing(pool.run(waiting, start)) as results:
             for number, result in results:
                 outcomes[number] = outcome = projections[number].outcome(result, limit)
-                if until == "first" and outcome.succeeded:  # later candidates don't matter
+                if until == "first" and outcome.succeeded:  # outcomes of later candidates aren't returned
                     needed = number + 1
                     waiting.clear()
                     for later in range(needed, len(actions)):

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from recorder.tracing.journal import Journal
 
-_MAX_GROUPS: Final = 8  # groups of candidates in a record; candidates of other groups are only counted
-_MAX_NAMES: Final = 4  # names of candidates in a group of a record
+_MAX_GROUPS: Final = 8  # maximum number of groups of candidates in a record; other candidates are only counted
+_MAX_NAMES: Final = 4  # maximum number of names in a recorded group of candidates
 
 
 @dataclass(slots=True)
@@ -106,12 +106,12 @@ class Choice(Question):
         self.wanted = wanted  # whether the candidates are recorded; if not, callers needn't compute reasons
         self._rejected: dict[str, tuple[Rejection, int]] = {}
         self.chosen = ""  # name of the chosen candidate
-        self.forced = ""  # name of the only candidate that a fork admits; "" if all are admitted
+        self.forced = ""  # name of the only candidate that a fork admits; "" if it admits all candidates
         self._met = False  # whether the forced candidate was considered
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
-        """Choose in the block as :meth:`Question.asked`; a fork may force a candidate."""
+        """Choose in the ``with`` block, as in :meth:`Question.asked`; a fork may force a candidate."""
         self.forced = forced(f"choice {self.name}", self.arguments) or ""
         try:
             with super().asked(world, trace=trace):
@@ -122,7 +122,7 @@ class Choice(Question):
                 decides.missing(self.name, self.forced, list(self._rejected))
 
     def admits(self, candidate: str) -> bool:
-        """Return whether a candidate may be chosen; if a fork forces another candidate, reject this one."""
+        """Return whether a candidate may be chosen; reject the candidate if a fork forces another one."""
         if not self.forced or candidate == self.forced or candidate.startswith(f"{self.forced}, "):
             self._met = True
             return True

@@ -58,7 +58,7 @@ class Touching(Rejection):
     """The robot would touch something."""
 
     pairs: Sequence[CollisionPair]  # the first pairs of links that would touch
-    more: int = field(init=False)  # number of other pairs
+    more: int = field(init=False)  # number of pairs that aren't in ``pairs``
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "more", max(0, len(self.pairs) - _MAX_PAIRS))
@@ -148,7 +148,7 @@ class Unseen(Rejection):
     """The camera would see too little of the object."""
 
     share: float  # share of the object that is seen
-    hidden_by: Sequence[str] = ()  # names of objects that hide it
+    hidden_by: Sequence[str] = ()  # names of the objects that hide the candidate
     outside: float = 0.0  # share of the object outside of the picture
     #: The link that hides most, for each object with several links that hides it.
     hiding_links: Mapping[str, str] = field(default_factory=dict, hash=False)

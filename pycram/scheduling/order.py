@@ -71,7 +71,7 @@ def _cycle(waits: Sequence[BlockedWait]) -> tuple[str, ...]:
     for start in depends_on:
         paths: list[tuple[str, ...]] = [(start,)]
         seen = {start}
-        for path in paths:  # the body appends paths
+        for path in paths:  # the loop itself appends paths
             for name in depends_on.get(path[-1], ()):
                 if name == start:
                     return (*path, start)

@@ -60,8 +60,8 @@ MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
 
-#: A function that a deadlock calls. It returns the text of what a wait waits for, the names of the branches that the
-#: wait depends on, and between them the words before these names ("" if the text contains the names).
+#: A function that is called in a deadlock. It returns the text of what a wait waits for, the names of the branches that
+#: the wait depends on, and between them the words before these names ("" if the text contains the names).
 Reason: TypeAlias = "Callable[[], tuple[str, str, Collection[str]]]"
 
 
@@ -193,7 +193,7 @@ Ready: TypeAlias = "Waiter | _Branch"
 def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine:
     innermost = None
     if suspended is not None:
-        innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  as inspect has it
+        innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  like the module inspect
     lines = [(recorded_file(frame.f_code.co_filename), frame.f_lineno) for frame in plan_frames(innermost)]
     if branch is not None:  # prefer a line of the file that added the branch to a line of a helper function
         own = [line for line in lines if line[0] == branch.site[0]] or [branch.site]
@@ -283,7 +283,7 @@ class Scheduler:
         self._parked: dict[Waiter, None] = {}  # waits that sleep
         self._deadlocked = False  # whether the error of a deadlock was raised outside of the present branches
         self.patient: dict[Waiter, None] = {}  # patient waits; the longest wait is first
-        self._first: Waiter | None = None  # this wait resumes before all that is ready
+        self._first: Waiter | None = None  # this wait resumes before everything that is ready
         self.strike_sources: dict[StrikeSource, None] = {}  # sources in the order of polling
         self.polls = 0  # number of past polls
         self.recorded_strikes: RecordedStrikes | None = None  # None if no recording guides this thread
@@ -297,7 +297,7 @@ class Scheduler:
         self._dice = None if seed is None else random.Random(f"order {seed}")  # separate from the plan's random numbers
         self.order = order_of(order, seed)
         for ready in list(self._ready):
-            if isinstance(ready, Waiter) and not ready.parked:  # the wait has ended
+            if isinstance(ready, Waiter) and not ready.parked:  # the wait isn't waiting any more
                 self.forget(ready)
 
     def continue_order(self, other: Scheduler) -> None:
@@ -317,7 +317,7 @@ class Scheduler:
         site: CallSite = ("", 0),
         label: Callable[[], str] = str,
     ) -> None:
-        """Schedule a new branch; any thread may call this. An error leaves no branch.
+        """Schedule a new branch; any thread may call this. After an error, the branch isn't scheduled.
 
         Args:
             name: Name in records.
@@ -491,7 +491,9 @@ class Scheduler:
         """Block the thread until the bell rings or a deadline passes."""
         first = min((each.end for each in self.strike_sources if not each.struck), default=math.inf)
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
-            if first <= time.monotonic() or self.patient:  # else a signal handler has run, and the thread sleeps again
+            if (
+                first <= time.monotonic() or self.patient
+            ):  # otherwise a signal handler has run, and the thread sleeps again
                 break
 
     def awaits_strike(self) -> bool:

@@ -68,7 +68,7 @@ class StrikeSource(Condition):
         """Whether the strike has come."""
         if self.struck:
             return True
-        if self._scheduler is not scheduler():  # this is another thread or a forked child
+        if self._scheduler is not scheduler():  # the caller is another thread or a forked child
             return self.is_due()
         self._scheduler.poll()
         return self.struck

@@ -51,7 +51,7 @@ class BodyAttachment:
     body_link: str  # the link that the carrier holds
     pose: Pose  # pose of the body's base link in the carrier's link: position in m, orientation xyzw
     constraint: int  # the engine's id of the constraint that holds the body in simulation
-    loose: bool = False  # whether the body lies in or on the carrier, and is released with it
+    loose: bool = False  # whether the body only lies in or on the carrier, and is released with the carrier
     left: Sequence[Object] = ()  # bodies that don't collide with the body in simulation while it is held
 
     def other(self, side: Object) -> Object:
@@ -92,7 +92,7 @@ def attach(
         pose: Pose of the body's base link in the carrier's link; None for the present pose.
         along: Bodies in or on the body that move along until the body is released; see :func:`taken_along`.
         left: Bodies that stay but overlap the moving bodies or lean on them; these don't collide in simulation.
-        loose: Whether the body lies in or on the carrier, and is released with it.
+        loose: Whether the body only lies in or on the carrier, and is released with the carrier.
 
     Raises:
         UnknownName: There is no such link.
@@ -164,7 +164,7 @@ def end(attachment: BodyAttachment, transaction: Transaction) -> None:
     """End an attachment in a transaction, and release the objects that lie loosely in or on the body."""
     carrier, body = attachment.carrier, attachment.body
     if carrier.attachments.get(body) is not attachment:
-        return  # it has ended with another attachment of the carrier
+        return  # the attachment has ended with another attachment of its carrier
     del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  both objects refer to the attachment
     for held in body.carried:
         if held.loose:

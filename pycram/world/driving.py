@@ -34,8 +34,8 @@ LOST: Final = {"revolute": 0.1, "prismatic": 0.05}
 """Largest deviation of a joint from its trajectory, rad or m; without contacts, joints deviate by less than 1e-3."""
 _MAX_SECONDS: Final = 3600.0
 _MAX_NUMBERS: Final = 200_000  # values of a trajectory: a minute with 100 rows a second for 30 joints
-_FARTHEST: Final = 1e6  # m or rad, as for any pose
-_FASTEST: Final = 1e3  # m/s or rad/s
+_FARTHEST: Final = 1e6  # largest position of a trajectory, m or rad
+_FASTEST: Final = 1e3  # largest velocity of a trajectory, m/s or rad/s
 _START: Final = 0.2  # share of LOST by which a joint may deviate from the start of its trajectory
 _BASE_START: Final = (0.01, 0.01, 0.02)  # x and y in m, yaw in rad by which a base may deviate from the start
 
@@ -120,7 +120,7 @@ class Trajectories:
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
-        self.active: dict[int, Followed] = {}  # by number; the first began first
+        self.active: dict[int, Followed] = {}  # trajectories by number, oldest first
         self.last = 0  # number of the latest trajectory
 
     def add(self, followed: Followed) -> None:
@@ -199,7 +199,7 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]
     raise_if_cancelled()
     begun: list[Followed] = []
     try:
-        with uninterruptible(), Uninterrupted():  # all motions start or none
+        with uninterruptible(), Uninterrupted():  # either all motions start, or none
             for body, planned in motions:
                 begun.append(begin(world, body, planned.trajectory, planned.search))
         simulation.wait(world, lambda: all(each.ended for each in begun) or any(each.lost for each in begun))

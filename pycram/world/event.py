@@ -1,7 +1,8 @@
 """Events and their handlers (thesis 4.2.3).
 
 ``Event.prepare`` records an event and returns a function that calls the handlers. A world prepares events under its
-lock, so their records have the order of transactions. It calls handlers without the lock, so they may change any world.
+lock, so their records have the order of transactions. Handlers are called without the lock, so they may
+change any world.
 """
 
 from __future__ import annotations

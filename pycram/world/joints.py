@@ -54,7 +54,7 @@ def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str,
 
 
 def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
-    """Return given positions (rad or m) by name, and positions of all joints that mimic the same joints.
+    """Return given positions (rad or m) by name, extended by the positions of joints in the same mimic groups.
 
     Raises:
         BadArgument: Given positions of a group contradict each other, or contradict a joint that can't be moved.
@@ -84,7 +84,7 @@ def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
 
 
 def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
-    """Return a trajectory that also has all joints that mimic the same joints as its joints.
+    """Return a trajectory, extended by the joints in the mimic groups of its joints.
 
     Raises:
         UnknownName: The object has no such joint.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 #: None where a world, robot or description may be missing. Type checkers accept any use, so plans need no assertions.
 MaybeNone: TypeAlias = Any
 
-_SCALES = (1e-6, 1e6)  # m per unit of length
+_SCALES = (1e-6, 1e6)  # least and greatest scale, m per unit of length
 ENVIRONMENT = "environment"
 ROBOT = "robot"
 
@@ -45,9 +45,9 @@ ROBOT = "robot"
 class Object(ReadOnlyAttributes):
     """An object in a world.
 
-    Positions are [x, y, z] in m and orientations are quaternions [x, y, z, w]: of the base link in the world, unless a
-    link is named. Joint positions are in rad or m. Setting poses and joints is exact, without a simulation. Attributes
-    are read-only; methods change them, and record each change.
+    Positions are [x, y, z] in m and orientations are quaternions [x, y, z, w]. They are those of the base link in the
+    world, unless a link is named. Joint positions are in rad or m. Setting poses and joints is exact, without a
+    simulation. Attributes are read-only; methods change them, and record each change.
 
     All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that doesn't exist, and
     WorldClosed after the object was removed or its world has ended. Methods that change the object raise ChangeRefused
@@ -102,7 +102,7 @@ class Object(ReadOnlyAttributes):
         scale: float = 1.0,
         model: Model | None = None,
     ) -> None:
-        from pycram.world.world import BulletWorld  # noqa: PLC0415  that module imports this one
+        from pycram.world.world import BulletWorld  # noqa: PLC0415  pycram.world.world imports this module
 
         around = world if world is not None else BulletWorld.current_bullet_world
         if around is None:
@@ -128,7 +128,7 @@ class Object(ReadOnlyAttributes):
                 self.description = description
             else:
                 self.description, misfits = find_description(self.urdf)
-            if misfits and model is None:  # the recording run gave this warning
+            if misfits and model is None:  # the user saw this warning during the recording
                 _warn_of_misfits(self, misfits)
         self.original_pose: Pose = pose
         self.original_joints: Mapping[str, float] = MappingProxyType({})
@@ -138,11 +138,11 @@ class Object(ReadOnlyAttributes):
         self.overlaps: Sequence[records.Overlap] = ()
         self._seal(Object)
         self.world.add(self)
-        if model is not None:  # the recording run gave these warnings
+        if model is not None:  # the user saw these warnings during the recording
             return
         if self.overlaps:
             warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
-        is_mesh = not self.path.lower().endswith(".urdf")  # a URDF has units
+        is_mesh = not self.path.lower().endswith(".urdf")  # lengths in a URDF are in m
         width = sizes.width(self.model.path) if is_mesh and not self.fixed else 0.0
         if width > sizes.WIDEST:
             warnings.warn_explicit(sizes.warning(self.name, width), sizes.Oversized, *call_site())

@@ -118,7 +118,7 @@ def put_back(
         world.beliefs.restored(steps or {})
         if steps is not None:
             transaction.number = partial(_number, transaction.command.restore, steps)
-        world._robot = bodies.get(command.robot)  # noqa: SLF001  as set_robot does, in one record with the rest
+        world._robot = bodies.get(command.robot)  # noqa: SLF001  set_robot() would make a second record
 
 
 def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:

@@ -259,7 +259,7 @@ class WorldClock:
     def __init__(self, world: BulletWorld, *, last: bool) -> None:
         self._world = world
         self._last = last
-        self._began: tuple[float, int] | None = None  # wall-clock time in s, and the step, when it began to keep pace
+        self._began: tuple[float, int] | None = None  # wall-clock time in s and simulated step when keeping pace began
         self._end = math.inf  # the last step to which time may pass now
 
     def may_pass(self) -> bool:
@@ -499,7 +499,7 @@ class RealtimeClock:
                     self._world.simulate(_PERIOD)
                 except WorldClosed:
                     return
-                except ChangeRefused:  # a query runs now
+                except ChangeRefused:  # a query runs in this world now
                     continue
                 except Exception as error:  # noqa: BLE001  stop() raises a handler's error; the simulation continues
                     if self._error is None:

@@ -56,7 +56,7 @@ _names: set[str] = set()
 
 def number_anew() -> None:
     """Name worlds from "world_1" on again, in a forked process that runs a program from its start."""
-    global _numbers  # noqa: PLW0603  it belongs to the process
+    global _numbers  # noqa: PLW0603  the counter belongs to the process
     _numbers = itertools.count(1)
 
 
@@ -251,7 +251,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise NoWorld("robot")
         return world.robot
 
-    if TYPE_CHECKING:  # declared once for the class and its instances, because a property would hide the metaclass's
+    if TYPE_CHECKING:  # declared once for the class and its instances, a property would hide the metaclass's property
         robot: Object | MaybeNone
     else:
 

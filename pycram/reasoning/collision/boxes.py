@@ -93,7 +93,7 @@ class Boxes:
 
         Args:
             path: the model's checked URDF.
-            poses: poses of each link in the frame; between two poses, the link moves at most a millimetre off.
+            poses: poses of each link in the frame; between two poses, a straight line must be exact to 1 mm.
         """
         names, low, high = _bounds(path)
         kept = [number for number, name in enumerate(names) if name in poses]
@@ -196,12 +196,9 @@ def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) ->
 def overlapping_pairs(
     centers: Array, axes: Array, half_extents: Array, a: Indices, b: Indices
 ) -> tuple[Indices, Indices]:
-    """Return the overlaps among pairs of boxes, for many postures together.
+    """Return the overlaps among pairs of boxes, for many postures together; see :func:`overlaps` for shapes.
 
     Args:
-        centers: (n, k, 3) centers of the boxes in each posture, in the world, m.
-        axes: (n, k, 3, 3) axes of the boxes.
-        half_extents: (k, 3) half extents of the boxes, m.
         a: (m,) index of the first box of each pair.
         b: (m,) index of the second box of each pair.
 
@@ -253,9 +250,7 @@ class MovingLinks:
     """The links of a robot that joints move, with the objects that they hold.
 
     Args:
-        engine: the engine with the robot.
-        body: the robot in the engine.
-        boxes: boxes around all pieces of the robot in the engine.
+        boxes: boxes around all pieces of the robot.
         held: each held object, the robot's link, and the boxes around the object's pieces.
         joints: names of the moving joints.
         all_links: whether to check all links of the robot, not only links that move.
@@ -325,7 +320,7 @@ class MovingLinks:
 class _Structure:
     """Data of moving links that don't depend on the robot's pose."""
 
-    moving: frozenset[str]  # checked links
+    moving: frozenset[str]  # names of the checked links
     owners: Sequence[Owner]  # (k,) owner of each checked box
     drivers: NDArray[np.intp]  # (k,) index of the joint that moves each checked box; -1 for none
     all_owners: Sequence[Owner]  # owner of each box of the robot and of objects that moving links hold
@@ -348,14 +343,9 @@ def _structure(
     held: tuple[tuple[str, str, tuple[str, ...]], ...],
     may_touch: frozenset[frozenset[str]],
 ) -> _Structure:
-    """Return the structure for a model with a checked URDF.
+    """Return the structure for a model with a checked URDF; see :class:`MovingLinks`.
 
-    Args:
-        robot_links: links of the robot's boxes.
-        joints: names of the moving joints.
-        all_links: whether to check all links, not only links that move.
-        held: name of each held object, the robot's link, and the links of the object's boxes.
-        may_touch: pairs of the robot's links that may overlap.
+    ``held`` has the name of each held object, the robot's link, and the links of the object's boxes.
     """
     urdf = stored_tree(path)
     moving = frozenset(urdf.links if all_links else attachment.moved_links(urdf, joints))
@@ -369,12 +359,12 @@ def _structure(
     names, own_links = np.array(links), np.arange(len(links)) < len(robot_links)
     own = _own_joints(urdf, links, joints)
     every = _own_joints(urdf, links, urdf.movable)
-    still = np.where(checked, 0, every.T)  # links that aren't checked, such as another arm's
+    still = np.where(checked, 0, every.T)  # links that aren't checked, such as links of another arm
     apart = checked[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
     for link, other in map(sorted, may_touch):
         pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
         apart &= ~(pair | pair.T)
-    first, second = np.nonzero(apart & ~(checked & (names[:, None] >= names)))  # each pair only once
+    first, second = np.nonzero(apart & ~(checked & (names[:, None] >= names)))  # each pair counts once
     return _Structure(
         moving=moving,
         owners=list(itertools.compress(owners, checked)),

@@ -32,7 +32,9 @@ if TYPE_CHECKING:
     Pair = tuple[Object, str, Object, str]
 
 DEPTH: Final = 2e-3  # m; shapes with a smaller overlap don't collide, because the engine pads shapes
-_SELF_DEPTH: Final = 0.02  # m, as above for the robot's own shapes; they are hulls, which overlap more than the links
+_SELF_DEPTH: Final = (
+    0.02  # m, minimum overlap of the robot's own links that collide; their hulls overlap more than the links
+)
 _STANDING: Final = 0.9  # minimum vertical component of a contact's normal below a robot's wheels
 _FEET: Final = 0.02  # m, maximum height of a contact below a robot's wheels
 
@@ -40,10 +42,10 @@ _FEET: Final = 0.02  # m, maximum height of a contact below a robot's wheels
 class Collision(TypedDict):
     """A collision of a robot with an object, in the form of records."""
 
-    links: list[str]  # touching links of the robot or of held objects
-    by: list[str]  # touched links of the object
+    links: list[str]  # links of the robot or of held objects that touch the object
+    by: list[str]  # links of the object that the robot touches
     depth: float  # greatest overlap, m
-    pair: CollisionPair  # the links with the greatest overlap
+    pair: CollisionPair  # the pair of links with the greatest overlap
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +57,7 @@ class PostureCandidate:
     # (n,) indices of moving boxes, and of the other boxes that overlap them
     overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
     transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by the joints
-    # pairs of links in these boxes in the order of checks; empty until they are needed
+    # pairs of links whose boxes overlap, in the order of checks; empty until pairs() is called
     pairs: list[Pair] = field(default_factory=list)
     touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # contact points of the checked pairs
 
@@ -134,7 +136,6 @@ class CollisionChecker:
 
         Args:
             postures: joint positions in rad or m by name; other joints don't move.
-            base: pose of the robot's base; None for its present pose.
         """
         transforms = self._links.articulation.transforms(postures)
         moved = transforms if base is None else self._carried([base]) @ transforms
@@ -370,9 +371,7 @@ def touched(
     """Return the collisions of a robot in another posture or at another pose; the deepest collision is first.
 
     Args:
-        robot: the robot; the caller holds the world's lock.
         positions: joint positions in rad or m by name; other joints don't move.
-        base: pose of the robot's base; None for its present pose.
         all_links: whether to check all links of the robot, not only links that move.
     """
     with CollisionChecker(robot, positions, all_links=all_links) as checker:

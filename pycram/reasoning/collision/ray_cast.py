@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_PADDING: Final = 1e-3  # m by which the engine pads hulls
+_PADDING: Final = 1e-3  # m by which the engine pads convex hulls
 _PARALLEL: Final = 1e-9  # a line with a smaller component along a plane's unit normal is parallel to the plane
 
 
@@ -121,10 +121,8 @@ class RayCaster:
     ) -> _Intersections:
         """Intersect parallel lines with the object's pieces, all together, because each call of numpy takes time.
 
-        Args:
-            order: indices of the frames' axes: u and v across the lines, w along the lines.
-            count: number of lines along u in each scan.
-            vs: coordinates of lines along v in ascending order, m.
+        ``order`` has the frames' axes u and v across the lines, and w along them. Each scan has ``count`` lines along
+        u; ``vs`` are coordinates of lines along v in ascending order, m.
         """
         last = np.broadcast_to(count, len(scans)) - 1
         most = int(last.max(initial=0)) + 1

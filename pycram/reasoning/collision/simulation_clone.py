@@ -39,8 +39,6 @@ _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 @dataclass(slots=True)
 class _Copy:
-    """A body in the clone."""
-
     original: LoadedBody  # the object's body in the world; it identifies the object, because ids are used again
     body: LoadedBody  # the body in the clone
     state: Snapshot | None = None  # the object's state when the copy was updated; None if the copy was changed
@@ -52,7 +50,7 @@ class SimulationClone:
     def __init__(self, world: BulletWorld) -> None:
         self.world = weakref.proxy(world)
         self._engine: Engine | None = None
-        self._copies: dict[tuple[str, str], _Copy] = {}  # by object and link; "" for the whole object
+        self._copies: dict[tuple[str, str], _Copy] = {}  # copies by object and link; "" for the whole object
         self._values: weakref.WeakKeyDictionary[Object, dict[Hashable, tuple[Snapshot, object]]]
         self._values = weakref.WeakKeyDictionary()
 
@@ -126,7 +124,9 @@ class PosingClone(SimulationClone):
     def body(self, name: str) -> LoadedBody:
         """Return the copy of an object at its state in the world, unless the caller has moved the copy."""
         copy = self._copies.get((name, ""))
-        if copy is not None and copy.state is self._states[name]:  # usual, because a query uses a body many times
+        if (
+            copy is not None and copy.state is self._states[name]
+        ):  # this is usual, because a query uses a body many times
             return copy.body
         body: Object = self.world.get_object(name)
         if copy is None:
@@ -211,7 +211,11 @@ class PhysicsClone(SimulationClone):
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
         self._forget_removed()
-        divided = {body.name: rigid_parts.divided(body.model.path) for body in wanted if _divides(body)}
+        divided = {
+            body.name: rigid_parts.divided(body.model.path)
+            for body in wanted  # rigid parts have a fixed base and no moving joints
+            if body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
+        }
         keys = {(body.name, "") for body in wanted if body.name not in divided}
         keys |= {(name, str(part.path)) for name, each in divided.items() for part in each}
         for key, copy in self._copies.items():
@@ -270,11 +274,6 @@ class PhysicsClone(SimulationClone):
         robot = held.carrier.is_robot
         self.engine.pass_through(carrier, held.carrier_link, body, robot=robot, enable=True)
         self._held.append((constraint, carrier, held.carrier_link, body, robot))
-
-
-def _divides(body: Object) -> bool:
-    """Return whether an object can be simulated as rigid parts, because its base is fixed and its joints are held."""
-    return body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
 
 
 _clones: weakref.WeakKeyDictionary[BulletWorld, dict[str, SimulationClone]] = weakref.WeakKeyDictionary()

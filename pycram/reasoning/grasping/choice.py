@@ -82,10 +82,6 @@ def best_grasp(
     Args:
         link: an arm's tool frame, or another link, which only has to reach the target's center.
         names: the allowed sides; None for all sides.
-        refused: grasps that are excluded.
-        choice: receives the reasons against the other grasps.
-        base: assumed pose of the robot's base; None for its present pose.
-        adjusted: additional grasps.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     takes = arm if arm is not None and arm.hand is not None else None
@@ -158,17 +154,15 @@ class _Grasping:
 class _Choice:
     """A best-first search for the posture that touches least.
 
-    The search takes the posture with the least known cost, and checks its next pair of links. It ends when that posture
-    is checked completely, because no other posture can cost less. All postures for a grasp have the same pose of the
-    hand, so the hand is checked once for each grasp; its cost is a lower bound for the postures.
+    The search takes the posture with the least known cost, and checks its next pair of links. The search ends
+    when that posture is checked completely, because no other posture can cost less. All postures for a grasp have the
+    same pose of the hand, so the hand is checked only once; the cost of its touches is a lower bound.
 
     Args:
         target: the object, which the open hand mustn't overlap.
         options: grasps with their postures.
         opened: joint positions of the open gripper.
         hand: links that have the same pose in all postures for a grasp.
-        choice: receives the results for the grasps.
-        base: assumed pose of the robot's base; None for its present pose.
     """
 
     def __init__(
@@ -186,7 +180,7 @@ class _Choice:
         self._checker = checker
         self._options = options
         every = [{**posture.positions, **opened} for _, postures in options for posture in postures]
-        candidates = iter(checker.predict(every, base))  # one call for all, because this takes hardly longer
+        candidates = iter(checker.predict(every, base))  # one call for all postures takes hardly longer than for one
         self._candidates = [list(itertools.islice(candidates, len(postures))) for _, postures in options]
         self._hand = hand
         self._arm = checker.moving - set(hand)
@@ -251,16 +245,13 @@ class _Choice:
             depth = max(-point.distance for point in points)
             if depth > depths.get(body, 0.0):
                 depths[body] = depth
-                cost = self._cost(depths)
+                counted = {other: deep for other, deep in depths.items() if other is not self._target}
+                furniture = sum(other.fixed for other in counted)  # it counts more, because it can't be moved
+                movable = len(counted) - furniture
+                cost = self._target in depths, furniture, movable, sum(sorted(counted.values()))
                 if cost > enough:
                     break
         return cost
-
-    def _cost(self, depths: Mapping[Object, float]) -> Cost:
-        """Return the cost of touches: furniture counts more than movable objects, then small overlaps are better."""
-        counted = {body: depth for body, depth in depths.items() if body is not self._target}
-        furniture = sum(body.fixed for body in counted)
-        return self._target in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
 
 
 def holding_grasps(
@@ -275,11 +266,9 @@ def holding_grasps(
     """Yield grasps with a posture of the arm and the closed gripper; the grasp that touches least comes first.
 
     Args:
-        robot: the robot; the caller holds the world's lock.
         names: the allowed sides; None for all sides.
-        failures: receives the reasons against other grasps. The caller may add failures; the search ends after a few.
-        choice: receives the reasons by grasp.
-        base: assumed pose of the robot's base; None for its present pose.
+        failures: receives the reasons against other grasps. The caller may add failures; after a few failures
+            the search ends.
     """
     refused: list[Grasp] = []
     adjusted: list[Grasp] = []

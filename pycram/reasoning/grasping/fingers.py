@@ -77,12 +77,10 @@ def finger_motion(
     """Return how far the fingers of an arm can move. A present overlap stops the fingers only if it gets deeper.
 
     Args:
-        robot: the robot; the caller holds the world's lock.
         goal: share by which the gripper should be open; 0 is closed, 1 is open.
         posture: joint positions of the arm by name; None for its present posture.
         release: the released object, which doesn't stop the fingers; objects that it carries do.
         pose: pose of the released object; None for its present pose.
-        base: assumed pose of the robot's base; None for its present pose.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")
@@ -144,10 +142,8 @@ def close_around(
     In a hand with many fingers, the other fingers continue until they touch the object, as their motors would.
 
     Args:
-        robot: the robot; the caller holds the world's lock.
         posture: joint positions by name, with the gripper at the object.
         body: the object, which doesn't move.
-        base: assumed pose of the robot's base; None for its present pose.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")

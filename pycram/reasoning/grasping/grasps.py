@@ -93,8 +93,6 @@ def candidates(
         names: the allowed sides; None for all sides.
         off_center: whether to return only grasps of a long object from the top, between its middle and its ends, and
             grasps that lean with a slightly leaning object.
-        base: assumed pose of the robot's base; None for its present pose.
-        choice: receives, for each side, why the object doesn't fit.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     sides = names
@@ -343,7 +341,6 @@ def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Qu
     Args:
         grasp: "front", "top", "left" or "right".
         robot: the robot, whose heading defines the front.
-        base: assumed pose of the robot's base; None for its present pose.
 
     Raises:
         UnknownName: There is no such grasp.

@@ -209,12 +209,8 @@ def plan_path(
     """Return the path of an arm that holds a handle while the handle's joint moves through positions.
 
     Args:
-        robot: the robot; the caller holds the world's lock.
         values: positions of the handle's joint, rad or m; the first is its present position.
-        base: assumed pose of the robot's base; None for its present pose.
         others: assumed positions of other joints, such as the torso, rad or m; joints without a value don't move.
-        quick: whether to search for a short time; a dead end then proves nothing.
-        choice: receives the results for the grips.
     """
     moved = attachment.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}
@@ -319,7 +315,9 @@ class _Search:
             checked.update((step, nodes[step]) for step in unchecked)
             touching = False
             candidates = self._checker.predict([postures[step] for step in unchecked], self._base)
-            own_pairs = self._checker.self_pairs(candidates)  # one call for all, because this takes hardly longer
+            own_pairs = self._checker.self_pairs(
+                candidates
+            )  # one call for all postures takes hardly longer than for one
             for step, candidate, own in zip(unchecked, candidates, own_pairs, strict=True):
                 pairs = self._touching(candidate, own, self._values[step])
                 if pairs:
@@ -500,14 +498,7 @@ class InTheWay:
 def arms_in_the_way(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
 ) -> list[Remedy | InTheWay]:
-    """Return, for each arm that is in the way of another arm, whether parking it helps.
-
-    Args:
-        robot: the robot; the caller holds the world's lock.
-        arm: the arm that has no path.
-        values: positions of the handle's joint, rad or m; the first is its present position.
-        pairs: links that would touch.
-    """
+    """Return, for each arm in the way of an arm without a path, whether parking it helps; see :func:`plan_path`."""
     found: list[Remedy | InTheWay] = []
     for other in robot.description.arms.values() if robot.description else ():
         if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
@@ -528,14 +519,7 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
 def remedies(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> list[Remedy]:
-    """Return remedies for an arm without a path, nearest first; an empty list if there are none nearby.
-
-    Args:
-        robot: the robot; the caller holds the world's lock.
-        arm: the arm that has no path.
-        values: positions of the handle's joint, rad or m; the first is its present position.
-        choice: receives the results for the remedies.
-    """
+    """Return remedies nearby for an arm without a path, nearest first; see :func:`plan_path`."""
     description = robot.description
     free = [
         other

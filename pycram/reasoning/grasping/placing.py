@@ -198,13 +198,9 @@ def placements(
     """Yield ways for an arm to put down its held object without a collision, also when the fingers open.
 
     Args:
-        robot: the robot; the caller holds the world's lock.
         target: xyz in m.
         orientation: xyzw; None for upright with a natural yaw.
         refusals: receives the reasons against other poses and postures.
-        choice: receives the reasons by pose.
-        base: assumed pose of the robot's base; None for its present pose.
-        quickly: whether to search for a short time; an empty result then proves nothing.
         rests: resting positions by orientation, or why there is none; new results are added.
     """
     body_T_tool = geometry.multiply(

@@ -85,9 +85,9 @@ def free_places(
 ) -> Iterator[FoundPlace]:
     """Return places where an object can be put down on surfaces, best first.
 
-    `place` would put the object down there: its outline is on the surface, and a finger fits between it and other
-    objects. Each place is checked when the caller requests it, and recorded as one query. The world may change between
-    requests.
+    The motion `place` would put the object down at each place: the object's outline is on the surface, and a finger
+    fits between the object and other objects. Each place is checked when the caller requests it, and recorded as one
+    query. The world may change between requests.
 
     Args:
         body: the object, in an upright orientation; its present place doesn't matter.
@@ -285,7 +285,7 @@ class SurfaceSearch(Search):
 
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
-        """Return 0 where an object would stick out over the edge in all orientations, up to 1 where it never would."""
+        """Return 0 where an object would stick out over the edge in all orientations, up to 1 where in none."""
         margins = np.full(len(centers), np.inf)
         for (ax, ay), (bx, by) in itertools.pairwise([*outline, outline[0]]):
             length = max(math.hypot(bx - ax, by - ay), 1e-9)
@@ -331,7 +331,7 @@ class SurfaceSearch(Search):
     def _reach(self, grid: Grid) -> Array:
         """Return the robot's scores of reaching each cell, from its present pose or from any pose if it drives."""
         robot = self._robot
-        assert robot is not None  # noqa: S101  the caller has checked
+        assert robot is not None  # noqa: S101  the caller has checked that there is a robot
         (x, y, height), here = grid.origin, robot.get_position()
         low, high = (x, y), (x + grid.shape[1] * grid.resolution, y + grid.shape[0] * grid.resolution)
         lift = float(np.ptp(self._corners[:, 2])) / 2  # m; arms grasp objects at about half of their height

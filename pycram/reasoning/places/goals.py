@@ -1,4 +1,4 @@
-"""Goals of an arm at a place. The rules of the motion that would reach a goal check the place."""
+"""Goals of an arm: whether an arm reaches its goal from a place, by the rules of the motion that would move there."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ class TakeGoal:
         """Return the name of the object."""
         return self.body.name
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  the poses are for any arm
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  all arms have the same poses of the tool
         """Return poses of the tool in the center of the object, one for each allowed side."""
         return [[(self.position, grasp_orientation(side, self._robot, base)) for side in self._grasps or GRASPS]]
 
@@ -214,7 +214,7 @@ class PutDownGoal:
         in_hand = held(self._robot, arm)
         return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  the poses are for any place
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  all places have the same poses of the tool
         """Return poses of the tool with the object at the goal, for several yaws."""
         body = self._held(arm)
         if body is None:

@@ -160,10 +160,7 @@ def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> 
 def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:
     """Return 0 where the inner circle of an outline touches an obstacle, up to 1 where the outer circle is free.
 
-    Args:
-        centers: (cells, 2), m.
-        inner: radius of a circle within the outline, m.
-        outer: radius of a circle around the outline, m.
+    The circles are within and around the outline; ``inner`` and ``outer`` are their radii in m.
     """
     distance = obstacles.distances(centers, outer)
     sure = _SURE * inner
@@ -181,13 +178,9 @@ class Grid:
 
     @classmethod
     def over(cls, low: Sequence[float], high: Sequence[float], height: float, resolution: float = RESOLUTION) -> Grid:
-        """Return a grid over a rectangle; its resolution is coarser than ``resolution`` if there are too many cells.
+        """Return a grid over a rectangle with lowest and highest x and y, and a height, in m.
 
-        Args:
-            low: lowest x and y of the rectangle, m.
-            high: highest x and y of the rectangle, m.
-            height: z of the rectangle, m.
-            resolution: m between cells.
+        Its cells are larger than ``resolution`` if there would be too many.
         """
         width, depth = (max(high[axis] - low[axis], resolution) for axis in (0, 1))
         resolution = max(resolution, (width * depth / _MAX_CELLS) ** 0.5)
@@ -242,9 +235,7 @@ def surroundings(robot: Object, *without: Object) -> Boxes:
 def room(robot: Object, centers: Array) -> Array:
     """Return 0 where a robot would touch something in any heading, up to 1 where nothing is near.
 
-    Args:
-        robot: the robot; the caller has locked its world and synced the clone. Objects that it holds don't count.
-        centers: (cells, 2) positions of the robot's base, m.
+    The robot's base is at ``centers`` (cells, 2) in m. Held objects don't count. The caller has synced the clone.
     """
     clone = clone_of(robot.world, "reach")
     others = surroundings(robot)

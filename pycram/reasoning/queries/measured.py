@@ -20,8 +20,6 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _Copy:
-    """A body in the client."""
-
     model: Model
     body: LoadedBody
     original: FoldedBody | None = None  # the body whose state the copy has

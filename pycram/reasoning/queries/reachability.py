@@ -139,8 +139,6 @@ def reachable_poses(
     Args:
         poses: positions xyz in the world, m. One position is used for all bases, and one base for all positions;
             otherwise the numbers of positions and bases must be equal.
-        gripper_name: the link, usually a tool frame.
-        threshold: m, largest distance between the link and a reached target.
         bases: positions and orientations of the robot's base; None for its present pose.
         orientations: xyzw of the link at the targets, one for all or one for each; None for any orientation.
         collision_free: whether the robot, with its base at each pose, must not touch any object.
@@ -231,8 +229,7 @@ def _judge(
         found: at least one posture; if the first doesn't reach, none does.
         threshold: m, largest distance between the link and a reached target.
         checker: checker of collisions; None to ignore collisions.
-        oriented: the link, if it has the same orientation in all postures.
-        base: pose of the robot's base; None for its present pose.
+        oriented: name of the link if it has the same orientation in all postures.
 
     Returns:
         The answer. The evidence has the good posture, or the first bad posture with its collisions.
@@ -261,7 +258,7 @@ def _judge(
             }
         evidence.setdefault("obstacles", obstacles)
         if any(not constant.isdisjoint(info["links"]) for info in touched.values()):
-            break  # no other posture is better
+            break  # all other postures have the same collision
     return Verdict(False, evidence, considered=considered)
 
 
@@ -284,7 +281,7 @@ def blocking(
 
     Returns:
         The touched objects, deepest first, except the target, held objects, and the floor below the robot. Furniture
-        has the type "environment". The list is also empty if the robot can't reach the object; the evidence says so.
+        has the type "environment". If the robot can't reach the object, the list is empty, and the evidence says so.
 
     Raises:
         UnknownName: There is no such grasp, or the robot has no such link.

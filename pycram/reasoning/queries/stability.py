@@ -117,7 +117,7 @@ def _participants(body: Object) -> list[Object]:
     robots = {other for other in world.objects if other.is_robot and other is not body}
     roots = {other: attachment.root_of(other) for other in world.objects}
     holders = {other: root for other, root in roots.items() if root.is_robot and root is not other}
-    boxes = {  # furniture has many links, but seldom moves
+    boxes = {  # furniture has many links but seldom moves, so its boxes are cached
         other: clone_of(world, "physics").cached(other, "bounds", other.get_AABB) if other.fixed else other.get_AABB()
         for other in world.objects
         if other not in robots
@@ -174,11 +174,8 @@ def _simulate(
 ) -> Verdict:
     """Simulate until the answer is certain.
 
-    Args:
-        movable: the bodies whose speeds decide.
-        firm: returns whether bodies at rest stand firmly.
-        standing: the bodies that must stand firmly.
-        sleepers: puts bodies to sleep; None if all bodies stay awake.
+    The speeds of ``movable`` bodies decide whether all is at rest; ``standing`` bodies must then stand firmly, as
+    ``firm`` returns. Without ``sleepers``, all bodies stay awake.
     """
     start = engine.pose(body)
     speeds: list[list[float]] = []  # speeds of all bodies in each sample, as multiples of the speed of rest
@@ -214,8 +211,8 @@ class _Sleepers:
 
     Args:
         standing: bodies that may sleep; they have no joints and no attachments.
-        fixed: furniture on which they may stand.
-        steady: tells for bodies, which no other bodies load, whether each of them stands firmly.
+        fixed: furniture on which the bodies may stand.
+        steady: returns whether each of the bodies, which carry no other bodies, stands firmly.
     """
 
     def __init__(
@@ -231,7 +228,7 @@ class _Sleepers:
         self.asleep: set[int] = set()  # ids
 
     def update(self, moving: Iterable[LoadedBody]) -> None:
-        """Put all groups of bodies to sleep that touch one another, and of which none is moving or unsteady."""
+        """Put each group of touching bodies to sleep if no body of the group is moving or unsteady."""
         engine = self._engine
         self.asleep = {number for number in self.asleep if not any(engine.velocity(self._standing[number]))}
         awake = {number: body for number, body in self._standing.items() if number not in self.asleep}
@@ -308,11 +305,7 @@ def stand_firmly(
 ) -> Iterator[bool]:
     """Yield whether each body stands firmly; False also if it isn't certain.
 
-    Args:
-        engine: the engine, after a simulation of the bodies.
-        solid_of: returns a body in the engine for its id.
-        standing: the bodies to check; all other bodies are immovable supports.
-        gravity: m/s^2.
+    The engine has just simulated the bodies. Bodies that aren't in ``standing`` are immovable supports.
     """
     strength = math.hypot(*gravity)
     if not strength:
@@ -365,7 +358,6 @@ def _support(
     """Return points (n, 3) of a body's supports in the levelled frame; their hull is the support polygon.
 
     Args:
-        engine: the engine with the body.
         underside: (n, 3) the body's corners in the levelled frame, m.
         tops: the corners (n, 3) of each support, and the contacts with it.
         level: (3, 3) axes of the levelled frame in the world.

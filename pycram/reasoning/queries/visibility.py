@@ -191,7 +191,9 @@ def _pixels(
     body: Object, others: Sequence[Object], alone: Rendering, before: Rendering
 ) -> tuple[list[str], NDArray[np.uint8]]:
     """Return the names of the bodies in a picture, and the number of the body at each pixel."""
-    owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)  # 0 is the object, -1 is no object
+    owners = np.where(
+        before.depth < alone.depth, before.bodies + 1, alone.bodies
+    )  # 0 stands for the object, -1 for no object
     near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MAX_NAMES]
     numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last number is for owner -1, no object
     numbers[0] = 1
@@ -200,7 +202,7 @@ def _pixels(
 
 
 def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None, str]:
-    """Return the part of the image plane that can show the object; None and the reason without such a part."""
+    """Return the part of the image plane that can show the object; or None and the reason."""
     low, high = body.get_AABB()
     if all(a <= x <= b for a, x, b in zip(low, camera.pose[0], high, strict=True)):
         return None, "is around the camera"
