@@ -1,12 +1,9 @@
-"""Compares two states, or two recordings. Recordings differ in the first differing record, and in their final states.
+"""Compare two states, or two recordings.
 
-Records are aligned by the path of their task and their index among the records of the same task, not by their step,
-because concurrent branches may be scheduled differently in each run. Clocks, durations, ids and threads aren't
-compared. are streamed.
-
-A process numbers worlds and fluents that a plan doesn't name (``world_3``). It continues the numbers in its next run.
-Worlds are paired by name; numbered worlds and remaining worlds are paired in the order of opening. Fluents are paired
-by their offset from the first numbered fluent.
+Two recordings may differ in records and in their final states. Records are aligned by the path of their task and their
+index in the task, because the steps of parallel branches vary. Clocks, durations, ids and threads aren't compared.
+Worlds are paired by name. Unnamed worlds have numbers (``world_3``), which continue in the next run of a process; they
+are paired in the order of opening. Numbered fluents are paired by their offset from the first numbered fluent.
 """
 
 from __future__ import annotations
@@ -39,12 +36,12 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Body, State, World
 
 
-#: If a body changes less (in m and in rad), it only settles in simulation.
+#: A body that changes less (m and rad) only settles in simulation.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
-_MAX_LISTED: Final = 8  # largest number of listed joints or fields
-_MIN_TURN: Final = math.radians(0.05)  # the text doesn't mention smaller turns
-#: Number of records after the divergence that are searched for a missing record, because the order may differ.
+_MAX_LISTED: Final = 8  # at most this many joints or fields are listed
+_MIN_TURN: Final = math.radians(0.05)  # texts don't mention smaller turns
+#: A missing record is searched for among this many records after the divergence, because the order may differ.
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
@@ -52,14 +49,14 @@ _INCIDENTAL: Final = (
     "source_file", "source_line", "callers", "strikes",
 )  # fmt: skip
 
-#: Fields of a run's start that may differ: the runs may have executed two versions of a plan.
+#: Fields of a run's start that may differ, for example because the runs executed two versions of a plan.
 _GIVEN: Final = (
     "name", "arguments", "directory", "seed", "order", "hash_seed", "plan", "pycram", "host", "cpu", "program",
     "by_program", "called_as", "number", "origin", "looks", "parameters", "sweep",
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
 
-_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and the record's number among the records of the task
+_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and number of the record in the task
 _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
 
 
@@ -71,31 +68,31 @@ class BodyChange:
     body: str
     before: Pose
     after: Pose
-    distance: float  # distance in m between the positions of its base
-    angle: float  # angle of its turn in rad
+    distance: float  # distance between the positions of the base in m
+    angle: float  # angle between the orientations of the base in rad
     joints: Mapping[str, tuple[float, float]]  # joints with different positions, before and after
-    carrier: tuple[Attachment | None, Attachment | None]  # its attachments to a carrier, before and after
-    details: tuple[str, ...] = ()  # further fields that differ: color, type, fixed_base, models
+    carrier: tuple[Attachment | None, Attachment | None]  # attachments to a carrier, before and after
+    details: tuple[str, ...] = ()  # other fields that differ: color, type, fixed_base, models
 
     @property
     def moved(self) -> bool:
-        """Whether its base moved farther than a settling object."""
+        """Whether the base moved farther than the base of a settling object."""
         return self.distance >= NOTABLE_METRES or self.angle >= NOTABLE_RADIANS
 
     @property
     def moved_joints(self) -> dict[str, tuple[float, float]]:
-        """The joints that moved farther than those of a settling object."""
+        """The joints that moved farther than joints of a settling object."""
         return {name: pair for name, pair in self.joints.items() if abs(pair[1] - pair[0]) >= NOTABLE_METRES}
 
     @property
     def carrier_changed(self) -> bool:
-        """Whether another body, or another link of the same body, carries it."""
+        """Whether another body, or another link of the carrier, carries the body."""
         before, after = self.carrier
         return (before and (before.carrier, before.carrier_link)) != (after and (after.carrier, after.carrier_link))
 
     @property
     def notable(self) -> bool:
-        """Whether it changed more than a settling object."""
+        """Whether the body changed more than a settling object."""
         return bool(self.moved or self.moved_joints or self.carrier_changed or self.details)
 
 
@@ -103,13 +100,13 @@ class BodyChange:
 class Difference:
     """The difference between two states."""
 
-    opened: tuple[str, ...] = ()  # titles of worlds that are open only in the second state
-    closed: tuple[str, ...] = ()  # titles of worlds that are open only in the first state
-    added: tuple[tuple[str, str], ...] = ()  # bodies only in the second state, as pairs of world and body
-    removed: tuple[tuple[str, str], ...] = ()  # bodies only in the first state, as pairs of world and body
-    changed: tuple[BodyChange, ...] = ()  # all other bodies that differ in any bit
-    #: Differing values of worlds, before and after, by world and name: gravity, robot, realtime, seconds, and the
-    #: position (or None) where a robot believes an object.
+    opened: tuple[str, ...] = ()  # titles of worlds that are only open in the second state
+    closed: tuple[str, ...] = ()  # titles of worlds that are only open in the first state
+    added: tuple[tuple[str, str], ...] = ()  # worlds and bodies that are only in the second state
+    removed: tuple[tuple[str, str], ...] = ()  # worlds and bodies that are only in the first state
+    changed: tuple[BodyChange, ...] = ()  # bodies that differ in any bit
+    #: Different values of worlds, before and after, by world and name: gravity, robot, realtime, seconds, and beliefs
+    #: of robots (the position of an object, or None).
     facts: Mapping[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
@@ -124,7 +121,7 @@ class Difference:
 def difference(before: State, after: State, names: Mapping[str, str] = MappingProxyType({})) -> Difference:
     """Compare two states, which may be of two recordings.
 
-    ``names`` maps names of worlds in the second state to different names of the same worlds in the first.
+    ``names`` maps names of worlds in the second state to names in the first state, if these differ.
     """
     first = {world.title: world for world in before.worlds.values() if world.open}
     second = {
@@ -206,7 +203,7 @@ def _body_change_data(change: BodyChange) -> dict[str, object]:
 
 
 def difference_lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
-    """Yield a difference as text; with ``whole``, also list settling objects and every joint."""
+    """Yield a difference as text. With ``whole``, the text includes settling objects and every joint."""
     yield from (f"{world} was opened" for world in delta.opened)
     yield from (f"{world} was closed" for world in delta.closed)
     yield from (f"{body} is new" for _, body in delta.added)
@@ -274,8 +271,8 @@ class Divergence:
 
     first: Record | None  # the record of the first run; None if only the second run has the record
     second: Record | None  # the record of the second run; None if only the first run has the record
-    task: str  # path of their task; "" for the plan itself
-    fields: dict[str, tuple[Plain, Plain]]  # differing values by path of the field
+    task: str  # path of the task; "" outside of tasks
+    fields: dict[str, tuple[Plain, Plain]]  # different values by path of the field
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +286,7 @@ class Comparison:
 
 
 def compare_recordings(first: RecordReader, second: RecordReader, tolerance: float = 0.0) -> Comparison:
-    """Compare two recordings; numbers within the tolerance count as equal."""
+    """Compare two recordings. Numbers within the tolerance are equal."""
     names = PairedNames(first, second)
     equal, divergence = _divergence(first, second, tolerance, names)
     ends = state_at(first, first.final_step()), state_at(second, second.final_step())
@@ -332,9 +329,9 @@ def _first_divergence(
     waiting: Sequence[Mapping[_Key, Record]],
     explaining: Sequence[bool],
 ) -> Divergence | None:
-    """Return the earliest divergence: a differing pair of records, or a record that only one run has.
+    """Return the earliest divergence: two different records, or a record of only one run.
 
-    A record that explains a choice is ignored if the other run has no such records.
+    Records that explain a choice are ignored if the other run has no such records.
     """
     candidates: list[_Diverged] = [] if diverged is None else [diverged]
     for side, unmatched in enumerate(waiting):
@@ -350,16 +347,16 @@ def _first_divergence(
 
 
 def _steps(diverged: _Diverged) -> list[int]:
-    """Return the sorted steps of a pair of records; for a single record, return its step twice."""
+    """Return the sorted steps of two records. A single record has its step twice."""
     steps = sorted(record.seq for record in diverged[:2] if record is not None)
     return [steps[0], steps[-1]]
 
 
 def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:
-    """Yield records with their alignment keys; only running tasks are kept in memory."""
+    """Yield records with their keys. Memory only holds running tasks."""
     paths: dict[int, int] = {}  # hashes of paths by id of the task
     counts: dict[int, int] = {}  # number of records by path
-    parts: dict[int, dict[tuple[str, str], int]] = {}  # number of tasks of each kind and name, by path of their parent
+    parts: dict[int, dict[tuple[str, str], int]] = {}  # numbers of tasks by path of the parent, kind and name
     for record in log:
         names.note(run, record)
         if isinstance(record, Task) and record.phase == Task.STARTED:
@@ -369,11 +366,9 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
-        if _explains_choice(record):  # these records are numbered separately, as early recordings lack them
+        if _explains_choice(record):  # separate numbers, because early recordings lack these records
             path = _path_of_explanations(path)
-        elif (
-            isinstance(record, Mutation | Fluent) and record.by_fork
-        ):  # the plan's own records are compared with each other
+        elif isinstance(record, Mutation | Fluent) and record.by_fork:  # the plan's own records have other numbers
             path = hash((path, "by the fork"))
         counts[path] = counts.get(path, 0) + 1
         yield (path, counts[path]), record
@@ -389,22 +384,22 @@ def _path_of_explanations(path: int) -> int:
 
 
 def _explains_choice(record: Record) -> bool:
-    """Return whether a record explains a choice, or is a request to resolve a designator."""
+    """Return whether a record explains a choice or requests the solution of a designator."""
     return isinstance(record, Query) and (is_choice(record) or record.name in _REQUESTS)
 
 
 def differing(
     first: Record, second: Record, tolerance: float = 0.0, names: PairedNames | None = None
 ) -> dict[str, tuple[Plain, Plain]]:
-    """Return the different values of two records by the field's path; numbers within the tolerance are equal."""
+    """Return the different values of two records by path of the field. Numbers within the tolerance are equal."""
     if type(first) is not type(second):
         return {"kind": (kind_of(first), kind_of(second))}
     a, b = _without_incidental_fields(first), _without_incidental_fields(second)
     if isinstance(a, Task) and isinstance(b, Task) and a.HasField("decision") != b.HasField("decision"):
-        a.ClearField("decision")  # an early recording lacks the decision
+        a.ClearField("decision")  # early recordings lack the decision
         b.ClearField("decision")
     if isinstance(a, Query) and isinstance(b, Query) and a.HasField("chosen") != b.HasField("chosen"):
-        for query in (a, b):  # an early recording lacks the candidates
+        for query in (a, b):  # early recordings lack the candidates
             query.ClearField("candidates")
             query.ClearField("chosen")
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
@@ -434,7 +429,7 @@ def _without_incidental_fields(record: Record) -> Record:
 
 
 def _without_recordings(result: Plain) -> Plain:
-    """Return a task's result without file names of projections' recordings, which contain the run's name."""
+    """Return the result of a task without file names of projections, which contain the name of the run."""
     if isinstance(result, list):
         return [_without_recordings(each) for each in result]
     if isinstance(result, dict):
@@ -460,19 +455,19 @@ def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[s
 
 
 _NUMBERED: Final = re.compile(r"\b(world|fluent)_([1-9]\d*)\b")
-_WAITS: Final = frozenset({"wait", "whenever"})  # kinds of tasks whose names are names of fluents
+_WAITS: Final = frozenset({"wait", "whenever"})  # tasks of these kinds are named after fluents
 
 
 class PairedNames:
-    """Translates names of the second run into names of the first."""
+    """A translator from names of the second run to names of the first run."""
 
     def __init__(self, first: RecordReader, second: RecordReader) -> None:
         opened = (list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes)) for log in (first, second))
-        self.worlds = dict(_paired_worlds(*opened))  # names in the first run, by different names in the second run
-        self._offsets: list[int | None] = [None, None]  # for each run, the number of its first numbered fluent
+        self.worlds = dict(_paired_worlds(*opened))  # names in the first run by name in the second run, if these differ
+        self._offsets: list[int | None] = [None, None]  # number of the first numbered fluent of each run
 
     def note(self, run: int, record: Record) -> None:
-        """Read a record of run 0 or 1 before its comparison; a run's first numbered fluent determines the offset."""
+        """Read a record of run 0 or 1 before its comparison. The first numbered fluent determines the offset."""
         if self._offsets[run] is None and (
             isinstance(record, Fluent) or (isinstance(record, Task) and record.kind in _WAITS)
         ):
@@ -481,7 +476,7 @@ class PairedNames:
 
     @property
     def any(self) -> bool:
-        """Whether a different name is known so far."""
+        """Whether a name differs so far."""
         return bool(self.worlds) or self._shift != 0
 
     @property
@@ -490,7 +485,7 @@ class PairedNames:
         return before - after if before is not None and after is not None else 0
 
     def text(self, text: str) -> str:
-        """Return a text of the second run, translated."""
+        """Return the translation of a text of the second run."""
         return _NUMBERED.sub(self._renamed, text)
 
     def _renamed(self, match: re.Match[str]) -> str:
@@ -499,7 +494,7 @@ class PairedNames:
         return f"fluent_{int(match[2]) + self._shift}"
 
     def data(self, value: Plain, key: str = "") -> Plain:
-        """Return data of a record of the second run, translated."""
+        """Return the translation of a record's data of the second run."""
         if isinstance(value, dict):
             return {self.text(name): self.data(item, name) for name, item in value.items()}
         if isinstance(value, list):
@@ -510,7 +505,7 @@ class PairedNames:
 
 
 def _paired_worlds(first: list[str], second: list[str]) -> Iterable[tuple[str, str]]:
-    """Yield pairs of worlds with different names, the name in the second run first."""
+    """Yield pairs of different names of worlds: the name in the second run and the name in the first run."""
     numbered = [[name for name in names if _NUMBERED.fullmatch(name)] for names in (first, second)]
     yield from zip(numbered[1], numbered[0], strict=False)
     paired = [set(names[: min(map(len, numbered))]) for names in numbered]
@@ -536,7 +531,7 @@ def _(compared: Comparison) -> dict[str, object]:
 
 
 def comparison_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
-    """Yield a comparison as text; with ``whole``, also list settling objects and every joint."""
+    """Yield a comparison as text. With ``whole``, the text includes settling objects and every joint."""
     first, second = compared.outcomes
     if compared.divergence is None:
         yield f"the runs are equal: {compared.equal} records"

@@ -1,4 +1,4 @@
-"""Errors of opening and reading recordings; each message says what is wrong, where, and what to do."""
+"""Errors of opening and reading recordings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Unreadable(NotALog):
 
 
 class Damaged(ReplayError):
-    """A part of a recording can't be read, but the rest can be read."""
+    """A part of a recording can't be read."""
 
     def __init__(self, path: str | Path, where: str, cause: str) -> None:
         super().__init__(f"{path}: {where} is damaged: {cause}")
@@ -39,16 +39,16 @@ class Damaged(ReplayError):
 
 
 class MissingModels(Damaged):
-    """Models are missing: the file that recordings of a sweep share isn't in the recording's folder, or has changed."""
+    """Models are missing, because the shared file of a sweep isn't in the recording's folder, or has changed."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(path, "its models", cause)
-        hint = "copy that file into the folder of the recording, or pack recordings before you move them"
+        hint = "copy the file of models into the folder of the recording, or pack recordings before moving them"
         self.args = (f"{path}: its models are missing: {cause}; {hint}",)
 
 
 class LogClosed(ReplayError):
-    """A recording was read after it was closed, for example after its ``with`` block."""
+    """A recording was read after its end, for example after its ``with`` block."""
 
     def __init__(self, path: str | Path) -> None:
         super().__init__(f"{path}: the recording was closed; read it inside its with block, or open it again")
@@ -65,11 +65,11 @@ class NoSuchStep(ReplayError, LookupError):
 
 
 class NoSuchName(ReplayError, LookupError):
-    """There is no such body, joint, link or world at that step."""
+    """There is no such body, joint, link or world at the step."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], hint: str = "") -> None:
-        self.name = name  # the requested name
-        self.known = sorted(set(known))  # the existing names
+        self.name = name
+        self.known = sorted(set(known))
         super().__init__(f"there is no {kind}{f' {name!r}' if name else ''}; {hint or suggestion(name, self.known)}")
 
 

@@ -1,6 +1,6 @@
-"""The facade over :mod:`replay.file`, :mod:`replay.state`, :mod:`replay.explain` and :mod:`replay.restore`.
+"""The facade of recordings.
 
-It turns names of steps into numbers, because functions in these packages take only numbers.
+It turns names of steps into numbers, because functions in other packages take only numbers.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from replay.state.state import RecordedBelief, State
 
 
-_SMALL: Final = (320, 240)  # pixels of a picture in a notebook
+_SMALL: Final = (320, 240)  # size of a picture in a notebook in pixels
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +45,12 @@ class _Moment:
     moment: float | None
 
     def last_open(self, world: str | None) -> State:
-        """Return the state after the last step at which a world was open."""
+        """Return the state after the last step with an open world."""
         step = last_open_step(self.log, self.step, world)
         return replace(state_at(self.log, step), source=_Moment(self.log, step, None))
 
     def png(self, world: str) -> bytes | None:
-        """Return a small picture of a world; None if packages for drawing or models are missing."""
+        """Return a small PNG picture of a world; None if packages or models are missing."""
         try:
             from replay.restore.render import DrawnWorld  # noqa: PLC0415  as in render()
 
@@ -63,12 +63,12 @@ class _Moment:
 
 
 class Recording(RecordReader):
-    """A recording; ``replay.open(path)`` opens it. It may be used by one thread only.
+    """A recording, which ``replay.open(path)`` opens, for a single thread.
 
-    Steps are numbers, or names as for :meth:`step`.
+    Steps are numbers, or the names of :meth:`step`.
 
     Raises:
-        NotALog: the file isn't a recording, or is completely unreadable.
+        NotALog: The file isn't a recording, or is completely unreadable.
     """
 
     def _repr_html_(self) -> str:
@@ -89,15 +89,15 @@ class Recording(RecordReader):
         return html.page(f"{self.path}: {info.records} steps", html.table(("", ""), rows))
 
     def step(self, name: int | str) -> int:
-        """Return the number of a step; see :func:`replay.history.steps.step_of` for the names."""
+        """Return the number of a step from a name of :func:`replay.history.steps.step_of`."""
         return step_of(self, name)
 
     def state_at(self, step: int | str) -> State:
-        """Return the state after a step; see :func:`replay.state.fold.state_at`.
+        """Return the state after a step (:func:`replay.state.fold.state_at`).
 
-        For a time within a stretch of simulation, such as "0.25s", it is the state of the last sample until then, whose
-        time is ``state.sampled``. The same holds for pictures, questions and restored worlds, but exactly restored
-        worlds are simulated up to the requested time.
+        For a time within a simulation, such as "0.25s", return the state of the last sample, whose time is
+        ``state.sampled``. Pictures, questions and restored worlds do the same, but exactly restored worlds are
+        simulated up to the requested time.
         """
         number, moment = self.step(step), moment_of(step)
         return replace(state_at(self, number, moment), source=_Moment(self, number, moment))
@@ -105,27 +105,27 @@ class Recording(RecordReader):
     def believed(
         self, step: int | str, what: str, *, robot: str | None = None, world: str | None = None
     ) -> RecordedBelief | None:
-        """Return a robot's latest belief after a step about an object or a type of object; None if it has no belief.
+        """Return a robot's latest belief about an object or a type of object; None without a belief.
 
-        By default, the belief is of any robot, in the last opened world.
+        The default is any robot, in the last opened world.
         """
         return next(iter(self.state_at(step).world(world).believed(what, robot)), None)
 
     def tree(self, step: int | str | None = None) -> Tree:
-        """Return the task tree, at the end or after a step; its classes are those of ``pycram.tasks``."""
+        """Return the task tree at the end or after a step, with the classes of ``pycram.tasks``."""
         from replay.history.tasks import tree  # noqa: PLC0415  slow to import
 
         return tree(self, None if step is None else self.step(step) + 1)
 
     def why(self, step: int | str | None = None) -> Why:
-        """Explain a failure; see :func:`replay.explain.why.why`."""
+        """Explain a failure (:func:`replay.explain.why.why`)."""
         from replay.explain.why import why  # noqa: PLC0415  slow to import
 
         return why(self, None if step is None else self.step(step))
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
-        """Return the last change of a body or joint; see :func:`replay.history.blame.blame`."""
-        from replay.explain import blame_report  # noqa: F401, PLC0415  it registers how notebooks show the change
+        """Return the last change of a body or joint (:func:`replay.history.blame.blame`)."""
+        from replay.explain import blame_report  # noqa: F401, PLC0415  shows changes in notebooks
         from replay.history.blame import blame  # noqa: PLC0415  as above
 
         return blame(self, target, None if step is None else self.step(step), world)
@@ -133,10 +133,10 @@ class Recording(RecordReader):
     def check(self, *properties: str | Property) -> list[CheckedProperty]:
         """Check properties, such as ``never contact(pr2, kitchen)`` (docs/properties.md).
 
-        A result is true if its property holds. Only contacts need the executor.
+        A result is true if the property holds. Only contacts need the executor.
 
         Raises:
-            BadProperty: a text isn't in the language, or has an unknown name.
+            BadProperty: A text isn't in the language, or has an unknown name.
         """
         from recorder.properties import parse  # noqa: PLC0415  slow to import
         from replay.explain.check import check  # noqa: PLC0415  as above
@@ -161,9 +161,9 @@ class Recording(RecordReader):
         size: tuple[int, int] = (640, 480),
         world: str | None = None,
     ) -> Image.Image:
-        """Return a picture, which needs trimesh and pillow; see :meth:`replay.restore.render.DrawnWorld.picture`.
+        """Return a picture (:meth:`replay.restore.render.DrawnWorld.picture`), which needs trimesh and pillow.
 
-        If no world is open any more, it shows the last step with an open world, which is ``picture.info["step"]``.
+        If no world is open, the picture shows the last step with an open world, ``picture.info["step"]``.
         """
         return self._drawn_world(step, world).picture(camera=camera, eye=eye, target=target, size=size)
 
@@ -200,9 +200,9 @@ class Recording(RecordReader):
         world: str | None = None,
         moves: Sequence[Move] = (),
     ) -> QueryAnswer:
-        """Ask a reasoning query at a past step, which needs the executor; see :func:`replay.restore.ask.ask`.
+        """Ask a reasoning query at a past step (:func:`replay.restore.ask.ask`), which needs the executor.
 
-        If no world is open any more, it is asked at the last step with an open world, which is ``answer.step``.
+        If no world is open, the query is asked at the last step with an open world, ``answer.step``.
         """
         from replay.restore.ask import ask  # noqa: PLC0415
 
@@ -213,7 +213,7 @@ class Recording(RecordReader):
     def world_at(
         self, step: int | str, world: str | None = None, *, exact: bool = False, mode: str = "DIRECT"
     ) -> BulletWorld:
-        """Return a live world, which needs the executor; see :func:`replay.restore.world.world_at`."""
+        """Return a live world (:func:`replay.restore.world.world_at`), which needs the executor."""
         from replay.restore.world import world_at  # noqa: PLC0415
 
         return world_at(self, self.step(step), world, exact=exact, mode=mode, moment=moment_of(step))

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.state.integrity import Deviation, Verification
 
-_PERIOD: Final = 0.2  # seconds between progress messages
+_PERIOD: Final = 0.2  # s between messages of progress
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -52,7 +52,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 @contextmanager
 def _progress(steps: int) -> Iterator[Callable[[int], None] | None]:
-    """Yield a function that prints the progress; None if stderr isn't a terminal."""
+    """Yield a function that prints the progress, or None if stderr isn't a terminal."""
     if not sys.stderr.isatty():
         yield None
         return
@@ -90,7 +90,7 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
     yield f"       {plural(verification.keyframes, 'keyframe')} equal to the fold of the previous records"
     yield f"       {plural(verification.files, 'file')} with the recorded hashes"
     if verification.static:
-        yield "note   models and changes were not checked: run verify without --static"
+        yield "note   models and changes weren't checked; run verify without --static"
         return
     changes, worlds = plural(verification.changes, "change"), plural(verification.worlds, "world")
     changes = f"{changes} in {worlds}, repeated in {seconds:.1f} s,"
@@ -107,7 +107,7 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
 def _notes(verification: Verification) -> Iterator[str]:
     if verification.environment:
         same = "" if verification.largest is None else "; not comparable bit for bit"
-        yield f"note   the environment differs from the recording's: {', '.join(verification.environment)}{same}"
+        yield f"note   the environment has changed since the recording: {', '.join(verification.environment)}{same}"
     if verification.late:
         yield f"note   {', '.join(verification.late)} began before the recording: the physics isn't compared"
     if verification.unknown:

@@ -21,19 +21,19 @@ if TYPE_CHECKING:
 
     from replay.runs.folder import Runs
 
-_MAX_BESIDE: Final = 3  # largest number of recordings next to the first; five or more views would be too small
+_MAX_BESIDE: Final = 3  # five or more recordings side by side would be too small
 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add further recordings, the first step, and the target."""
     parser.epilog = "For a folder, the first failures of its most frequent causes are shown side by side."
     parser.add_argument(
-        "others", metavar="LOG2", nargs="*", help=f"show up to {_MAX_BESIDE} further recordings, side by side"
+        "others", metavar="LOG2", nargs="*", help=f"up to {_MAX_BESIDE} further recordings, shown side by side"
     )
     parser.add_argument(
         "--imagined", action="store_true", help=f"also show the recording's last projections, up to {_MAX_BESIDE}"
     )
-    parser.add_argument("--at", metavar="STEP", help=f"begin at this step: {HINT}")
+    parser.add_argument("--at", metavar="STEP", help=f"first step: {HINT}")
     parser.add_argument("--save", metavar="FILE", help="write an .rrd file instead of opening the viewer")
     parser.add_argument("--open", action="store_true", help="open the viewer, also with --save")
     parser.add_argument("--web", action="store_true", help="show the whole recording in the browser until Ctrl-C")
@@ -41,10 +41,10 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def imagined(log: Recording) -> list[Path]:
-    """Return the recordings of a recording's projections in the same folder, in the order of the projections.
+    """Return the recordings of a run's projections in the folder of its recording, in the order of the projections.
 
     Raises:
-        ReplayError: there is no such recording.
+        ReplayError: There is no recording of a projection.
     """
     found = []
     for task in log.records(Task):
@@ -77,7 +77,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Show the first failures of a folder's most frequent causes side by side; without failures, the first run."""
+    """Show the first failures of the most frequent causes in a folder side by side, or else the first run."""
     from replay.runs.statistics import statistics  # noqa: PLC0415  needs an extra
 
     if options.others:
@@ -119,7 +119,7 @@ def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
 
     with stream_to_viewer() as stream:
         page = WebPage(stream)
-        translate(logs, stream, max(len(each) for each in logs) - 1)  # pages show all data that they receive
+        translate(logs, stream, max(len(each) for each in logs) - 1)  # pages show all rows
         page.flush()
         if wants_json:
             print_json({"page": page.address}, flush=True)

@@ -1,4 +1,4 @@
-"""``why``: why a plan failed, first as a summary, then in detail."""
+"""``why``: why a plan failed, as a summary and in detail."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
 
-_COMMONEST: Final = 3  # largest number of causes that are explained for a folder
+_COMMONEST: Final = 3  # at most this many causes of a folder are explained
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -34,7 +34,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "step",
         metavar="STEP",
         nargs="?",
-        help=f"explain the failed task at this step (default: the plan's failure): {HINT}",
+        help=f"a step of the failed task (default: the failure of the plan): {HINT}",
     )
     parser.add_argument(
         "--pictures",
@@ -89,7 +89,7 @@ def _proven(log: Recording, why: Why, options: argparse.Namespace) -> Why:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the most frequent causes of failures in a folder; each is explained by its first run."""
+    """Print the most frequent causes of failures in a folder, with an explanation of the first run of each cause."""
     from replay.recording import Recording  # noqa: PLC0415  as above
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
@@ -134,7 +134,7 @@ def _origins(log: Recording, why: Why, options: argparse.Namespace) -> Origins |
 
 
 def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:
-    """Write the requested pictures; print a message if that fails."""
+    """Write the requested pictures, or print a message."""
     if folder is None:
         return FINE, []
     if why.failure is None:
@@ -144,6 +144,6 @@ def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[s
         from replay.restore.render import write_pictures  # noqa: PLC0415
 
         return FINE, [str(path) for path in write_pictures(log, why, Path(folder))]
-    except (ReplayError, ModuleNotFoundError) as error:  # the explanation matters more than its pictures
+    except (ReplayError, ModuleNotFoundError) as error:  # the explanation is printed without pictures
         print_message(f"no pictures: {format_error(error)}")
         return INCOMPLETE if isinstance(error, Damaged) else USAGE, []

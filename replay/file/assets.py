@@ -1,8 +1,7 @@
 """The files of a recording: models, meshes, the plan's source. They are attached to the recording or in a shared file.
 
-The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). A recording may come from anyone. So the
-shared file is opened only if it is in the recording's folder, is a regular file and no link, and has the hash that the
-recording contains.
+The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). Recordings may come from strangers. So a
+shared file must be in the recording's folder, be a regular file, and have the recorded hash.
 """
 
 from __future__ import annotations
@@ -35,14 +34,14 @@ if TYPE_CHECKING:
 
 
 class Assets(Mapping[str, bytes]):
-    """Contents by name, ``<sha256>/<file name>``; each is read on demand."""
+    """Contents of files by name, ``<sha256>/<file name>``. Files are read on demand."""
 
     def __init__(self, path: Path, index: Index) -> None:
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
-        self.damaged: dict[str, str] = {}  # causes of the damage found so far, by name
-        # the file of models that the recording names; None if the recording contains all its files
+        self.damaged: dict[str, str] = {}  # causes of known damage by name
+        # the file of models that the recording names; None if the recording is complete
         self.shared = shared_by(path, index)
         self._looked = False  # whether the shared file was needed
 
@@ -50,15 +49,15 @@ class Assets(Mapping[str, bytes]):
         """Return the content of a file.
 
         Raises:
-            KeyError: there is no file of that name.
-            Damaged: its content is damaged.
-            MissingModels: no readable file contains it.
+            KeyError: There is no file with the name.
+            Damaged: The content is damaged.
+            MissingModels: The shared file can't be read.
         """
         data: bytes = self.attachment(name).data
         return data
 
     def attachment(self, name: str) -> Attachment:
-        """Return a file with its time and media type; for errors see :meth:`__getitem__`."""
+        """Return a file with its time and media type. Errors are those of :meth:`__getitem__`."""
         try:
             content = self._content(name)
             found: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
@@ -84,18 +83,18 @@ class Assets(Mapping[str, bytes]):
         return self.shared.read(name)
 
     def check(self) -> None:
-        """Read all of the recording's own files; afterwards, :attr:`damaged` lists the damaged files."""
+        """Read all attached files, and note the damaged files in :attr:`damaged`."""
         for name in self._index.attachments:
             with suppress(Damaged):
                 self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
-        """Return why shared files are missing; "" if no file is missing, or the shared file wasn't needed yet."""
+        """Return why shared files are missing; "" without missing files, and before the shared file is needed."""
         self._looked = self._looked or look
         return self.shared.cause if self.shared is not None and self._looked else ""
 
     def close(self) -> None:
-        """Close the shared file; it is opened again on demand, so a forked child opens the file itself."""
+        """Close the shared file. The next use opens it again, so forked children have their own file."""
         if self.shared is not None:
             self.shared.close()
 
@@ -113,14 +112,14 @@ class Assets(Mapping[str, bytes]):
         return sum(1 for _ in self)
 
     def urdf(self, name: str) -> Urdf:
-        """Return an attached model, named ``<sha256>/<file name>``; each model is parsed once.
+        """Return an attached model, whose name is ``<sha256>/<file name>``. Each model is parsed once.
 
         Raises:
-            NoSuchName: the recording doesn't contain the model.
+            NoSuchName: The recording doesn't contain the model.
             Damaged: its content is damaged.
         """
         if name not in self._models:
-            from recorder.urdf import Urdf  # noqa: PLC0415  needs numpy, which most questions don't
+            from recorder.urdf import Urdf  # noqa: PLC0415  loads numpy
 
             try:
                 self._models[name] = Urdf.parse(self[name])
@@ -129,21 +128,21 @@ class Assets(Mapping[str, bytes]):
         return self._models[name]
 
 
-_SHOWN: Final = 80  # largest length of an invalid name in messages
-#: With O_NONBLOCK, opening a pipe doesn't wait.
+_SHOWN: Final = 80  # messages show at most this many characters of an invalid name
+#: Opening a pipe with O_NONBLOCK doesn't wait.
 _FLAGS: Final = os.O_RDONLY | system.OPENED | system.NO_LINK | getattr(os, "O_NONBLOCK", 0)
 
 
 class SharedFile:
-    """The file of models that a recording names in its metadata ``stated``; the file is opened on demand."""
+    """The file of models that a recording names in its metadata ``stated``. The file is opened on demand."""
 
     def __init__(self, recording: Path, stated: Mapping[str, str]) -> None:
         self._folder = Path(os.path.realpath(recording)).parent
         self._sha256 = stated.get("sha256", "")
         self._stated = stated.get("file", "")
-        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # name of the file, for messages
+        self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # name of the file in messages
         self._index: Index | None = None
-        self._cause: str | None = None  # why the file can't be read; None before the first attempt
+        self._cause: str | None = None  # cause of an unreadable file; None before the first attempt
 
     @property
     def cause(self) -> str:
@@ -160,7 +159,7 @@ class SharedFile:
 
     @property
     def files(self) -> Mapping[str, Extent]:
-        """Its attachments by name; empty if the file can't be read."""
+        """The attachments by name; empty if the file can't be read."""
         return {} if self.cause or self._index is None else self._index.attachments
 
     def read(self, name: str) -> bytes:
@@ -170,7 +169,7 @@ class SharedFile:
         return self._index.read(self._index.attachments[name])
 
     def close(self) -> None:
-        """Close the file; it is opened again on demand."""
+        """Close the file. The next use opens it again."""
         if self._index is not None:
             self._index.close()
         self._index = self._cause = None
@@ -179,7 +178,7 @@ class SharedFile:
         if not MODELS_NAME.fullmatch(self._stated) or self._stated != f"models-{self._sha256[:12]}.mcap":
             raise ValueError("isn't the name of a file of models")
         path = self._folder / self._stated
-        if path.is_symlink():  # some systems lack the flag O_NOFOLLOW
+        if path.is_symlink():
             raise ValueError("is a symbolic link; links aren't followed")
         with ExitStack() as undoing:
             file = undoing.enter_context(open(path, "rb", opener=lambda name, _: os.open(name, _FLAGS)))
@@ -193,6 +192,6 @@ class SharedFile:
 
 
 def shared_by(recording: Path, index: Index) -> SharedFile | None:
-    """Return the file of models that a recording names; None if the recording contains all its files."""
+    """Return the file of models that a recording names; None if the recording is complete."""
     stated = index.metadata.get(MODELS_METADATA)
     return None if stated is None else SharedFile(recording, stated)

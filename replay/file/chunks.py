@@ -1,11 +1,9 @@
 """The records in a recording's chunks: they are decompressed on demand, and found by interpolation search.
 
-A chunk has about 50 records. Damaged parts are noted and left out.
-
-Files of other programs may have other chunks or none, and messages in any order. Such a file is read once, to find the
-position of each record. Then its records are yielded in the order of their steps, in chunks like the recorder's.
-Meanwhile a temporary file holds the inflated contents of the file's own chunks, because inflating a large chunk for
-each record could take hours.
+Damaged parts are noted and left out. Files of other programs may have other chunks or none, and messages in any order.
+Such a file is read once, to find the position of each record. Then its records are yielded in the order of steps, in
+chunks like the recorder's chunks. A temporary file has the inflated contents, because inflating a large chunk for each
+record could take hours.
 """
 
 from __future__ import annotations
@@ -43,26 +41,26 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 MAX_STEP: Final = 1 << 40
-"""All step numbers are below this number; larger numbers are damage."""
+"""All steps are below this number. Larger numbers are damage."""
 _CACHED: Final = 64  # largest number of cached chunks
-#: Largest number of cached bytes without the last chunk; decoded chunks may take fifty times as much memory.
+#: Largest number of cached bytes without the last chunk. Decoded chunks may take fifty times as much memory.
 _CACHED_BYTES: Final = 2 << 20
-_MAX_DIGITS: Final = 9  # largest number of digits of the number of a world's lifetime
+_MAX_DIGITS: Final = 9  # lifetimes of worlds have at most this many digits
 _PACKAGE: Final = f"{PACKAGE}."
 _OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE: Final = struct.Struct("<BQH")  # the fields opcode, length, channel
-_CHANNEL: Final = struct.Struct("<HI")  # channel, sequence: the first fields of a message
-_FIELDS: Final = 22  # number of bytes of a message's fields
-_PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before a message's payload
+_CHANNEL: Final = struct.Struct("<HI")  # the first fields of a message: channel, sequence
+_FIELDS: Final = 22  # size of a message's fields in bytes
+_PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before the payload of a message
 _MESSAGES: Final = 100  # number of messages in a chunk of sorted messages
-_IN_MEMORY: Final = 16 << 20  # largest number of bytes of inflated chunks that are kept in memory
+_IN_MEMORY: Final = 16 << 20  # bytes; inflated chunks up to this size stay in memory
 _LOOSE: Final = -1  # chunk number of a message outside of chunks
-_NUMBER: Final = 40  # number of a sort key's low bits, which are the message's number; the high bits are its step
+_NUMBER: Final = 40  # number of low bits of a sort key, which are the message's number; the high bits are the step
 
 
 @dataclass(slots=True)
 class _Entries:
-    """The records of a chunk: their channels, their payloads, decoded records by index, and the chunk's bytes."""
+    """The records of a chunk: channels, payloads, decoded records by index, and size in bytes."""
 
     channels: list[int] = field(default_factory=list)
     payloads: list[bytes] = field(default_factory=list)
@@ -78,7 +76,7 @@ class Chunks:
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
         self._cached = 0  # number of bytes of the cached chunks
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of each chunk that was read
-        self.damaged: dict[int, str] = {}  # causes of known damage, by number of the chunk
+        self.damaged: dict[int, str] = {}  # causes of known damage by number of the chunk
         self._sorted = None if index.ours else SortedMessages.of(index, kinds_of(index))
         if self._sorted is not None:
             index.chunks.arrange(self._sorted.chunks)
@@ -88,19 +86,19 @@ class Chunks:
         return len(self._index.chunks)
 
     def close(self) -> None:
-        """Remove the temporary file, if there is one."""
+        """Remove the temporary file, if any."""
         if self._sorted is not None:
             self._sorted.close()
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
-        """Return the messages of a chunk; see :meth:`replay.file.index.Index.contents`."""
+        """Return the messages of a chunk, as :meth:`replay.file.index.Index.contents` does."""
         if self._sorted is None:
             return self._index.contents(number)
         self._index.check_open()
         return self._sorted.contents(number), "", None
 
     def grow(self) -> bool:
-        """Read new chunks of a growing file; return whether there are any."""
+        """Read new chunks of a growing file, and return whether there were new chunks."""
         last = len(self) - 1
         if self._sorted is not None or not self._index.refresh():
             return False
@@ -108,7 +106,7 @@ class Chunks:
         return True
 
     def channel_maps(self) -> Iterator[bytes | None]:
-        """Return the channels in each chunk; see :class:`replay.file.mcap_format.ChunkExtent`."""
+        """Return the field ``channels`` of each chunk (:class:`replay.file.mcap_format.ChunkExtent`)."""
         return self._index.chunks.channel_maps()
 
     def refresh(self, number: int) -> None:
@@ -126,7 +124,10 @@ class Chunks:
     # --- contents of a chunk ----------------------------------------------------------------------------------------
 
     def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
-        """Return record type and lifetime for each channel of a chunk; None for channels of several worlds."""
+        """Return the record type and the lifetime of each channel of a chunk.
+
+        Channels of several worlds have no lifetime.
+        """
         chunk = self._index.chunks[number]
         ids = self._kinds if chunk.channels is None else chunk.ids()
         return [(self._kinds[channel], self._owners[channel]) for channel in ids if channel in self._kinds]
@@ -140,9 +141,9 @@ class Chunks:
         backwards: bool = False,
         naming: str = "",
     ) -> Iterator[Record]:
-        """Yield a chunk's records that have given types, belong to a world, and contain a text in a field.
+        """Yield the records of a chunk with given types, in a world, and with the text ``naming`` in a field.
 
-        No other records are decoded.
+        Other records aren't decoded.
         """
         types = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
         if types is not None and not any(kind in types for kind, _ in self.channels(number)):
@@ -163,7 +164,7 @@ class Chunks:
                 yield record
 
     def whole(self, number: int) -> Iterable[Record]:
-        """Return all records of a chunk without caching them, for a pass over the whole recording."""
+        """Return all records of a chunk without the cache, for a pass over the whole recording."""
         entries, decoders = self._load(number), self._decoders
         if entries.size > _CACHED_BYTES:
             return self.records(number)
@@ -175,11 +176,11 @@ class Chunks:
             return list(self.records(number))
 
     def misplaced(self, number: int, record: Record) -> None:
-        """Note that a record of a chunk has an impossible step."""
+        """Note the impossible step of a record in a chunk."""
         self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
 
     def share_worlds(self) -> bool:
-        """Return whether worlds share channels; then only the records themselves name their worlds."""
+        """Return whether worlds share channels. Then only records name their world."""
         return any(self._owners[at] is None for at, kind in self._kinds.items() if kind in (Mutation, Keyframe))
 
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
@@ -195,7 +196,7 @@ class Chunks:
     # --- search for a step -------------------------------------------------------------------------------------------
 
     def span(self, number: int) -> tuple[int, int]:
-        """Return the first and last step in a chunk; for an unreadable chunk, an empty span after the previous one."""
+        """Return the first and last step of a chunk. An unreadable chunk has an empty span after the previous chunk."""
         for at in range(number, -1, -1):
             if at not in self._spans:
                 first = next(self.records(at), None)
@@ -208,11 +209,11 @@ class Chunks:
         return 0, -1
 
     def chunk_of(self, step: int, steps: int) -> int:
-        """Return the number of the chunk that may have a step: the last chunk that doesn't begin after the step."""
+        """Return the number of the last chunk that begins at or before a step."""
         low, first, high, end = 0, 0, len(self) - 1, steps
         probes = 0
         while low < high:
-            # steps increase almost evenly, so interpolation is fast; halving at every third probe bounds the search
+            # steps increase almost evenly, so interpolation is fast; every third probe halves the range
             probes += 1
             guess = low + (high + 1 - low) * (step - first) // max(1, end - first)
             middle = min(max(guess, low + 1), high) if probes % 3 else (low + high + 1) // 2
@@ -228,7 +229,7 @@ class Chunks:
     # --- decoding --------------------------------------------------------------------------------------------------
 
     def _load(self, number: int, text: bytes = b"") -> _Entries:
-        """Return the entries of a chunk; no entries if the chunk doesn't contain ``text``."""
+        """Return the entries of a chunk, or no entries if the chunk doesn't contain ``text``."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
@@ -252,7 +253,7 @@ class Chunks:
         return entries
 
     def _divide(self, contents: bytes, entries: _Entries) -> int:
-        """Split a chunk into records; return its number of messages."""
+        """Split a chunk into records, and return the number of messages."""
         channels, payloads = entries.channels.append, entries.payloads.append
         unpack, kinds, end = _MESSAGE.unpack_from, self._kinds, len(contents)
         at = others = 0
@@ -289,7 +290,7 @@ class Chunks:
 
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
-    """Return the type of records by channel; channels of other programs are left out."""
+    """Return the type of records by channel, without channels of other programs."""
     kinds, ours = {}, known_definitions()
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
@@ -297,12 +298,12 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
         if kind is not None and message == kind.DESCRIPTOR.full_name:
             kinds[number] = kind
         elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in ours:
-            kinds[number] = Envelope  # a kind of record that only a newer release knows
+            kinds[number] = Envelope  # a kind of record of a newer release
     return kinds
 
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
-    """Return the world of a channel and the number of its lifetime; None if the channel isn't for a single lifetime."""
+    """Return the world and lifetime of a channel; None for a channel of several lifetimes."""
     lifetime = metadata.get("life", "")
     known = "world" in metadata and lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
     return (metadata["world"], int(lifetime)) if known else None
@@ -312,13 +313,13 @@ def _owner(metadata: Mapping[str, str]) -> Owner | None:
 
 
 class _MessagePlaces:
-    """Positions of the messages of a file, stored compactly, because there may be millions."""
+    """Positions of the messages of a file in arrays, because there may be millions of messages."""
 
     def __init__(self) -> None:
-        self.keys: list[int] = []  # for each message: its step and its number in the file
+        self.keys: list[int] = []  # step and number of each message
         self.channels = array("H")
-        self.chunks = array("l")  # for each message: the number of its chunk, or -1
-        # for each message, in bytes; an offset is in the message's chunk, or in the file for a loose message
+        self.chunks = array("l")  # chunk of each message, or -1
+        # bytes; offsets are in the chunk, or in the file for messages outside of chunks
         self.offsets, self.lengths = array("Q"), array("Q")
         self.sorted = True  # whether the records are in the order of their steps
         self._last = -1
@@ -336,14 +337,14 @@ class _MessagePlaces:
 
 
 class SortedMessages:
-    """The messages of a file, sorted by the steps of their records."""
+    """The messages of a file in the order of steps."""
 
     def __init__(self, index: Index, places: _MessagePlaces) -> None:
-        from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import, and seldom needed
+        from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import
 
         self._index = index
         self._places = places
-        self._inflated = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115  close() closes it
+        self._inflated = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
         self._starts: dict[int, int] = {}  # offsets of chunks in the temporary file
         for number in range(len(index.chunks)):
             if (contents := _contents(index, number, [])) is not None:
@@ -351,7 +352,7 @@ class SortedMessages:
                 self._inflated.write(contents)
         numbers = array("Q", (key & ((1 << _NUMBER) - 1) for key in sorted(places.keys)))
         self._groups = [numbers[start : start + _MESSAGES] for start in range(0, len(numbers), _MESSAGES)]
-        self.chunks = [  # these chunks replace the file's chunks
+        self.chunks = [  # these chunks replace the chunks of the file
             ChunkExtent(
                 0, 0, b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in {places.channels[at] for at in group})
             )
@@ -360,14 +361,14 @@ class SortedMessages:
 
     @classmethod
     def of(cls, index: Index, kinds: Mapping[int, type[Record]]) -> SortedMessages | None:
-        """Return the sorted messages of a file, given the types of records by channel; add damage to the index.
+        """Return the sorted messages of a file, or None if all records are in order.
 
-        Return None if all records in the file's chunks are in order.
+        ``kinds`` are the types of records by channel. Damage is added to the index.
         """
         damage: list[str] = []
         places = _places(index, kinds, damage)
         if not index.loose and places.sorted:
-            return None  # reading the file finds the damage later
+            return None
         index.damage += damage
         return cls(index, places)
 
@@ -392,10 +393,10 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
     places = _MessagePlaces()
     for chunk, offset, message in _messages(index, damage):
         try:
-            # messages for other tools have the number of their record
+            # messages for other tools have the number of the record
             channel, step = _CHANNEL.unpack_from(message, HEADER)
             is_record = channel in kinds
-            if is_record:  # a record contains its number, but some programs don't keep the message's number
+            if is_record:  # some programs change the numbers of messages, but not of records
                 step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
             places.add(step, channel, chunk, Extent(offset, len(message)), is_record=is_record)
         except (DecodeError, struct.error) as error:
@@ -405,7 +406,10 @@ def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) 
 
 
 def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield chunk number, offset in the chunk and bytes of each message; outside of chunks, -1 and the file offset."""
+    """Yield chunk, offset in the chunk and bytes of each message.
+
+    Outside of chunks, yield -1 and the offset in the file.
+    """
     for number in range(len(index.chunks)):
         contents = _contents(index, number, damage) or b""
         try:

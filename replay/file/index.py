@@ -1,7 +1,7 @@
 """The index of a recording's file: its chunks, channels, attached files and metadata.
 
-A closed file has its index at the end. Any other file is scanned once, header by header: its process was killed or
-still runs, or the file is damaged. After damage, the scan continues at the next intact chunk. No record is decoded.
+A closed file has its index at the end. Other files (damaged, growing, or of a killed process) are scanned, header by
+header. After damage, the scan continues at the next intact chunk. No record is decoded.
 """
 
 from __future__ import annotations
@@ -43,25 +43,25 @@ if TYPE_CHECKING:
     from collections.abc import Container
 
 
-_BLOCK: Final = 1 << 20  # number of bytes in one read
-_MAX_LENGTH: Final = 1 << 32  # number of bytes; a longer record is damaged
-#: Matches a part of the head of each compressed chunk, to find the next chunk after damage.
+_BLOCK: Final = 1 << 20  # number of bytes of a read
+_MAX_LENGTH: Final = 1 << 32  # bytes; longer records are damaged
+#: A part of the head of each compressed chunk, which finds the next chunk after damage.
 _MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 
 class _Budget:
-    """A limit for the bytes of all chunks: a hostile index may name the same chunk very often."""
+    """A limit for the bytes of all chunks, because a hostile index may name a chunk very often."""
 
     def __init__(self) -> None:
         self._taken = 0
         self._takers: set[int] = set()
 
     def take(self, taker: int, size: int, most: int, cause: str) -> None:
-        """Count the bytes of a chunk; each chunk is counted once.
+        """Count the bytes of a chunk once.
 
         Raises:
-            ValueError: the limit is exceeded.
+            ValueError: The limit is exceeded.
         """
         if taker not in self._takers:
             if self._taken + size > most:
@@ -71,33 +71,33 @@ class _Budget:
 
 
 class Index:
-    """The index of a file. It is read from the file's end, or else by scanning the file."""
+    """The index of a file, from the end of the file or from a scan."""
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
-        self.size = os.fstat(file.fileno()).st_size  # number of bytes of the file at the last scan
+        self.size = os.fstat(file.fileno()).st_size  # size of the file in bytes at the last scan
         self._decompressor = Decompressor()
-        self.closed = False  # whether the file was closed by its recorder
-        self.whole = False  # whether its summary is intact
+        self.closed = False  # whether the recorder closed the file
+        self.whole = False  # whether the summary is intact
         self.damage: list[str] = []  # damaged parts, in words
         self.chunks = ChunkTable()  # the chunks in the file's order
-        self.channels: dict[int, Channel] = {}  # channels by their ids
-        self.schemas: dict[int, str] = {}  # names of message types by their id
-        self.definitions: dict[str, bytes] = {}  # definitions of message types, as in the file, by their names
-        self.loose: list[Extent] = []  # messages outside of chunks, which some programs write, in the file's order
+        self.channels: dict[int, Channel] = {}  # channels by id
+        self.schemas: dict[int, str] = {}  # names of message types by id
+        self.definitions: dict[str, bytes] = {}  # serialized definitions of message types by name
+        self.loose: list[Extent] = []  # messages outside of chunks, which some programs write
         self.attachments: dict[str, Extent] = {}  # extents of attached files by name
-        self.metadata: dict[str, dict[str, str]] = {}  # values by key, by name of the metadata
-        self.counts: defaultdict[int, int] = defaultdict(int)  # number of messages of each channel in all whole chunks
-        self.incomplete_bytes = 0  # number of bytes at the end that were cut off, or are being written
-        self.data_end = 0  # offset of the record that ends the data; 0 if no such record was found
-        self._claimed = 0  # number of bytes of files and metadata, according to the summary
+        self.metadata: dict[str, dict[str, str]] = {}  # values by name of the metadata and key
+        self.counts: defaultdict[int, int] = defaultdict(int)  # number of messages in whole chunks by channel
+        self.incomplete_bytes = 0  # size of an incomplete record at the end, bytes
+        self.data_end = 0  # offset of the record that ends the data; 0 without this record
+        self._claimed = 0  # bytes of files and metadata, according to the summary
         self._stored = _Budget()  # budget for the file's own bytes
         self._inflated = _Budget()
         self._scan = FileScan(file, self)
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             self.damage.append("its first bytes are damaged")
-        # the library that wrote the file, according to its header; "" if the header is damaged
+        # the library that wrote the file; "" if the header is damaged
         self.library = self._read_library()
         damaged = len(self.damage)
         try:
@@ -118,7 +118,7 @@ class Index:
 
     @property
     def ours(self) -> bool:
-        """Whether PyCRAM wrote the file, by its header. Then it has all checksums, and its steps are in order."""
+        """Whether PyCRAM wrote the file. Such files have all checksums, and steps in order."""
         return not self.library or self.library.startswith("pycram")
 
     def check_open(self) -> None:
@@ -127,11 +127,11 @@ class Index:
             raise LogClosed(self._file.name)
 
     def read(self, extent: Extent | ChunkExtent | StatedChunk) -> bytes:
-        """Return the content of a record; the content is shorter if the file ends within it.
+        """Return the content of a record. The content is shorter if the file ends within the record.
 
         Raises:
-            LogClosed: the file was closed.
-            EOFError: the extent isn't within the file.
+            LogClosed: The file was closed.
+            EOFError: The extent isn't within the file.
         """
         self.check_open()
         offset, length = extent.offset, extent.length
@@ -141,12 +141,12 @@ class Index:
         return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
-        """Return a chunk's decompressed messages, how it differs from the index, and the index' number of messages.
+        """Return a chunk's decompressed messages, its difference from the index, and the index's number of messages.
 
-        The index corrects an error in the chunk's head. The number is None if the index doesn't contain it.
+        The index corrects an error in the chunk's head. The number is None if it is unknown.
 
         Raises:
-            CHUNK_DAMAGE: the chunk is damaged.
+            CHUNK_DAMAGE: The chunk is damaged.
         """
         self.check_open()
         stated = self.chunks.stated(number)
@@ -168,14 +168,14 @@ class Index:
 
     def _decompressed(self, number: int, chunk: memoryview) -> bytes:
         size = CHUNK_HEAD.unpack_from(chunk)[2]
-        if size <= MAX_INFLATED:  # larger chunks are rejected without being inflated
+        if size <= MAX_INFLATED:  # larger chunks are rejected before they are inflated
             self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), _TOO_MUCH)
         return self._decompressor.contents(chunk)
 
     def check(self) -> None:
-        """Compare the checksum of all bytes with the stored checksum; if they differ, add that to ``damage``.
+        """Compare the checksum of all bytes with the stored checksum, and add a difference to ``damage``.
 
-        This also finds wrong bytes in parts that aren't read.
+        The checksum also covers parts that aren't read.
         """
         if not self.data_end:
             return
@@ -190,7 +190,10 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the stored checksum"]
 
     def refresh(self) -> bool:
-        """Scan the new part of a growing file; return whether there was a new part. Closed files have no new part."""
+        """Scan the new part of a growing file, and return whether there was a new part.
+
+        Closed files have no new part.
+        """
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:
@@ -212,14 +215,14 @@ class Index:
             raise EOFError
         footer = Footer.read(ReadDataStream(io.BytesIO(end[HEADER:FOOTER])))
         if not 0 < footer.summary_start < size:
-            raise EOFError  # the file is closed, but has no index
+            raise EOFError  # a closed file without an index
         self._file.seek(footer.summary_start)
         summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
         if zlib.crc32(summary) != footer.summary_crc and (footer.summary_crc or self.ours):
             raise EOFError
         self._read_summary_records(summary[: len(summary) - FOOTER + 4], checked=footer.summary_crc != 0)
         if (not self.chunks and self.counts) or not self.channels:
-            raise EOFError  # the file was written without an index of chunks
+            raise EOFError  # a file without an index of chunks
         self.data_end = footer.summary_start - DATA_END
         self.closed = self.whole = True
 
@@ -227,7 +230,7 @@ class Index:
         starts = []
         stop = 0
         for opcode, start, stop in framed(summary):
-            if opcode == Opcode.CHUNK_INDEX:  # most records of the summary; they are read with their chunks
+            if opcode == Opcode.CHUNK_INDEX:  # the many indexes of chunks are read with their chunks
                 if stop - start < CHUNK_INDEX.size:
                     raise EOFError
                 starts.append(start)
@@ -255,7 +258,7 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
-        """Reject a summary whose files and metadata have more bytes than the file: it must repeat some of them."""
+        """Reject a summary that repeats files or metadata: their bytes exceed the bytes of the file."""
         self._claimed += length
         if self._claimed > self.size:
             raise EOFError
@@ -272,7 +275,7 @@ class Index:
             self.damage.append(f"the metadata {stated.name} is damaged")
 
     def take_metadata(self, content: bytes) -> str:
-        """Take a record of metadata, and return its name."""
+        """Add a record of metadata, and return its name."""
         metadata = Metadata.read(ReadDataStream(io.BytesIO(content)))
         self.metadata[metadata.name] = metadata.metadata
         name: str = metadata.name
@@ -288,18 +291,18 @@ class Index:
 
 
 class FileScan:
-    """A scan of a file into an index, which can be resumed when the file has grown."""
+    """A scan of a file into an index, which resumes when the file has grown."""
 
     def __init__(self, file: BinaryIO, index: Index) -> None:
         self._file = file
         self._index = index
         self._next = len(MAGIC)
-        # number of messages of the last chunk, by channel, as far as its index is read
+        # known numbers of messages of the last chunk by channel
         self._counted: defaultdict[int, int] = defaultdict(int)
-        self._decoded = -1  # number of the chunk whose messages were counted by decoding
+        self._decoded = -1  # number of the last chunk with decoded messages
 
     def resume(self) -> bool:
-        """Continue the scan from its end; return whether there was anything new."""
+        """Continue the scan, and return whether there was a new part."""
         index = self._index
         before = self._next
         size = index.size = self._file.seek(0, io.SEEK_END)
@@ -317,7 +320,7 @@ class FileScan:
                 break
             beyond = extent.stop > size
             if beyond and not self._is_damaged(opcode, extent, size):
-                break  # the record is incomplete, or is being written
+                break  # the record is incomplete
             if not beyond and self._read(opcode, extent):
                 at = extent.stop
                 continue
@@ -327,13 +330,13 @@ class FileScan:
             index.damage.append(f"{following - at} bytes at byte {at} are damaged")
             at = following
         if index.chunks:
-            self._count_last()  # the chunk's message index may be cut off, or not yet written
+            self._count_last()  # the message index of the chunk may be incomplete
         self._next = at
         index.incomplete_bytes = size - at
         return at > before
 
     def _is_summary_intact(self, data_end: int, size: int) -> bool:
-        """Return whether the summary is intact; True if the recorder wrote no summary."""
+        """Return whether the summary is intact. A missing summary is intact, too."""
         behind = data_end + DATA_END
         self._file.seek(behind)
         end = self._file.read(size - behind)
@@ -347,7 +350,7 @@ class FileScan:
         return intact and footer.summary_start == behind
 
     def _define_from_summary(self, at: int, size: int) -> None:
-        """Read definitions of channels that are lost in the data from the summary, whose offsets may be wrong."""
+        """Read definitions of channels that the data has lost from the summary. Offsets in the summary may be wrong."""
         while at + HEADER <= size:
             opcode, extent = self._head(at)
             at = extent.stop
@@ -362,12 +365,12 @@ class FileScan:
                 self._index.define(definition)
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
-        """Return whether a record that ends after the end of the file is damaged, rather than cut off."""
+        """Return whether a record beyond the end of the file is damaged; otherwise it is cut off."""
         if not Opcode.HEADER <= opcode <= Opcode.DATA_END or extent.length > _MAX_LENGTH:
             return True
         if opcode == Opcode.CHUNK and extent.offset + CHUNK_HEAD.size + 32 <= size:
             return not self._is_chunk(extent)
-        # if intact chunks follow, the file isn't cut off here
+        # intact chunks can't follow a cut
         return self._next_chunk(extent.offset, size) is not None
 
     def _is_chunk(self, extent: Extent) -> bool:
@@ -380,7 +383,7 @@ class FileScan:
         return bool(name <= 16 and extent.length == at + 8 + int.from_bytes(head[at : at + 8], "little"))
 
     def _read(self, opcode: int, extent: Extent) -> bool:
-        """Read a whole record into the index; return whether it is intact."""
+        """Read a whole record into the index, and return whether the record is intact."""
         try:
             if opcode == Opcode.CHUNK:
                 if extent.length < CHUNK_HEAD.size + 8 or not self._is_chunk(extent):
@@ -433,7 +436,10 @@ class FileScan:
         return True
 
     def _define_from(self, number: int) -> dict[int, int] | None:
-        """Read the channels that a chunk defines; return its numbers of messages by channel; None if it is damaged."""
+        """Read the channels that a chunk defines.
+
+        Return its numbers of messages by channel, or None for a damaged chunk.
+        """
         counted: defaultdict[int, int] = defaultdict(int)
         try:
             contents = self._index.contents(number)[0]
@@ -442,12 +448,12 @@ class FileScan:
                     counted[int.from_bytes(contents[start : min(start + 2, stop)], "little")] += 1
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._index.define(_parsed(opcode, contents[start:stop]))
-        except CHUNK_DAMAGE:  # reading the chunk reports the damage
+        except CHUNK_DAMAGE:  # readers of the chunk report the damage
             return None
         return counted
 
     def _count_last(self) -> None:
-        """Count the messages of the last chunk by decoding it."""
+        """Count the messages of the decoded last chunk."""
         number = len(self._index.chunks) - 1
         if number == self._decoded:
             return
@@ -460,7 +466,7 @@ class FileScan:
         self._decoded = number
 
     def _next_chunk(self, start: int, size: int) -> int | None:
-        """Return the offset of the first intact chunk at or after a byte; None if there is none."""
+        """Return the offset of the first intact chunk at or after a byte; None without such a chunk."""
         at = start
         while at < size:
             self._file.seek(at)

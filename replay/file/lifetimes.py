@@ -1,7 +1,7 @@
 """The lifetimes of worlds: after a world has ended, another world can have the same name.
 
-The recorder gives each lifetime its own channels, so the index has the chunks of each lifetime. If a file has more
-worlds than channels, or is from an early release, the changes themselves are read instead.
+Each lifetime has channels, so the index has the chunks of each lifetime. If worlds share channels, or the file is from
+an early release, the changes are read.
 """
 
 from __future__ import annotations
@@ -17,36 +17,36 @@ if TYPE_CHECKING:
 
     from replay.file.chunks import Chunks
 
-Owner: TypeAlias = "tuple[str, int]"  # a world's name, and the number of its lifetime, from 1
-#: Three lists with the numbers of chunks: those with changes, with keyframes, and with looks.
+Owner: TypeAlias = "tuple[str, int]"  # name of a world, and number of the lifetime, from 1
+#: Numbers of chunks with changes, of chunks with keyframes, and of chunks with looks.
 _Lists: TypeAlias = "tuple[list[int], list[int], list[int]]"
-_Mark: TypeAlias = "tuple[type[Record], Owner]"  # a type of record, and the world of such records in a chunk
+_Mark: TypeAlias = "tuple[type[Record], Owner]"  # type and world of records in a chunk
 
 
 @dataclass(frozen=True, slots=True)
 class Lifetime:
     """A world from its opening to its end."""
 
-    world: str  # its name
-    number: int  # number among the worlds with its name, from 1
-    start: int  # the step at which it was opened; 0 for the first world with its name
-    stop: int | None  # the step at which the next world with its name was opened; None for the last world
-    changes: Sequence[int]  # numbers of the chunks with its mutations or keyframes
-    keyframes: Sequence[int]  # numbers of the chunks with its keyframes
-    looks: Sequence[int]  # numbers of the chunks with queries that updated its robots' beliefs
+    world: str
+    number: int  # number among the worlds with this name, from 1
+    start: int  # step of the opening; 0 for the first world with this name
+    stop: int | None  # step of the opening of the next world with this name; None for the last world
+    changes: Sequence[int]  # numbers of the chunks with mutations or keyframes
+    keyframes: Sequence[int]  # numbers of the chunks with keyframes
+    looks: Sequence[int]  # numbers of the chunks with queries that updated beliefs
 
     @property
     def title(self) -> str:
-        """Title of the world; see :func:`title`."""
+        """The title of the world (:func:`title`)."""
         return title(self.world, self.number)
 
     def has(self, step: int) -> bool:
-        """Return whether its name means this world at a step."""
+        """Return whether the name means this world at a step."""
         return self.start <= step and (self.stop is None or step < self.stop)
 
 
 def title(world: str, number: int) -> str:
-    """Return the title of a world: its name, with its number if it isn't the first world of that name."""
+    """Return the title of a world: the name, and the number if it isn't the first world with the name."""
     if number == 1:
         return world
     ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
@@ -54,7 +54,7 @@ def title(world: str, number: int) -> str:
 
 
 def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
-    """Return the lifetimes of all worlds, in the order of their opening."""
+    """Return the lifetimes of all worlds in the order of their opening."""
     chunks_of = _chunks_by_lifetime(chunks)
     starts = _starts(chunks, chunks_of)
     lifetimes = []
@@ -66,11 +66,10 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
 
 
 def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
-    """Return, for each lifetime, the numbers of the chunks with its changes, with its keyframes, and with its looks."""
     chunks_of: dict[Owner, _Lists] = {}
     shared = chunks.share_worlds()
     last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world
-    lists_by_channels: dict[bytes, list[list[int]]] = {}  # lists for a chunk's number, by its channels' ids
+    lists_by_channels: dict[bytes, list[list[int]]] = {}  # lists that get the number of a chunk, by ids of channels
     for number, channels in enumerate(chunks.channel_maps()):
         # the low bytes of all ids, then the high bytes
         ids = b"" if channels is None else channels[::10] + channels[1::10]
@@ -88,11 +87,11 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
                 lists_by_channels[ids] = lists
         for numbers in lists:
             numbers.append(number)
-    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # the other worlds' changes are lost
+    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # changes of other worlds are lost
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
-    """Return the lifetime of a record: its channel's lifetime; if that is unknown, openings are counted."""
+    """Return the lifetime of a record: the lifetime of the channel, or else the number of openings."""
     lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
     if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1
@@ -126,7 +125,7 @@ def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[
 
 
 def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
-    """Return the first steps of lifetimes; 0 where the step isn't needed, which avoids reading."""
+    """Return the first steps of lifetimes. Unneeded steps are 0, because reading takes time."""
     beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # lifetimes that begin in each chunk
     for owner, (changes, *_) in chunks_of.items():
         beginning[changes[0]].append(owner)
@@ -138,7 +137,7 @@ def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
 
 
 def _first_steps(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
-    """Yield the first steps of the lifetimes that begin in a chunk, up to the point where the chunk is damaged."""
+    """Yield the first steps of the lifetimes that begin in a chunk, up to a damaged part."""
     waiting = sorted(owners)
     for record in chunks.records(number, (Mutation, Keyframe)):
         owner = next((each for each in waiting if each[0] == record.world), None)

@@ -1,11 +1,8 @@
-"""The MCAP format: its framing, the positions of a file's chunks, their decompression, and decoding of payloads.
+"""The MCAP format: framing, positions of chunks, decompression, and decoding of payloads.
 
-A recording of a million records has 20,000 chunks, and a question needs only a few of them. So the file's summary is
-decoded chunk by chunk, on demand.
-
-A payload with more parts than any recorder writes is rejected, because an empty part takes two bytes in a file, and
-about fifty times as many in memory. Nearly all payloads are too small to have too many parts; their parts aren't
-counted.
+A recording of a million records has 20,000 chunks, but a question needs only a few of them. So the summary is decoded
+chunk by chunk, on demand. A payload with very many parts is rejected: an empty part takes two bytes in a file, and a
+hundred in memory. Parts of small payloads aren't counted.
 """
 
 from __future__ import annotations
@@ -29,27 +26,27 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"  # the first and the last bytes of a file
 HEADER: Final = 9  # bytes of opcode and length before each MCAP record
 LENGTH: Final = struct.Struct("<BQ")  # the fields opcode and length
-DATA_END: Final = HEADER + 4  # bytes of the record that ends the data
-FOOTER: Final = HEADER + 20  # bytes of the last record
+DATA_END: Final = HEADER + 4  # size of the record that ends the data, bytes
+FOOTER: Final = HEADER + 20  # size of the last record, bytes
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
-CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # the fields start, end, offset, length, and bytes of the following map
-#: Sizes in bytes of the message indexes, and of the following name of the compression.
+CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # fields: start, end, offset, length, and size of the following map
+#: Fields: size of the message indexes, and length of the compression's name, in bytes.
 _INDEX_LENGTH: Final = struct.Struct("<QI")
 _CHUNK: Final = int(Opcode.CHUNK)
-_MESSAGE_INDEX: Final = HEADER + 6  # bytes of a channel's message index before its entries
-_ENTRY: Final = 16  # bytes of the entry of a message
+_MESSAGE_INDEX: Final = HEADER + 6  # size of a channel's message index before the entries, bytes
+_ENTRY: Final = 16  # size of the entry of a message, bytes
 _MAP_LENGTH: Final = struct.Struct("<I")
-#: The fields start, end, size, crc, and length of the following name of the compression.
+#: Fields: start, end, size, CRC, and length of the compression's name.
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
-MAX_INFLATED: Final = 64 << 20  # largest number of bytes of a decompressed chunk; recorders close chunks at about 1 MiB
+MAX_INFLATED: Final = 64 << 20  # bytes; larger chunks are rejected, because recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
-#: Errors of a damaged chunk, including errors of Zstandard and LZ4; those of LZ4 are RuntimeErrors.
+#: Errors of a damaged chunk, with errors of Zstandard and LZ4 (RuntimeError).
 CHUNK_DAMAGE: Final = (*DAMAGE, ZstdError, RuntimeError)
 
 
 class Extent(NamedTuple):
-    """The extent of an MCAP record's content: its offset in the file, after opcode and length, and its length."""
+    """The extent of an MCAP record's content: its length, and its offset in the file."""
 
     offset: int
     length: int
@@ -61,9 +58,9 @@ class Extent(NamedTuple):
 
 
 class ChunkExtent(NamedTuple):
-    """The extent of a chunk's content, and the channels that have messages in it.
+    """The extent of a chunk's content, and the channels of its messages.
 
-    ``channels`` has 10 bytes for each channel, as in MCAP's chunk index; None if unknown.
+    ``channels`` has 10 bytes for each channel, as in MCAP's chunk index. It is None if the channels are unknown.
     """
 
     offset: int
@@ -71,31 +68,31 @@ class ChunkExtent(NamedTuple):
     channels: bytes | None
 
     def ids(self) -> Iterator[int]:
-        """Return the ids of the channels that have messages in this chunk."""
+        """Return the ids of the channels of the chunk's messages."""
         channels = self.channels or b""
         whole = channels[: len(channels) - len(channels) % CHANNEL_OFFSET.size]
         return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(whole))
 
 
 class StatedChunk(NamedTuple):
-    """An entry for a chunk in the index at a file's end."""
+    """An entry of the index at the end of a file: a chunk."""
 
-    offset: int  # offset of its opcode
-    length: int  # number of bytes, including opcode and length
-    head: bytes  # its first bytes, from its opcode up to its CRC
-    tail: bytes  # the bytes from its CRC to its data
-    messages: int | None  # number of messages; None if unknown
+    offset: int  # offset of the opcode
+    length: int  # size with opcode and length, bytes
+    head: bytes  # bytes from the opcode to the CRC
+    tail: bytes  # bytes from the CRC to the data
+    messages: int | None
 
 
 class ChunkTable:
-    """The chunks in the file's order, from its summary or from a scan."""
+    """The chunks of a file in order, from the summary or from a scan."""
 
     def __init__(self) -> None:
         self._summary = b""
-        self._items: list[int | ChunkExtent] = []  # the chunks, or offsets of their entries in the summary (int)
+        self._items: list[int | ChunkExtent] = []  # chunks, or offsets of entries in the summary
 
     def take_summary(self, summary: bytes, starts: Iterable[int]) -> None:
-        """Set the chunks of a file's summary."""
+        """Use the chunks of the summary."""
         self._summary = summary
         self._items = list(starts)
 
@@ -104,7 +101,7 @@ class ChunkTable:
         self._items.append(chunk)
 
     def set_channels(self, channels: bytes) -> None:
-        """Set the channels that have messages in the last chunk."""
+        """Set the channels of the last chunk."""
         self._items[-1] = self[-1]._replace(channels=channels)
 
     def clear(self) -> None:
@@ -112,11 +109,11 @@ class ChunkTable:
         self._items.clear()
 
     def arrange(self, chunks: Iterable[ChunkExtent]) -> None:
-        """Replace all chunks; see :class:`replay.file.chunks.SortedMessages`."""
+        """Replace all chunks."""
         self._items = list(chunks)
 
     def stated(self, number: int) -> StatedChunk | None:
-        """Return the summary's entry for a chunk; None if there is no summary."""
+        """Return the entry of the summary for a chunk; None without a summary."""
         at = self._items[number]
         if isinstance(at, ChunkExtent):
             return None
@@ -124,13 +121,13 @@ class ChunkTable:
         _, _, offset, length, channels = CHUNK_INDEX.unpack_from(summary, at)
         sizes = at + CHUNK_INDEX.size + channels
         indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
-        end = sizes + _INDEX_LENGTH.size + name + 8  # end of the compressed size; the uncompressed size follows
+        end = sizes + _INDEX_LENGTH.size + name + 8  # the uncompressed size follows
         head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
         entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
         return StatedChunk(offset, length, head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
 
     def channel_maps(self) -> Iterator[bytes | None]:
-        """Yield the ``channels`` of each chunk, as in :class:`ChunkExtent`."""
+        """Yield the ``channels`` of each chunk (:class:`ChunkExtent`)."""
         summary = self._summary
         for item in self._items:
             if isinstance(item, ChunkExtent):
@@ -156,7 +153,7 @@ def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield the opcode of each MCAP record, and the start and end of its content.
 
     Raises:
-        struct.error: the last record is cut off within its opcode and length.
+        struct.error: The last record is cut off within its opcode and length.
     """
     at = 0
     while at < len(contents):
@@ -167,14 +164,14 @@ def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def describe(error: Exception) -> str:
-    """Return an error's message, or the name of its type if it has no message."""
+    """Return the message of an error, or the name of its type without a message."""
     return str(error) or type(error).__name__
 
 
 class Decompressor:
-    """Decompresses chunks, one after another; not thread-safe.
+    """A decompressor of chunks; not thread-safe.
 
-    A chunk never takes more memory than its header states, and the stated size is limited, because a few kB could
+    A chunk never takes more memory than the header states, and the stated size is limited. Otherwise, a few kB could
     inflate to GB.
     """
 
@@ -185,7 +182,7 @@ class Decompressor:
         """Return the messages of a chunk.
 
         Raises:
-            CHUNK_DAMAGE: the chunk is damaged.
+            CHUNK_DAMAGE: The chunk is damaged.
         """
         _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
         if size > MAX_INFLATED:
@@ -200,7 +197,7 @@ class Decompressor:
         return data
 
     def _inflated(self, compression: bytes, data: memoryview, size: int) -> bytes:
-        if compression == b"zstd":  # the compression of PyCRAM; other recorders use others
+        if compression == b"zstd":
             if frame_content_size(data) > size:
                 raise ValueError(f"it inflates to {frame_content_size(data)} bytes, but its header states {size}")
             return self._zstd.decompress(data, max_output_size=size)
@@ -215,10 +212,10 @@ class Decompressor:
 
 
 MAX_PARTS: Final = 1 << 19
-"""Maximum number of messages within a record; eight texts count as one message."""
+"""Maximum number of messages within a record. Eight texts count as a message."""
 UNCOUNTED: Final = 2 * MAX_PARTS
-"""A payload with at most this number of bytes can't have too many parts."""
-_TEXTS: Final = 8  # number of texts that take as much memory as an empty message
+"""Payloads of at most this size in bytes can't have too many parts."""
+_TEXTS: Final = 8  # this many texts take as much memory as an empty message
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
@@ -226,7 +223,7 @@ def decode(kind: type[Record], payload: bytes) -> Record:
     """Return the record of a payload.
 
     Raises:
-        DecodeError: the payload is invalid, or has too many parts.
+        DecodeError: The payload is invalid, or has too many parts.
     """
     if len(payload) > UNCOUNTED:
         try:
@@ -237,17 +234,17 @@ def decode(kind: type[Record], payload: bytes) -> Record:
 
 
 @cache
-def _within(descriptor: Any) -> dict[int, Any]:  # each of protobuf's two runtimes has its own type of descriptors
-    """Return the message types of a message's fields, by field number."""
+def _within(descriptor: Any) -> dict[int, Any]:  # protobuf's two runtimes have two types of descriptors
+    """Return the message types of a message's fields by field number."""
     return {field.number: field.message_type for field in descriptor.fields if field.message_type is not None}
 
 
 def _weigh(descriptor: Any, data: bytes, at: int, end: int) -> int:
-    """Return the weight of a message's parts: 1 for a text, 8 for a message.
+    """Return the weight of a message's parts: 1 for each text, 8 for each message.
 
     Raises:
-        DecodeError: there are too many parts, or the message is invalid.
-        IndexError: the message is cut off.
+        DecodeError: There are too many parts, or the message is invalid.
+        IndexError: The message is cut off.
     """
     within, weight = _within(descriptor), 0
     while at < end:

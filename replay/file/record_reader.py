@@ -1,8 +1,7 @@
-"""A recording: its records by step. The file's process may have been killed, or may still write the file.
+"""A recording: its records by step. The process of the recording may have been killed, or may still write the file.
 
-A question reads only a few chunks, even of a long recording; see :mod:`replay.file.index` and
-:mod:`replay.file.chunks`. If a newer release made the recording, unknown fields are ignored. If the kind of a record is
-unknown, only the record's envelope is read.
+A question reads only a few chunks, even of a long recording. Unknown fields of newer releases are ignored. For unknown
+kinds of records, only the envelope is read.
 """
 
 from __future__ import annotations
@@ -57,11 +56,11 @@ __all__ = ["KINDS", "RecordReader"]
 
 R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output, Check)
 
-_MIN_MAGIC: Final = len(MAGIC) - 2  # smallest number of correct bytes: a few bytes of a damaged file may be wrong
-_NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # without this flag, opening a pipe would wait for a writer
-_MAX_NAMES: Final = 4  # largest number of names in a message
-_FIRST: Final = [0, 1, 0]  # the first release; its recordings are never newer than this release
-_MAX_DIGITS: Final = 9  # largest number of digits of a valid number
+_MIN_MAGIC: Final = len(MAGIC) - 2  # at least this many of the first bytes must be correct
+_NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # with this flag, opening a pipe doesn't wait for a writer
+_MAX_NAMES: Final = 4  # messages have at most this many names
+_FIRST: Final = [0, 1, 0]  # recordings of the first release are never newer than this release
+_MAX_DIGITS: Final = 9  # valid numbers have at most this many digits
 _RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
 
 
@@ -73,7 +72,7 @@ class RecordReader:
         self._file = open_file(self.path)
         with contextlib.ExitStack() as undoing:
             undoing.callback(self._file.close)
-            # time of the last write before it was opened, ns since the Unix epoch
+            # time of the last write before the opening, ns since the Unix epoch
             self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
             check_ours(self.path, self._index)
@@ -81,8 +80,8 @@ class RecordReader:
             self._steps = self._count()
             undoing.pop_all()
         self.assets = Assets(self.path, self._index)  # the attached files by ``<sha256>/<file name>``
-        self.lost_before = lost_before(self._index)  # steps that were lost before the file was repaired
-        # the lost steps, and the numbers of damaged chunks and of steps at the time when they were searched
+        self.lost_before = lost_before(self._index)  # steps that were lost before a repair
+        # the lost steps, and the numbers of damaged chunks and of steps at the time of the search
         self._gaps: list[range] = []
         self._gaps_of = (-1, -1)
 
@@ -106,7 +105,7 @@ class RecordReader:
         self._index.close()
 
     def after_fork(self) -> None:
-        """Reopen the file in a forked child; otherwise the child would share the parent's file position."""
+        """Reopen the file in a forked child. Otherwise the child would share the parent's file position."""
         self.assets.close()
         descriptor = self._file.fileno()
         own = os.open(self.path, os.O_RDONLY | system.OPENED)
@@ -118,7 +117,7 @@ class RecordReader:
 
     @property
     def metadata(self) -> Mapping[str, str]:
-        """The run's metadata: plan, versions, platform, arguments."""
+        """The metadata of the run: plan, versions, platform, arguments."""
         return {
             key if name == "pycram" else f"{name}.{key}": value
             for name, values in self._index.metadata.items()
@@ -127,7 +126,7 @@ class RecordReader:
 
     @property
     def closed(self) -> bool:
-        """Whether the recorder closed the file; then the file no longer grows."""
+        """Whether the recorder closed the file, which then no longer grows."""
         return self._index.closed
 
     @property
@@ -135,7 +134,7 @@ class RecordReader:
         """Whether a recorder is writing the file now.
 
         Raises:
-            LogClosed: this object was closed.
+            LogClosed: This object was closed.
         """
         if self._file.closed and not self.closed:
             raise LogClosed(self.path)
@@ -148,12 +147,15 @@ class RecordReader:
 
     @property
     def problems(self) -> str:
-        """All known losses and damage, in words; empty if there are none."""
+        """All known losses and damage in words; "" without losses and damage."""
         return "; ".join(filter(None, (self.incomplete, self.damage)))
 
     @property
     def incomplete(self) -> str:
-        """Why the recording is incomplete, in words: it wasn't closed, or lost records before a repair; else ""."""
+        """Why the recording is incomplete: it wasn't closed, or lost records before a repair.
+
+        "" for complete recordings.
+        """
         if self.closed:
             lost = ", ".join(map(range_text, self.lost_before))
             return f"steps {lost} were lost before it was repaired" if lost else ""
@@ -164,7 +166,7 @@ class RecordReader:
 
     @property
     def damage(self) -> str:
-        """All known damage, in words; empty if there is none."""
+        """All known damage in words; "" without damage."""
         problems = ["the index at its end is damaged"] if self.closed and not self._index.whole else []
         problems += self._index.damage
         problems += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
@@ -177,21 +179,21 @@ class RecordReader:
 
     @cached_property
     def newer(self) -> Newer | None:
-        """The newer release that wrote the recording; None if that release isn't newer than this release."""
+        """The newer release that wrote the recording; None for this release and older releases."""
         return newer_of(self._index)
 
     @property
     def format(self) -> int:
-        """The format of the recording, or 0 if the format is unknown; see :mod:`recorder.records`."""
+        """The format number of the recording (:mod:`recorder.records`), or 0 for an unknown format."""
         return format_of(self._index)
 
     @cached_property
     def lifetimes(self) -> tuple[Lifetime, ...]:
-        """The lifetimes of worlds, in the order of their opening."""
+        """The lifetimes of worlds in the order of their opening."""
         return lifetimes_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
-        """Return the number of records of each kind, according to the file's index; no record is decoded."""
+        """Return the number of records of each kind in the index. No record is decoded."""
         counts: dict[str, int] = {}
         for channel, kind in kinds_of(self._index).items():
             count = self._index.counts.get(channel, 0)
@@ -206,11 +208,11 @@ class RecordReader:
         return self._steps
 
     def __getitem__(self, step: int) -> Record:
-        """Return the record of a step; negative steps count from the end.
+        """Return the record of a step. Negative steps count from the end.
 
         Raises:
-            NoSuchStep: there is no such step.
-            Damaged: its record is lost.
+            NoSuchStep: There is no such step.
+            Damaged: The record is lost.
         """
         number = step + self._steps if step < 0 else step
         if not 0 <= number < self._steps:
@@ -228,12 +230,12 @@ class RecordReader:
     @overload
     def records(self, kind: Kinds | str | None = None, start: int = 0, stop: int | None = None) -> Iterator[Record]: ...
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
-        """Stream the records of one or several types from ``start`` to ``stop`` (excluded); others aren't decoded.
+        """Stream the records of types from ``start`` to ``stop`` (excluded). Records of other types aren't decoded.
 
         A type may also be a name, such as "query".
 
         Raises:
-            NoSuchName: there is no such type.
+            NoSuchName: There is no such type.
         """
         if isinstance(kind, str):
             if kind not in KINDS:
@@ -257,9 +259,9 @@ class RecordReader:
     @overload
     def backwards(self, start: int = -1, kind: Kinds | None = None, *, naming: str = "") -> Iterator[Record]: ...
     def backwards(self, start: int = -1, kind: Any = None, *, naming: str = "") -> Iterator[Any]:
-        """Stream records from a step (negative steps count from the end) down to the first record.
+        """Stream records backwards from a step to the first record. Negative steps count from the end.
 
-        Only records of the given types that contain the text ``naming`` in a field are decoded.
+        Only records of the given types with the text ``naming`` in a field are decoded.
         """
         first = start + self._steps if start < 0 else start
         for number in range(self.chunk_of(first), -1, -1):
@@ -268,7 +270,7 @@ class RecordReader:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """Return the world with a name at a step, else the first later world with that name; None if there is none."""
+        """Return the world with a name at a step; None without such a world."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
     @overload
@@ -276,20 +278,20 @@ class RecordReader:
     @overload
     def records_of(self, lifetime: Lifetime, kind: Kinds, chunks: Sequence[int]) -> Iterator[Record]: ...
     def records_of(self, lifetime: Lifetime, kind: Any, chunks: Sequence[int]) -> Iterator[Any]:
-        """Stream a world's records of one or several types in certain chunks."""
+        """Stream the records of a world with given types in given chunks."""
         for number in chunks:
             for record in self._chunks.records(number, kind, lifetime.world):
                 if lifetime.has(record.seq):
                     yield record
 
     def chunk_of(self, step: int) -> int:
-        """Return the number of the chunk that contains a step; None if the step is lost."""
+        """Return the number of the chunk that may contain a step."""
         return self._chunks.chunk_of(step, self._steps)
 
     def end_of(self, lifetime: Lifetime) -> Record | None:
-        """Return the last change or keyframe of a world; None if it is lost."""
+        """Return the last change or keyframe of a world; None if the record is lost."""
         last = None
-        for last in self.records_of(lifetime, (Mutation, Keyframe), lifetime.changes[-1:]):  # noqa: B007  the last one
+        for last in self.records_of(lifetime, (Mutation, Keyframe), lifetime.changes[-1:]):  # noqa: B007  the last record
             pass
         return last
 
@@ -308,7 +310,7 @@ class RecordReader:
         """Read everything once, and return :attr:`problems`."""
         last = -1
         for number in range(len(self._chunks)):
-            for record in self._chunks.records(number):  # reading the records notes all damage
+            for record in self._chunks.records(number):  # readers of records note all damage
                 if not last < record.seq < self._steps:
                     self._chunks.misplaced(number, record)
                 last = record.seq
@@ -320,11 +322,11 @@ class RecordReader:
         return self.problems
 
     def lost(self) -> list[range]:
-        """Return the ranges of steps that are missing before the last step; this reads only damaged recordings."""
+        """Return the ranges of missing steps before the last step. Only damaged recordings are read."""
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # each state needs the gaps
+        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # every state needs the gaps
             self._gaps.clear()
             expected = 0
             for record in self.records():
@@ -335,16 +337,16 @@ class RecordReader:
         return list(self._gaps)
 
     def write_sound(self, file: BinaryIO) -> Losses:
-        """Write a sound copy of the readable part; see :func:`replay.file.repair.write_sound`."""
+        """Write a sound copy of the readable part (:func:`replay.file.repair.write_sound`)."""
         self.check_file()
         return write_sound(file, self._index, self._chunks, self.assets, self.problems, self.missing())
 
     def write_packed(self, file: BinaryIO) -> None:
-        """Write a copy that contains its models.
+        """Write a copy of the recording and its models.
 
         Raises:
-            MissingModels: the models are missing.
-            ReplayError: the recording isn't sound.
+            MissingModels: The models are missing.
+            ReplayError: The recording isn't sound.
         """
         if cause := self.assets.missing(look=True):
             raise MissingModels(self.path, cause)
@@ -355,14 +357,14 @@ class RecordReader:
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
-        """Return all ranges of missing steps, also after the last record, and those that were lost before a repair."""
+        """Return all ranges of missing steps, also after the last record and from before a repair."""
         gaps = self.lost()
         after = self._lost - sum(map(len, gaps))
         gaps += [range(self._steps, self._steps + after)] if after > 0 else []
         return list(dict.fromkeys([*gaps, *self.lost_before]))
 
     def refresh(self) -> bool:
-        """Read the new records of a growing file; return whether there are any."""
+        """Read the new records of a growing file, and return whether there were new records."""
         if not self._chunks.grow():
             return False
         self.__dict__.pop("lifetimes", None)
@@ -370,7 +372,7 @@ class RecordReader:
         return True
 
     def _count(self) -> int:
-        """Return the number of steps, which is one more than the number of the last step."""
+        """Return the number of steps: the number of the last step plus 1."""
         for number in range(len(self._chunks) - 1, -1, -1):
             last = next(self._chunks.records(number, backwards=True), None)
             if last is not None:
@@ -380,11 +382,11 @@ class RecordReader:
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open a file whose first bytes are those of an MCAP file; a few of them may be damaged.
+    """Open an MCAP file. A few of its first bytes may be damaged.
 
     Raises:
-        NotALog: the file doesn't exist, or isn't an MCAP file.
-        Unreadable: the file is empty, or is cut off within its first bytes.
+        NotALog: The file doesn't exist, or isn't an MCAP file.
+        Unreadable: The file is empty, or is cut off within its first bytes.
     """
     try:
         with contextlib.ExitStack() as undoing:
@@ -413,8 +415,8 @@ def check_ours(path: Path, index: Index) -> None:
     """Raise an error if a file has no channel of a recording.
 
     Raises:
-        NotALog: the file belongs to another program.
-        Unreadable: another release wrote the file, or it is too damaged to be recognised.
+        NotALog: The file belongs to another program.
+        Unreadable: Another release wrote the file, or the file is too damaged.
     """
     if kinds_of(index):
         return
@@ -424,14 +426,14 @@ def check_ours(path: Path, index: Index) -> None:
             path, f"was recorded by a release ({names[0]}) whose recordings this release can't read; use that release"
         )
     if index.library == MODELS_LIBRARY:
-        raise NotALog(path, "contains the models that recordings of a sweep share; it isn't a recording")
+        raise NotALog(path, "contains the shared models of a sweep, and isn't a recording")
     if not index.library.startswith("pycram") and (index.channels or (index.closed and index.whole)):
         raise NotALog(path, "is an MCAP file, but not a recording of PyCRAM")
     raise Unreadable(path, "has no record that can be read")
 
 
 def is_locked(file: BinaryIO) -> bool:
-    """Return whether a recorder holds its lock on the file."""
+    """Return whether a recorder holds the lock of the file."""
     try:
         system.lock(file.fileno(), shared=True)
     except BlockingIOError:
@@ -447,8 +449,8 @@ class Newer:
     """A newer release that wrote a recording."""
 
     release: str  # version of the release
-    format: int  # its format; see :mod:`recorder.records`
-    fields: tuple[str, ...]  # names of unknown fields and enum values of known messages, such as ``Mutation.force``
+    format: int  # format number (:mod:`recorder.records`)
+    fields: tuple[str, ...]  # unknown fields and enum values of known messages, such as ``Mutation.force``
     kinds: tuple[str, ...]  # unknown kinds of records
 
     def __str__(self) -> str:
@@ -471,13 +473,13 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def format_of(index: Index) -> int:
-    """Return the format of a recording; 0 for old recordings, which don't state it."""
+    """Return the format number of a recording; 0 for old recordings without a number."""
     text = index.metadata.get("pycram", {}).get("format", "")
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else 0
 
 
 def newer_of(index: Index) -> Newer | None:
-    """Return the release that wrote a file, if its format or version is newer than this release's."""
+    """Return the release that wrote a file if its format or version is newer; otherwise None."""
     number = format_of(index)
     release = index.metadata.get("pycram", {}).get("pycram", "")
     if number <= format_number() and not _is_later(release):

@@ -1,7 +1,7 @@
-"""Writes a sound copy of the readable part of a recording: the copy has an index and all checksums, and is closed.
+"""Write a sound copy of the readable part of a recording, with an index and all checksums.
 
 Messages, attached files and metadata are copied unchanged, so fields of newer releases are kept. Steps keep their
-numbers; the copy's metadata lists the missing steps, and readers report them.
+numbers. The metadata of the copy lists the missing steps.
 """
 
 from __future__ import annotations
@@ -29,30 +29,31 @@ if TYPE_CHECKING:
     from replay.file.index import Index
 
 _METADATA: Final = "pycram.repair"
-_MESSAGE: Final = struct.Struct("<HIQQ")  # channel, sequence, log and publish time
-_MOST_MESSAGES: Final = 10_000  # largest number of messages in a chunk of the copy
+_MESSAGE: Final = struct.Struct("<HIQQ")  # fields: channel, sequence, log time, publish time
+_MOST_MESSAGES: Final = 10_000  # chunks of the copy have at most this many messages
 _RANGES: Final = re.compile(r"\d{1,18}(-\d{1,18})?(, \d{1,18}(-\d{1,18})?)*")
-_MAX_TEXT: Final = 1 << 16  # largest number of characters of the list of lost steps
+_MAX_TEXT: Final = 1 << 16  # the list of lost steps has at most this many characters
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
     """The losses of a repaired copy."""
 
-    problems: str  # problems of the original, in words
-    steps: tuple[range, ...]  # ranges of lost steps that are known
+    problems: str  # problems of the original in words
+    steps: tuple[range, ...]  # known ranges of lost steps
     records: int  # number of kept records
-    chunks: Mapping[int, str]  # causes of damage of lost chunks, by their number in the original
+    chunks: Mapping[int, str]  # causes of damage of lost chunks by number in the original
     messages: int  # number of unreadable messages in other chunks
-    files: Mapping[str, str]  # causes of damage of lost attached files, by name
+    files: Mapping[str, str]  # causes of damage of lost attached files by name
 
 
 def write_sound(
     file: BinaryIO, index: Index, chunks: Chunks, assets: Assets, problems: str | None, missing: list[range]
 ) -> Losses:
-    """Write a sound copy of the readable part into an empty file, with models that the original shares with others.
+    """Write a sound copy of the readable part into an empty file, with shared models.
 
-    The copy lists the original's problems and missing steps. If the problems are None, the recording is only packed.
+    The copy lists the problems and missing steps of the original. If the problems are None, the recording is only
+    packed.
     """
     from recorder.packages import versions  # noqa: PLC0415
 
@@ -95,7 +96,7 @@ def write_sound(
 
 
 def _define(writer: McapWriter, index: Index) -> dict[int, int]:
-    """Define the channels whose message types are known; return their new ids by their old ids."""
+    """Define the channels with known message types, and return their new ids by old id."""
     schemas: dict[str, int] = {}
     ids = {}
     for number, channel in index.channels.items():

@@ -1,1 +1,1 @@
-"""The history of a run: tasks, failures, changes and what caused them, and the lines of the plan."""
+"""The history of a run: tasks, failures, changes and their causes, and the lines of the plan."""

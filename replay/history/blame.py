@@ -1,4 +1,4 @@
-"""Finds the last change of a body or a joint, with its tasks and lines of the plan.
+"""Find the last change of a body or a joint, with its tasks and lines of the plan.
 
 A carried body moves with its carrier. Then the change is a record of the carrier, and the record of the attachment is
 returned, too.
@@ -25,11 +25,9 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, State, World
 
 
-#: Smaller changes in simulation (in m, or rad for joints; and in rad for turns) mean that an object settles.
+#: An object with smaller changes in simulation settles: m or rad for positions, rad for turns.
 SETTLING: Final = 5e-3, math.radians(5)
-"""m and rad."""
-#: Smaller changes, in m and rad, are rounding: when the head turns, an object in a resting hand moves by such an
-#: amount.
+#: Smaller changes (m, rad) are rounding: an object in a resting hand moves so little when the head turns.
 _ROUNDING: Final = 1e-6, 1e-6
 
 
@@ -38,9 +36,9 @@ class Carried:
     """An attachment that moved a body."""
 
     held: Attachment  # the attachment before the move
-    #: Step of the record that attached the body; None: the body was attached before the recording began.
+    #: Step of the record that attached the body; None if the recording began later.
     step: int | None
-    causes: CausingTasks | None  # causes of the attaching record
+    causes: CausingTasks | None  # causes of the record that attached the body
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -48,22 +46,22 @@ class Blame:
     """The last change of a body or joint."""
 
     world: str
-    other_worlds: tuple[str, ...]  # other open worlds that contain a body with that name
-    default_world: str  # name of the world that was opened last, if the body isn't in it; else ""
+    other_worlds: tuple[str, ...]  # other open worlds with a body of this name
+    default_world: str  # world that was opened last, if the body is in another world; otherwise ""
     body: str
-    joint: str  # name of the joint; "": the body's pose changed
-    #: "command" (on the body itself), "load", "carried" (by its holder), "along" (with the body that it lies on or in),
-    #: "hand" (dragged in the window), "driven" (it followed a trajectory), "physics", "reset", "restored" (a saved
-    #: state), "removed", or "before" (the recording began later)
+    joint: str  # name of the joint; "" for the body's pose
+    #: How the body changed: "command" (on this body), "load", "carried" (by a holder), "along" (with the body below or
+    #: around), "hand" (dragged in the window), "driven" (on a trajectory), "physics", "reset", "restored" (a saved
+    #: state), "removed", or "before" (before the recording)
     how: str
-    before: Pose | float | None  # value before the change; None: the body didn't exist
-    after: Pose | float | None  # value after the change; None: the body was removed
-    distance: float  # size of the move in m; for a revolute joint in rad
+    before: Pose | float | None  # value before the change; None without a body
+    after: Pose | float | None  # value after the change; None without a body
+    distance: float  # size of the move in m, or of a revolute joint in rad
     angle: float  # size of the turn in rad; 0 for joints
-    record: Mutation | Keyframe  # the change; a keyframe if nothing has changed since the recording began
+    record: Mutation | Keyframe  # the change; a keyframe if the recording has no change
     causes: CausingTasks  # causes of the record
-    carried: tuple[Carried, ...]  # attachments from the body to the commanded body, the body's own first
-    #: For a change in simulation, the previous change that was more than settling; for a removal, the previous change.
+    carried: tuple[Carried, ...]  # attachments from the body to the commanded body, the attachment of the body first
+    #: The previous change before a removal, or before a change in simulation. Objects that settle don't count.
     earlier: Blame | None = None
 
     def __repr__(self) -> str:
@@ -75,14 +73,14 @@ class Blame:
 
 
 def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:
-    """Return the last change, up to a step, of a body or a joint (``BODY.JOINT``).
+    """Return the last change of a body or a joint (``BODY.JOINT``) up to a step.
 
-    The default step is the last step before worlds were closed; the default world is the last opened world with the
+    The default step is the last step before worlds were closed. The default world is the last opened world with the
     body.
 
     Raises:
-        NoSuchStep: there is no such step.
-        NoSuchName: the body or joint never existed up to that step.
+        NoSuchStep: There is no such step.
+        NoSuchName: The body or joint didn't exist up to the step.
     """
     step = log.final_step() if at is None else at
     state = state_at(log, step)
@@ -110,20 +108,19 @@ def blame(log: RecordReader, target: str, at: int | None = None, world: str | No
 
 
 def _default_world(state: State, world: str, requested: str | None) -> str:
-    """Return the default world if another world was found; "" otherwise."""
     default = state.world().name
     return default if requested is None and default != world else ""
 
 
 def _removal(log: RecordReader, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
-    """Return the record that removed a body, or the body of a joint, from a world that is still open.
+    """Return the record that removed a body, or the body of a joint, from an open world.
 
     Raises:
-        NoSuchName: there is no such record. If a closed world had the body, the error has a hint.
+        NoSuchName: There is no such record. The error has a hint if a closed world had the body.
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # if no world is open, the error has the hint
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # without open worlds, the error has a hint
     removals: list[Mutation] = []
     closed: NoSuchName | None = None
     for body in _possible_bodies(target) if candidates or some_closed else ():
@@ -144,7 +141,7 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
 
 
 def _possible_bodies(target: str) -> list[str]:
-    """Return the possible names of a target's body, longest first; names may contain dots."""
+    """Return the possible names of the body, longest first. Names may contain dots."""
     return [target, *(target[:at] for at in range(len(target) - 1, 0, -1) if target[at] == ".")]
 
 
@@ -171,14 +168,14 @@ class _Subject(NamedTuple):
 
 
 class _Search:
-    """A search backwards through a world's changes."""
+    """A backward search through the changes of a world."""
 
     def __init__(self, log: RecordReader, subject: _Subject) -> None:
         self._log, self._subject = log, subject
         self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 
     def run(self, step: int) -> Blame:
-        """Return the last change; a change by physics comes with the previous change."""
+        """Return the last change. A change by physics has the previous change."""
         records = self._changes(step)
         for last in records:
             change = self._explained(last)
@@ -190,7 +187,7 @@ class _Search:
         raise Damaged(self._log.path, f"the last change of {self._body}", "its record was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """Return the last earlier record that changed more than settling does; states aren't folded."""
+        """Return the last earlier record with more change than a settling object. No state is folded."""
         newer: dict[str, Mutation | Keyframe] = {}
         values: dict[str, Sequence[float]] = {}
         record = last
@@ -203,7 +200,7 @@ class _Search:
         return record
 
     def _counts(self, record: Mutation | Keyframe, part: str, after: Sequence[float], before: Sequence[float]) -> bool:
-        """Return whether a change is larger than settling or rounding."""
+        """Return whether a change is larger than that of a settling object or of rounding."""
         if commanded(record) == self._body:
             return True
         limits = SETTLING if is_physics(record) else _ROUNDING
@@ -212,7 +209,7 @@ class _Search:
         return math.dist(before, after) >= limits[0]
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
-        """Return the body's values in a record: position and orientation, or the joint's value."""
+        """Return the values of the body in a record: position and orientation, or the value of the joint."""
         states = record.effect.bodies if isinstance(record, Mutation) else record.bodies
         state = next((state for state in states if state.body == self._body), None)
         if state is None:
@@ -224,17 +221,17 @@ class _Search:
         return {part: list(values) for part, values in pose.items() if values}
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
-        """Yield the records that changed the body, from the last back to its loading or its first keyframe."""
+        """Yield the records that changed the body, from the last record back to the loading or the first keyframe."""
         lifetime = self._log.lifetime_at(self._world, step)
         if lifetime is None:
             return
         start = lifetime.start
         for record in self._log.backwards(step, Mutation, naming=self._body):
-            if not lifetime.has(record.seq):  # earlier records belong to another world
+            if not lifetime.has(record.seq):  # earlier records are about another world
                 break
             if record.world != self._world:
                 continue
-            if self._body in record.effect.removed:  # the record of the body's return is lost
+            if self._body in record.effect.removed:  # the body's next loading is lost
                 start = record.seq
                 break
             if self._is_loading(record):
@@ -284,7 +281,7 @@ class _Search:
 
 
 def is_physics(record: Mutation | Keyframe) -> bool:
-    """Return whether a record is a stretch of simulation."""
+    """Return whether a record is a simulation."""
     return isinstance(record, Mutation) and record.WhichOneof("command") in ("simulate", "set_realtime")
 
 
@@ -310,7 +307,10 @@ def _in_simulation(record: Mutation, world: World, body: str, joint: str) -> str
 
 
 def _how(record: Mutation, world: World, body: str, joint: str) -> tuple[str, list[Attachment]]:
-    """Return how a command moved a body or joint, and the attachments that carried it; ``world`` is as before."""
+    """Return how a command moved a body or joint, and the attachments that carried the body.
+
+    ``world`` is the state before.
+    """
     if is_physics(record):
         return _in_simulation(record, world, body, joint), []
     if record.HasField("reset"):

@@ -1,4 +1,4 @@
-"""The plan's source in a recording, and the exceptions in a traceback, with the plan's lines that raised them."""
+"""The plan's source in a recording, and the exceptions in a traceback with the plan's lines."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
 class Line:
     """A line of the plan."""
 
-    file: str  # its path when the plan ran
-    number: int  # number of the line, from 1
-    function: str = ""  # name of its function; "" if its source isn't attached
-    text: str = ""  # text of the line; "" if its source isn't attached
+    file: str  # path when the plan ran
+    number: int  # from 1
+    function: str = ""  # name of the function; "" without an attached source
+    text: str = ""  # text of the line; "" without an attached source
 
     def __str__(self) -> str:
         return notebook.place(name_of(self.file), self.number)
 
 
 class PlanSource:
-    """The attached source files of a recording; files whose names are ambiguous are left out."""
+    """The attached source files of a recording, without files with ambiguous names."""
 
     def __init__(self, log: RecordReader) -> None:
         self._assets = log.assets
@@ -42,7 +42,7 @@ class PlanSource:
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
-        """Return a line, given its number and the file's path when the plan ran; None for number 0."""
+        """Return the line with a number of a file; None for number 0. ``file`` is the path when the plan ran."""
         if not file or number < 1:
             return None
         text = self.text(file)
@@ -54,7 +54,7 @@ class PlanSource:
         return Line(file, number, names[-1] if names else "<module>", lines[number - 1].strip())
 
     def call_stack(self, record: Record) -> tuple[Line, ...]:
-        """Return the plan's lines that led to a record, outermost first; empty if unknown."""
+        """Return the plan's lines that led to a record, outermost first; no lines if they are unknown."""
         if isinstance(record, Run | Keyframe | Envelope):
             return ()
         line = self.line(record.source_file, record.source_line)
@@ -65,7 +65,7 @@ class PlanSource:
         return (*(caller for caller in above if caller is not None), line)
 
     def text(self, file: str) -> str:
-        """Return the text of a file; "" if it isn't attached, or is damaged."""
+        """Return the text of a file; "" if the file isn't attached or is damaged."""
         key = self._keys.get(name_of(file))
         if key is None:
             return ""
@@ -78,7 +78,7 @@ class PlanSource:
 
     @property
     def files(self) -> dict[str, str]:
-        """The names of attachments, by the names of their files."""
+        """The names of attachments by the names of files."""
         return dict(self._keys)
 
     def has(self, file: str) -> bool:
@@ -92,14 +92,14 @@ def name_of(path: str) -> str:
 
 
 def is_file(path: str, name: str) -> bool:
-    """Return whether a path ends with a name; the name may contain folders."""
+    """Return whether a path ends with a name, which may contain folders."""
     searched = PurePosixPath(name.replace("\\", "/")).parts
     return bool(searched) and PurePosixPath(path.replace("\\", "/")).parts[-len(searched) :] == searched
 
 
 @lru_cache(maxsize=8)
 def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
-    """Return the nodes of a file's syntax tree, outer nodes first; empty if it isn't Python."""
+    """Return the nodes of a text's syntax tree, outer nodes first; no nodes for a text that isn't Python."""
     try:
         return tuple(ast.walk(ast.parse(text)))
     except (SyntaxError, ValueError, RecursionError):
@@ -112,7 +112,7 @@ _NEXT: Final = re.compile(
 )
 _START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
 _TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
-#: The executor's folder; plans call its modules.
+#: The folder of PyCRAM, from the modules that plans call.
 _ROOT: Final = re.compile(
     r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
     r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
@@ -129,8 +129,8 @@ class ParsedException:
 
     type: str
     message: str
-    lines: tuple[Line, ...]  # the plan's lines that led to it, outermost first
-    own: bool = False  # whether the last line raised the exception
+    lines: tuple[Line, ...]  # the plan's lines that led to the exception, outermost first
+    own: bool = False  # whether a line of the plan raised the exception
 
 
 def parse_traceback(traceback: str, source: PlanSource) -> list[ParsedException]:

@@ -23,12 +23,12 @@ _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>sta
 def step_of(log: RecordReader, name: int | str) -> int:
     """Return the number of a step.
 
-    A name is a number (negative numbers count from the end), ``last``, ``failure`` (the step that ``why`` explains), a
-    time or a task. A time is simulated seconds with an ``s``: the last step before the clock of a world passes that
-    time, for the first world that does. For tasks, see :func:`task_step`.
+    A name is a number, ``last``, ``failure`` (the step that ``why`` explains), a simulated time such as ``12.5s``, or a
+    task (:func:`task_step`). Negative numbers count from the end. A time is the last step before the first world passes
+    that time.
 
     Raises:
-        NoSuchStep: there is no such step.
+        NoSuchStep: There is no such step.
     """
     text = str(name).strip()
     if text == "last":
@@ -56,7 +56,7 @@ def step_of(log: RecordReader, name: int | str) -> int:
 
 
 def moment_of(name: int | str) -> float | None:
-    """Return the simulated time, s, in the name of a step; None for other names."""
+    """Return the simulated time in the name of a step in s; None for other names."""
     text = str(name).strip()
     try:
         moment = float(text[:-1]) if text.endswith("s") else math.nan
@@ -66,14 +66,14 @@ def moment_of(name: int | str) -> float | None:
 
 
 def task_step(log: RecordReader, text: str) -> int:
-    """Return the start or the end of a task: ``task:PATH@start`` or ``task:PATH@end``.
+    """Return the step of ``task:PATH@start`` or ``task:PATH@end``: the start or the end of a task.
 
-    A path is the task's id, or names from the outermost task inwards, such as ``par/moving``; outer names may be left
-    out. If several tasks match, ``task:pick-up@end`` is the end of the first, ``task:pick-up#2@end`` of the second, and
-    ``#-1`` of the last.
+    A path is the id of the task, or names of outer tasks and the task, such as ``par/moving``. Outer names are
+    optional. If several tasks match, ``task:pick-up#2@end`` is the end of the second task, and ``#-1`` means the last
+    task. The default is the first task.
 
     Raises:
-        NoSuchStep: there is no such task, or the task hasn't ended.
+        NoSuchStep: There is no such task, or the task hasn't ended.
     """
     match = _TASK.fullmatch(text)
     if match is None:
@@ -93,9 +93,9 @@ def task_step(log: RecordReader, text: str) -> int:
 
 
 def _executions(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
-    """Return the start and end of tasks that match a path; at most ``number`` tasks."""
+    """Return the start and end of at most ``number`` tasks that match a path."""
     searched = tuple(path.strip("/").casefold().split("/"))
-    paths: dict[int, tuple[str, ...]] = {}  # names of the tasks on the path, outermost first, by id of the running task
+    paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by id of the running task
     executions: list[list[int | None]] = []
     running: dict[int, list[int | None]] = {}
     for record in log.records(Task):
@@ -124,7 +124,7 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
         end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, lifetime, limit) - 1)
-        # the last step at which the world is open is taken, because a closed world is empty
+        # the last step with the open world, because a closed world is empty
         if end is not None and end.sim_step == limit:
             return end.seq - 1 if closes_world(end) else (lifetime.stop or len(log)) - 1
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
@@ -135,15 +135,14 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
 
 
 def _passing(log: RecordReader, lifetime: Lifetime, limit: float) -> int:
-    """Return the first step at which a world's clock is past a moment."""
+    """Return the first step at which the clock of a world is past a limit."""
 
     def passes(at: int) -> int | None:
-        """Return the first such step in a chunk."""
         for record in log.records_of(lifetime, (Mutation, Keyframe), [lifetime.changes[at]]):
             if record.sim_step > limit:
                 return record.seq
         return None
 
-    # the clock never decreases: the first such chunk is found by binary search
+    # the clock never decreases, so a binary search finds the first chunk past the limit
     first = bisect_left(range(len(lifetime.changes) - 1), True, key=lambda at: passes(at) is not None)
     return passes(first) or 0

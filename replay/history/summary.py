@@ -1,4 +1,4 @@
-"""A summary of a recording: plan, times, worlds and outcome. Only the two ends of a long recording are read."""
+"""A summary of a recording: plan, times, worlds and outcome."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from replay.file.record_reader import RecordReader
 
-#: Recordings up to this size (bytes) are read completely; only the two ends of larger recordings are read.
+#: Recordings up to this size in bytes are read completely. Only both ends of larger recordings are read.
 MAX_CHECKED: Final = 16 << 20
 
 
@@ -25,7 +25,7 @@ class WorldTime:
 
     world: str
     lifetime: int  # number of the world's lifetime, from 1
-    seconds: float  # its simulated time at its last change, s
+    seconds: float  # simulated time at the last change, s
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,28 +34,24 @@ class Summary:
 
     plan: str
     started: datetime  # wall-clock time of the first record, UTC
-    seconds: float  # seconds from the first to the last record
+    seconds: float  # s, from the first to the last record
     worlds: tuple[WorldTime, ...]  # the worlds in the order of their opening
-    outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" if its end is damaged
+    outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" for a damaged end
     failure: str  # failure of the plan, such as "Type: message"; "" without a failure
-    #: Names of the plan's own threads that failed while the plan continued, with their failures.
+    #: Names and failures of the plan's threads that failed while the plan continued.
     threads: tuple[tuple[str, str], ...]
     records: int  # number of steps
     counts: Mapping[str, int]  # number of records of each kind
     attachments: int
     size: int  # size of the file in bytes
-    problems: str  # missing or damaged parts, in words; "" if there are none
+    problems: str  # missing or damaged parts in words; "" without such parts
     checked: bool  # whether every part was read
     metadata: Mapping[str, str]  # metadata of the run
-    start: Run | None  # the first record, with the plan's arguments; None if it is lost
+    start: Run | None  # the first record, with the plan's arguments; None if the record is lost
 
 
 def summary(log: RecordReader) -> Summary:
-    """Summarise a recording.
-
-    Raises:
-        Unreadable: all records are damaged.
-    """
+    """Summarise a recording; raise Unreadable if all records are damaged."""
     size = log.path.stat().st_size
     checked = size <= MAX_CHECKED
     problems = log.check_file() if checked else log.problems
@@ -67,8 +63,8 @@ def summary(log: RecordReader) -> Summary:
     unfinished = "running" if log.live else "lost" if is_lost else "cut off"
     failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"
     outcome = unfinished if end is None else "succeeded" if end.succeeded else failed
-    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # correct even if the wall clock was adjusted during the run
-    if not last.monotonic_ns:  # older recordings lack the steady clock
+    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # correct even if the wall clock jumped
+    if not last.monotonic_ns:  # old recordings lack the steady clock
         elapsed_ns = last.wall_time_ns - first.wall_time_ns
     ends = [(lifetime, log.end_of(lifetime)) for lifetime in log.lifetimes]
     steps = [(lifetime, end.sim_step if end is not None else 0) for lifetime, end in ends]

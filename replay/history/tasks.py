@@ -1,14 +1,9 @@
-"""The tasks of a recording: its failures and their root cause, the tasks around a record, and the task tree.
+"""The tasks of a recording: failures and their root cause, the tasks around a record, and the task tree.
 
-Failures are collected in one pass. To limit memory, only motions and the last task of each kind are kept among the
-successful tasks. If there are very many tasks, only the last tasks are kept.
-
-The root cause is the failure that explains how a plan ended. ``why``, the step ``failure`` and trees use it:
-
-- If the plan failed, it is the task that raised the exception, or its nearest cause, or else the plan's own code.
-- If the plan was interrupted, it is the point of the interrupt.
-- If the plan succeeded, but one of its threads failed, the exception of the thread counts as that of the plan.
-- Otherwise, it is the last failure from which no outer task recovered, or else the last failure.
+The root cause is the failure that explains the end of a plan: the task that raised the plan's exception or its nearest
+cause, or else the plan's own code; the point of an interrupt; or the exception of a failed thread. If the plan
+succeeded, it is the last failure without a recovery, or else the last failure. To limit memory, only some tasks are
+kept: failures, motions, and the last task of each kind and name.
 """
 
 from __future__ import annotations
@@ -30,34 +25,34 @@ if TYPE_CHECKING:
     from replay.history.source import Line, ParsedException
 
 
-_RUN_RECORDS: Final = 2  # the records of start and end in a run without failed threads
+_RUN_RECORDS: Final = 2  # number of records of a run without failed threads
 #: The exception of an interrupted plan.
 INTERRUPT: Final = "KeyboardInterrupt"
-#: Number of a tree's tasks that stay unpacked; an unpacked task takes about 3 kB, a packed task less than 1 kB.
+#: This many tasks of a tree stay unpacked. An unpacked task takes 3 kB, a packed task less than 1 kB.
 _UNPACKED: Final = 20_000
-_MAX_KEPT: Final = 5_000  # largest number of failures or motions; a node with its records takes about 3 kB
+_MAX_KEPT: Final = 5_000  # largest number of failures or motions; each takes about 3 kB
 
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Failed, unfinished and successful tasks; successful parts of other tasks are dropped."""
+    """Failed, unfinished and successful tasks, without successful parts of other tasks."""
 
-    origins: tuple[Node, ...]  # the last tasks in which failures began, in the order of their ends
+    origins: tuple[Node, ...]  # last tasks in which failures began, in the order of their ends
     running: tuple[Node, ...]  # unfinished tasks, in the order of their starts
     successes: Mapping[tuple[str, str], Node]  # the last successful task of each kind and name
     motions: tuple[Node, ...] = ()  # the last finished motions, in the order of their ends
-    forgotten: int = 0  # number of earlier origins that were dropped
-    first_motion: int | None = None  # the step at which the first motion began; None without a motion
+    forgotten: int = 0  # number of dropped origins
+    first_motion: int | None = None  # step at which the first motion began; None without a motion
 
     @property
     def last_success(self) -> Node | None:
-        """The last successful motion; without one, the last successful task."""
+        """The last successful motion, or without motions the last successful task."""
         motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
         return max(motions or self.successes.values(), key=lambda task: task.last_step, default=None)
 
 
 def failures(log: RecordReader, stop: int | None = None) -> Failures:
-    """Return the failures of a recording, or of the part before a step."""
+    """Return the failures of a recording, or of the part before the step ``stop``."""
     running: dict[int, Node] = {}
     successes: dict[tuple[str, str], Node] = {}
     origins: deque[Node] = deque()
@@ -86,7 +81,7 @@ def failures(log: RecordReader, stop: int | None = None) -> Failures:
 
 
 def _keep(origins: deque[Node], task: Node) -> int:
-    """Add a task in which a failure began, and return how many tasks were dropped."""
+    """Add a task in which a failure began, and return the number of dropped tasks."""
     origins.append(task)
     if len(origins) <= _MAX_KEPT:
         return 0
@@ -97,7 +92,7 @@ def _keep(origins: deque[Node], task: Node) -> int:
 
 
 def failed_threads(log: RecordReader) -> tuple[Run, ...]:
-    """Return the records of the plan's own threads that failed while the plan continued."""
+    """Return the records of the plan's threads that failed while the plan continued."""
     if log.counts().get("run", 0) <= _RUN_RECORDS:
         return ()
     return tuple(record for record in log.records(Run) if record.phase == Run.THREAD_FAILED)
@@ -107,17 +102,17 @@ def failed_threads(log: RecordReader) -> tuple[Run, ...]:
 class RootCause:
     """The root cause of a failure."""
 
-    #: The step at which that task ended. If the plan's own code failed, the last step before worlds were closed, or the
-    #: end of the plan's thread.
+    #: The step of the task's end. If the plan's own code failed, it is the last step before worlds were closed, or the
+    #: end of the thread.
     step: int
-    task: Node | None  # the task in which it began; None for the plan's own code
-    failure: Failure | None = None  # failure of the plan or its thread; None if neither failed
+    task: Node | None  # the task in which the failure began; None for the plan's own code
+    failure: Failure | None = None  # failure of the plan or a thread; None if both succeeded
     thread: str = ""  # name of the failed thread; "" if the plan failed
-    exceptions: tuple[ParsedException, ...] = ()  # exceptions from that task up to the plan's failure, causes first
+    exceptions: tuple[ParsedException, ...] = ()  # exceptions from the task to the plan's failure, causes first
 
 
 def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
-    """Return the root cause; None if nothing failed."""
+    """Return the root cause; None without failures."""
     failed = failed if failed is not None else failures(log)
     end = uncaught_failure(log)
     if end is None:
@@ -127,9 +122,9 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
     from replay.history.source import ParsedException, PlanSource, parse_traceback  # noqa: PLC0415  slow to import
 
     parsed = parse_traceback(end.failure.traceback, PlanSource(log))
-    last = parsed.pop() if parsed else ParsedException("", "", ())  # the failure itself; the record has its message
+    last = parsed.pop() if parsed else ParsedException("", "", ())  # the record has the failure's message
     exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
-    earlier = [task for task in failed.origins if task.last_step < end.seq]  # a later failure could have the same error
+    earlier = [task for task in failed.origins if task.last_step < end.seq]  # later failures may have the same error
     if end.failure.type == INTERRUPT:  # earlier failures didn't end the plan
         exceptions = exceptions[-1:]
         earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
@@ -141,7 +136,7 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
 
 
 def uncaught_failure(log: RecordReader) -> Run | None:
-    """Return the record of the uncaught failure of the plan, or of its last failed thread."""
+    """Return the record of the plan's uncaught failure, or of the last failed thread."""
     end = log[-1]
     if isinstance(end, Run) and end.HasField("failure"):
         return end
@@ -149,10 +144,10 @@ def uncaught_failure(log: RecordReader) -> Run | None:
 
 
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
-    """Return the task that raised the failure, or its nearest cause, and the index of that exception.
+    """Return the task that raised the failure or its nearest cause, and the index of the exception.
 
-    Earlier exceptions were handled, even if Python's traceback contains them. If several tasks of a block failed, the
-    origin is the task whose error became the block's error.
+    Earlier exceptions were handled, even if Python's traceback contains them. If several tasks of a block failed,
+    return the task whose error became the error of the block.
     """
     for number in range(len(exceptions) - 1, -1, -1):
         error = exceptions[number].type, exceptions[number].message
@@ -167,23 +162,23 @@ class CausingTask:
     """A task around a record."""
 
     started: Task  # the record of its start
-    #: The plan's lines that led to the task, outermost first; empty if unknown.
+    #: The plan's lines that led to the task, outermost first; empty if they are unknown.
     call_stack: tuple[Line, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class CausingTasks:
-    """The tasks around a record, and the lines of the plan that led to it."""
+    """The tasks around a record, and the lines of the plan that led to the record."""
 
-    #: The tasks around the record, innermost first; empty if the plan acted outside of any task.
+    #: The tasks around the record, innermost first; empty outside of tasks.
     tasks: tuple[CausingTask, ...]
-    #: The plan's lines that led to the record, outermost first. They are those of the record, or else those of the
-    #: innermost task that has lines.
+    #: The plan's lines that led to the record, outermost first: the lines of the record, or of the innermost task with
+    #: lines.
     call_stack: tuple[Line, ...]
 
 
 def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
-    """Return the tasks around a record; the record of a task counts as inside that task."""
+    """Return the tasks around a record. The record of a task is inside the task."""
     from replay.history.source import PlanSource  # noqa: PLC0415  as above
 
     source = PlanSource(log)
@@ -200,7 +195,7 @@ def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
 
 
 def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterator[Query]:
-    """Yield the choices of a failed task's motion and the motion's parts."""
+    """Yield the choices of the motion around a failed task, and of the motion's parts."""
     motion = failed.motion
     ids = {node.id for _, node in motion.walk()}
     end = motion.last_step + 1
@@ -210,11 +205,7 @@ def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterato
 
 
 def tree(log: RecordReader, stop: int | None = None) -> Tree:
-    """Return the task tree of a recording, by default at its end.
-
-    Raises:
-        Damaged: tasks are nested too deep.
-    """
+    """Return the task tree of a recording, by default at the end. Tasks that are nested too deep raise Damaged."""
     from replay.state.integrity import TaskDepths  # noqa: PLC0415  a summary needs no tree
 
     folded = Tree(unpacked=_UNPACKED)
@@ -227,7 +218,7 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
                 raise Damaged(log.path, f"step {record.seq}", too_deep)
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
-        cause = root_cause(log)  # the plan's failure says more than failures of tasks
+        cause = root_cause(log)  # the plan's failure explains more than failures of tasks
         folded.began = cause.task.id if cause is not None and cause.task is not None else 0
     failed = folded.failure_path()
     if failed:
