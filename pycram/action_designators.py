@@ -141,7 +141,7 @@ def handing_over(
 ) -> ActionDesignator:
     """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The other hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
+    The second hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
     object, or has no other gripper, the action fails before anything moves.
 
     Args:
@@ -388,10 +388,10 @@ def searching(
 ) -> ActionDesignator:
     """Searches an object until the camera sees it, and returns the object.
 
-    The search begins at the believed place of the object. Then the robot looks at all surfaces, the nearest first: from
-    its present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside and
-    closes them. The action fails with ObjectNotFound, which names the searched places. A robot without a camera uses
-    the state of the world.
+    The search begins at the believed place of the object. Next, the robot looks at all surfaces, the nearest first:
+    from its present place, then from places near the surfaces. At last, the robot opens closed drawers and doors, looks
+    inside and closes them. The action fails with ObjectNotFound, which names the searched places. A robot without a
+    camera uses the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.

@@ -23,7 +23,7 @@ def moving(
     target: Sequence[float] | LocationDesignator,
     orientation: Sequence[float] | None = None,
 ) -> MotionDesignator:
-    """Moves the robot, with the objects that it holds, to a pose. It rejects a pose in collision.
+    """Moves the robot, with the objects that it holds, to a pose; rejects a pose in collision.
 
     Args:
         target: [x, y, z] in m, world frame.

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, ParamSpec, Protocol, TypeAlias, Ty
 
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, thing
-from pycram.foundation import plugins
-from pycram.foundation.checks import text
+from pycram.foundation import checks, plugins
 from pycram.foundation.errors import qualified_name
 from pycram.foundation.failures import BadArgument
 from pycram.motions.designator import Designator, ResolvedDesignator
@@ -108,22 +107,10 @@ def _location(name: str, value: Any) -> Any:
     return value
 
 
-def _budget(name: str, value: Any) -> Any:
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise BadArgument(name, value, "a whole number from 0 up")
-    return value
-
-
-def _flag(name: str, value: Any) -> Any:
-    if not isinstance(value, bool):
-        raise BadArgument(name, value, "True or False")
-    return value
-
-
 _ANYTHING: Final = ValueKind("Any value that the action accepts", _anything)
 _LOCATION: Final = ValueKind("A LocationDesignator", _location, "LocationDesignator")
-_FLAG: Final = ValueKind("True or False", _flag, "bool")
-_BUDGET: Final = ValueKind("A whole number, 0 or more", _budget, "int")
+_FLAG: Final = ValueKind("True or False", checks.switch, "bool")
+_BUDGET: Final = ValueKind("A whole number, 0 or more", checks.count, "int")
 _THING: Final = "Object | ObjectDesignator | str"
 _PLACE: Final = "LocationDesignator | Surface | Object | str | Sequence[float]"
 
@@ -218,7 +205,7 @@ def action(
     checked: Mapping[str, Check] | None = None,
     one_of: Sequence[str] = (),
 ) -> Callable[[Callable[P, Result_co]], Action[P, Result_co]]:
-    """Decorate a function that performs the actions of a type. It replaces an earlier function.
+    """Decorate a function that performs the actions of a type. An earlier function is replaced.
 
     The function gets an attribute ``designator``: a function with the same parameters that returns a designator of the
     action, as in ``perform(tidying_up.designator(object=milk))``.
@@ -226,7 +213,7 @@ def action(
     Args:
         name: Type of the actions, such as "fetching".
         choices: A generator function that yields values of slots by name, the best first; the action tries them in
-            order. The parameters of the function are names of slots. Other slots keep the values that the plan gave.
+            order. Its parameters are names of slots. Slots that it doesn't name keep the values that the plan gave.
         prepare: Called with its slots before ``choices``, for example to search an object. If it is a generator
             function, the code after its only ``yield`` runs after the action.
         checked: Checks of slots by name; PyCRAM knows the slots of its own actions.
@@ -235,7 +222,7 @@ def action(
     Raises:
         BadArgument: The name is invalid, or the function has positional-only or variable parameters.
     """
-    text("name", name)
+    checks.text("name", name)
 
     def register(function: Callable[P, Result_co]) -> Action[P, Result_co]:
         TYPES[name] = _type(name, function, choices, prepare, checked or {}, one_of)

@@ -287,7 +287,6 @@ def _prepare_transporting(object: Any, target: Any, close: bool = True) -> Itera
 
 
 def _close(opened: Sequence[Access]) -> None:
-    """Close containers; a container that the robot can't close stays open."""
     for access in opened:
         with suppress(PlanFailure):
             perform(ActionDesignator(type="closing", container=access.name, budget=_CLOSING_TRIES))

@@ -226,7 +226,6 @@ def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
 
 
 def _move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:
-    """Drive to a place, move the handle, and park the arm."""
     robot = BulletWorld.current_robot()
     position, turn = robot.get_position_and_orientation()
     if math.dist(position, place) > _SAME[0] or geometry.angle(turn, orientation) > _SAME[1]:

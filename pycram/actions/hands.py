@@ -124,7 +124,7 @@ def handing_over(
 ) -> Object:
     """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The other hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
+    The second hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
     object, or has no other gripper, the action fails before anything moves.
 
     Args:
@@ -263,7 +263,6 @@ def check_target(body: Object, target: Any) -> None:
 
 
 def _closed_at(target: Any) -> list[str]:
-    """Return the names of closed containers around a target."""
     if not isinstance(target, LocationDesignator) or not target.for_objects:
         place = target.reference()["position"] if isinstance(target, LocationDesignator) else target
         container = enclosing_at(place)

@@ -154,8 +154,8 @@ class LocationDesignator(ResolvedDesignator):
     """A place. With the slot ``on`` or ``in``, it is a place for an object, else a place where the robot stands.
 
     Examples: ``LocationDesignator(on="island", near=[-0.8, 1])``, ``LocationDesignator(reachable_for=milk)``. Solutions
-    have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach the place. They are found on
-    demand, the best first.
+    have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach the place. The search yields
+    places on demand, the best first.
     """
 
     takes: ClassVar[SlotTable] = _SLOTS

@@ -119,8 +119,6 @@ export("pycram.actions", ObjectNotFound)
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    """A point of a surface."""
-
     where: str  # words for messages, such as "on the island"
     position: Vector  # world frame, m
     container: str  # "BODY/CONTAINER" around the surface; "" without a container
@@ -130,10 +128,10 @@ class _Point:
 def searching(object: Any) -> Object:  # noqa: A002  the slot's name
     """Searches an object until the camera sees it, and returns the object.
 
-    The search begins at the believed place of the object. Then the robot looks at all surfaces, the nearest first: from
-    its present place, then from places near the surfaces. Then it opens closed drawers and doors, looks inside and
-    closes them. The action fails with ObjectNotFound, which names the searched places. A robot without a camera uses
-    the state of the world.
+    The search begins at the believed place of the object. Next, the robot looks at all surfaces, the nearest first:
+    from its present place, then from places near the surfaces. At last, the robot opens closed drawers and doors, looks
+    inside and closes them. The action fails with ObjectNotFound, which names the searched places. A robot without a
+    camera uses the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -156,8 +154,6 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
 
 
 class _Search:
-    """A search for one of several objects."""
-
     def __init__(self, bodies: Sequence[Object]) -> None:
         self.found: Object | None = None
         self.looked: list[tuple[str, BaseException]] = []  # places without the object, and the failures there
@@ -293,13 +289,11 @@ class _Search:
 
 
 def _facing(place: FoundPlace, point: _Point) -> Quaternion:
-    """Return the orientation of a robot at a place that faces a point."""
     across, along = (point.position[axis] - place.position[axis] for axis in (0, 1))
     return geometry.from_rpy(0.0, 0.0, math.atan2(along, across))
 
 
 def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
-    """Return points of all surfaces, or of the surfaces in a container."""
     found = []
     for body in robot.world.objects:
         for surface in body.surfaces.values():

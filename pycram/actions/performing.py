@@ -45,7 +45,7 @@ _ENDLESS: Final = 10**9  # number of retries; the budget is the only limit
 _MAX_REASONS: Final = 4  # maximum number of different failures in the message of ActionFailed
 _MAX_IMAGINED: Final = 8  # default number of an action's choices that are projected
 #: Number of choices that are projected in parallel: in the first batch, because the best choice mostly succeeds, and in
-#: later batches. It doesn't depend on the number of cores, so a run has the same records on all computers.
+#: later batches. These numbers don't depend on the number of cores, so a run has the same records on all computers.
 _IN_PARALLEL: Final = (1, 4)
 
 
@@ -244,8 +244,6 @@ def _act(designator: Designator) -> _Act:
 
 
 class _Act:
-    """An action from its request to its end."""
-
     def __init__(self, designator: ActionDesignator) -> None:
         slots = {key: value for key, value in designator.description if key != "type"}
         self.span = Span("action", designator.type, parameters=slots)
@@ -357,7 +355,6 @@ class _Tries(FailureHandling):
         return _chosen(solution, self._given)
 
     def _imagined(self, ahead: Thinking) -> Iterator[Solution]:
-        """Yield the solutions that succeed in projections, in order."""
         imagined, seconds = 0, 0.0
         while imagined < ahead.budget and (ahead.seconds is None or seconds < ahead.seconds):
             batch, self._found = _taken(self._found, min(_IN_PARALLEL[imagined > 0], ahead.budget - imagined))

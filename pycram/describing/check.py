@@ -110,18 +110,17 @@ def _some(links: Sequence[str]) -> str:
 
 
 def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
-    """Check the positions of the open and the closed fingers by the corners of their shapes."""
     corners = Corners(robot.model)
     about = f"{arm.name} gripper"
     fingers = gripper.jaws(robot.urdf, arm.tool_frame, arm.tool_offset)
     opened, closed = (corners.jaws(fingers, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0))
     if opened is None or closed is None:
-        yield Finding(False, about, "its fingers don't have shapes on both sides of the tool frame")
+        yield Finding(False, about, "the fingers don't have shapes on both sides of the tool frame")
         return
     wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle between open jaws that move unevenly
     middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))
     yield Finding(
-        middle <= _CENTRED, about, f"the middle between its fingers is {1e3 * middle:.1f} mm from the tool frame"
+        middle <= _CENTRED, about, f"the middle between the fingers is {1e3 * middle:.1f} mm from the tool frame"
     )
     for name, said, measured in (
         ("aperture", gripper.aperture, opened.gap),
@@ -149,7 +148,6 @@ def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
 
 
 def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
-    """Check that the robot doesn't touch itself in the named postures of an arm."""
     for name in arm.poses:
         with robot.world.lock, CollisionChecker(robot, arm.joints) as checker:
             (candidate,) = checker.predict([arm.posture(name)])

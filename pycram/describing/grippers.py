@@ -107,19 +107,11 @@ class Corners:
         return Jaws(float(inner.min()), float(other.max()), tip, low, high)
 
 
-@dataclass(frozen=True, slots=True)
-class HandGuess:
-    """Values of a gripper's description that were guessed from its shapes."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandGuess(Gripper):
+    """A gripper that was guessed from its shapes."""
 
-    palm: str  # parent link of the fingers
     offset: Pose  # pose of the tool frame in the palm
-    fingers: tuple[str, ...]  # links that grasp
-    closed: Mapping[str, float]  # joint positions when closed, rad or m
-    open: Mapping[str, float]  # joint positions when open, rad or m, in the same order
-    aperture: float  # m between the open fingers
-    gap: float  # m between the closed fingers
-    depth: float  # m from the tool frame back to the palm
-    underside: float  # m from the tool frame down to the lowest point
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,23 +239,7 @@ def _fitted(
     if shut is None or wide is None or wide.gap <= max(shut.gap, 0.0):
         return None
     hand = _measured(corners, palm, frame, links, shut, ends, (shut.gap, wide.gap))
-    return hand if hand.fingers and not any(_gripper(hand).wrong_ways(tree.urdf, palm, hand.offset)) else None
-
-
-def _gripper(hand: HandGuess) -> Gripper:
-    """Return the gripper of a description with the guessed values."""
-    return Gripper(
-        palm=hand.palm,
-        joints=tuple(hand.closed),
-        closed=tuple(hand.closed.values()),
-        open=tuple(hand.open.values()),
-        fingers=hand.fingers,
-        aperture=hand.aperture,
-        depth=hand.depth,
-        tips=TIPS,
-        underside=hand.underside,
-        gap=hand.gap,
-    )
+    return hand if hand.fingers and not any(hand.wrong_ways(tree.urdf, palm, hand.offset)) else None
 
 
 def _ends(
@@ -314,8 +290,10 @@ def _measured(
         palm=palm,
         offset=offset,
         fingers=tuple(taking),
-        closed=closed,
-        open=opened,
+        joints=tuple(closed),
+        closed=tuple(closed.values()),
+        open=tuple(opened.values()),
+        tips=TIPS,
         aperture=max(gaps[1] - 2 * _PADDING, 1e-3),
         gap=max(gaps[0] - _PADDING, 0.0),  # the engine's padding reduces the gap
         depth=min(max(-front - _PALM_CLEARANCE, 0.0), _MAX_DEPTH),

@@ -135,9 +135,9 @@ def _arm(arm: ArmChain, hand: HandGuess | SuctionGuess | str, park: Sequence[flo
         yield f"underside = {_number(hand.underside)}  # below the tool frame when the cup is level"
         return
     yield from _listed("fingers", hand.fingers)
-    yield from _listed("joints", list(hand.closed))
-    yield f"closed = {_row(hand.closed.values())}"
-    yield f"open = {_row(hand.open.values())}"
+    yield from _listed("joints", hand.joints)
+    yield f"closed = {_row(hand.closed)}"
+    yield f"open = {_row(hand.open)}"
     yield f"aperture = {_number(hand.aperture)}  # between the finger tips when open"
     if hand.gap:
         yield f"gap = {_number(hand.gap)}  # between the finger tips when closed"

@@ -93,6 +93,5 @@ def _flat(camera: Camera, points: Sequence[Vector]) -> list[list[float]]:
 
 
 def _axes(robot: Object, arm: Arm) -> list[Vector]:
-    """Return the origin and the ends of the axes of an arm's tool frame."""
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     return [tool[0], *(geometry.transform(tool, [_AXIS * (i == axis) for i in range(3)]) for axis in range(3))]

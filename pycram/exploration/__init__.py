@@ -59,7 +59,7 @@ __all__ = [
     "explore",
 ]
 
-#: A function that runs the plan and records it; arguments are the order as text, and the file. It raises no error.
+#: A function of an order as text and a file: it runs the plan, records the run, and raises no error.
 Runner: TypeAlias = "Callable[[str, Path], object]"
 _Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and "/JOINT" of a body
 
@@ -115,7 +115,7 @@ class Exploration:
 
     @property
     def reference(self) -> Ending | None:
-        """The first successful ending; other successful endings are compared with it. None if all runs failed."""
+        """The first successful ending, with which other successful endings are compared; None if all runs failed."""
         return next((each.ending for each in self.found if each.ending.kind == SUCCEEDED), None)
 
     @property
@@ -224,7 +224,6 @@ def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator
 
 
 def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
-    """Group the runs by their endings."""
     if not result.runs:  # else the runs are grouped already
         for _, attempt in sorted(attempts.items()):
             like = next((each for each in result.found if each.ending.is_like(attempt.ending)), None)
@@ -358,7 +357,7 @@ class PlanRunner:
                 yield index, self._ended(order, result)
 
     def _ended(self, order: str, result: ChildResult) -> OrderedRun:
-        ending, turns = Ending(DIED, f"its process {result.how}"), 0
+        ending, turns = Ending(DIED, f"the process {result.how}"), 0
         made: tuple[AppliedPrecedence, ...] = ()
         if result.answer:
             answer: Mapping[str, Any] = json.loads(result.answer)
@@ -370,7 +369,7 @@ class PlanRunner:
                 for own, first, second, passed in answer["made"]
             )
         if result.late:
-            ending = Ending(TIME_LIMIT, f"it was still running after {self._limit:g} s")
+            ending = Ending(TIME_LIMIT, f"the run was still running after {self._limit:g} s")
         return OrderedRun(order, ending, turns, made, result.seconds)
 
 
@@ -385,7 +384,7 @@ def _run_in_order(run: Runner, order: str, file: Path | None) -> bytes:
 
     with redirected(sink_of):
         run(order, path)
-    ending = sinks[0].ending if sinks else Ending(DIED, "it couldn't be recorded")
+    ending = sinks[0].ending if sinks else Ending(DIED, "the run couldn't be recorded")
     asked = scheduler().order
     turns, made = (0, []) if asked is None else (asked.turns, asked.applied)
     return json.dumps({"ending": asdict(ending), "turns": turns, "made": made}).encode()
@@ -471,7 +470,7 @@ class EndingSink:
         #: Lines of each failure, for each task that it left, as (FILE, FILE:LINE) from the outside in.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
         self._violated: dict[str, None] = {}  # violated properties, in order
-        self.ending = Ending(DIED, "its process ended")  # replaced at the record of the run's end
+        self.ending = Ending(DIED, "the process ended")  # replaced at the record of the run's end
         if file is not None:
             self.path = file.path  # recordings of projections are next to this file
 

@@ -229,7 +229,7 @@ class Behavior(Enum):
 
 
 class _Seen:
-    """A state that a counter has seen. Its pulses are counted later: no network function runs during a change."""
+    """A state that a counter has seen. Pulses are counted later: no network function runs during a change."""
 
     __slots__ = ("before", "count", "state", "value")
 

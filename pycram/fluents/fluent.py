@@ -19,8 +19,8 @@ Setting a fluent pulses it, even if the value stays the same. A network pulses w
 changes. :func:`~pycram.fluents.whenever.whenever` handles pulses and changes.
 
 A wait never misses a value, however short it lasts. A change only appends a new state, and the waiting thread computes
-the values. Functions of networks run in the thread that reads or waits, without any lock held. They should be quick and
-depend only on their arguments. :mod:`pycram.fluents.world` has fluents that follow a world.
+the values. Functions of networks run in the thread that reads or waits, without any lock held. These functions should
+be quick and depend only on their arguments. :mod:`pycram.fluents.world` has fluents that follow a world.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class NotTrueOrFalse(UsageError):
 
     def __init__(self, fluent: str) -> None:
         super().__init__(
-            f"{fluent} is a fluent, neither true nor false; use its get_value(), and combine fluents with AND, OR, NOT"
+            f"the fluent {fluent} is neither true nor false; use get_value(), and combine fluents with AND, OR, NOT"
         )
         self.fluent = fluent  # name of the fluent
 

@@ -32,7 +32,8 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
     """Run a body whenever a fluent's value is not None; repeat the body while the value stays so.
 
     To run the body once for each change, use a counter: :meth:`Fluent.rising`, :meth:`Fluent.falling`,
-    :meth:`Fluent.changed` or :meth:`Fluent.pulsed`. Its behavior says whether one run handles several changes::
+    :meth:`Fluent.changed` or :meth:`Fluent.pulsed`. The counter's behavior says whether one run handles several
+    changes::
 
         for _ in whenever(door.pulsed()):
             look_at(door)
@@ -41,8 +42,8 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
             s(whenever, (battery < 20).rising(), charge)
             s(plan)
 
-    Both forms run in the calling thread. They end when the surrounding block is decided and so cancels the branch, and
-    when the body raises an error. A loop also ends by ``break``.
+    Both forms run in the calling thread. The repetition ends when the surrounding block is decided and so cancels the
+    branch, and when the body raises an error. A loop also ends by ``break``.
 
     Returns:
         Without a body, an iterator that waits and yields each value that isn't None.

@@ -6,7 +6,7 @@ simulation reads the values 30 times a simulated second, and assigns all of them
 If an object was removed or a world has ended, reading or awaiting its fluents raises WorldClosed. All functions here
 raise BadArgument for an argument that isn't an object, and UnknownName for a link, joint or arm that doesn't exist.
 
-Values are tuples in m and xyzw, floats in rad or m, or names. They are assigned only when they have changed::
+Values are tuples in m and xyzw, floats in rad or m, or names. An unchanged value isn't assigned again::
 
     height = network(itemgetter(2), position(milk))
     (height < 0.5).OR(holding(robot, "left") == "milk").wait_for()
@@ -91,8 +91,6 @@ def contact(object1: Object, object2: Object) -> Fluent:
 
 
 class _WorldVariable(Variable):
-    """A variable that follows a world."""
-
     __slots__ = ("objects", "read")
 
     def __init__(self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]) -> None:
@@ -110,7 +108,7 @@ class _WorldVariable(Variable):
 
 
 class WorldVariables:
-    """All variables that follow one world. Their world's transactions notify them."""
+    """All variables that follow one world. Transactions of the world notify this object."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world

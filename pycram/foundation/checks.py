@@ -1,7 +1,7 @@
 """Checks of arguments before anything changes: numbers, positions, orientations, colours, names.
 
-Each function takes the name of a parameter and its value. It returns plain Python values that don't alias the caller's
-arrays, and raises BadArgument for an impossible value.
+Each function takes the name of a parameter and its value. Functions return plain Python values that don't alias the
+caller's arrays, and raise BadArgument for an impossible value.
 """
 
 from __future__ import annotations

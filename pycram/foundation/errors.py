@@ -48,7 +48,7 @@ class PycramError(Exception):
     _template: ClassVar[str] = ""  # message of a dataclass error, with field names in braces
 
     def __new__(cls, *args: object, **kwargs: object) -> Self:
-        """Make an instance. It can be raised even if its class rejects assignments, as frozen dataclasses do."""
+        """Make an instance that can be raised even if its class rejects assignments, as frozen dataclasses do."""
         if cls not in _raisable:
             _make_raisable(cls)
         return super().__new__(cls, *args, **kwargs)

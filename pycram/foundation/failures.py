@@ -427,14 +427,12 @@ class PropertyViolated(PlanFailure):
     reason: str = ""  # why the property is violated; "" if the values say why
 
     def _message(self) -> str:
-        values = ", ".join(f"{text} = {_value(value)}" for text, value in self.values.items())
+        values = ", ".join(
+            f"{text} = {f'{value:.4g}' if isinstance(value, float) else value}" for text, value in self.values.items()
+        )
         step = f" at step {self.step}" if self.step >= 0 else ""
         why = "; ".join(filter(None, (self.reason, values)))
         return f"{self.property}: violated{step} ({self.seconds:.3f} s){why and f': {why}'}"
-
-
-def _value(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
 export("pycram.failures", *(globals()[name] for name in __all__))

@@ -1,6 +1,6 @@
 """Decisions that a fork forces: candidates of choices, solutions of designators, limits, calls, the order of branches.
 
-Code that decides asks :func:`forced` first. It forces only in a run that a recording guides.
+Code calls :func:`forced` before it decides. Decisions are forced only in a run that a recording guides.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ SKIPPED: Final = "skip"
 
 
 class Decider(Protocol):
-    """Forces decisions."""
+    """An object that forces decisions."""
 
     def decide(self, decision: str, arguments: Mapping[str, Any]) -> Any:
-        """Return the forced value of a decision, such as "choice grasp"; None if it is free.
+        """Return the forced value of a decision, such as "choice grasp"; None for a free decision.
 
         The kinds are choice (of a candidate), solution (of a designator), timeout (a limit in s), order (of branches),
         and call (of a function; :data:`SKIPPED` skips it).
@@ -34,7 +34,7 @@ _decider: Decider | None = None
 
 @contextmanager
 def decided_by(decider: Decider) -> Iterator[None]:
-    """Let a decider force decisions of this process in the block."""
+    """Let a decider force decisions of this process during the ``with`` block."""
     global _decider  # noqa: PLW0603  a process has one run
     before, _decider = _decider, decider
     try:
@@ -49,5 +49,5 @@ def decider() -> Decider | None:
 
 
 def forced(decision: str, arguments: Mapping[str, Any]) -> Any:
-    """Return the forced value of a decision; None if it is free."""
+    """Return the forced value of a decision; None for a free decision."""
     return None if _decider is None else _decider.decide(decision, arguments)

@@ -1,7 +1,7 @@
 """Refusals: calls that PyCRAM rejects are recorded with their error, even if the plan catches the error.
 
 A refusal is recorded once, as the call that the plan made. If PyCRAM calls are nested, the outermost is recorded. A
-call by a plan's handler, resolver or query has a record of its own.
+call by a plan's handler, resolver or query has a separate record.
 """
 
 from __future__ import annotations
@@ -120,7 +120,6 @@ def _is_part(frame: FrameType | None) -> bool:
 def _arguments(
     function: Callable[..., object], subject: str, args: tuple[object, ...], kwargs: Mapping[str, object]
 ) -> dict[str, object]:
-    """Return the arguments of a call by name, or by index if they don't match the function's parameters."""
     try:
         given = dict(inspect.signature(function).bind_partial(*args, **kwargs).arguments)
     except TypeError:

@@ -4,12 +4,12 @@ The five kinds of blocks differ only in their :class:`Policy`. A decided block c
 branches have ended, and has the outcome of the deciding branch. A block without a deciding branch fails if any branch
 failed. A block cancels a branch that is added after the decision.
 
-A plan failure of the body ends the body and counts as one of the block's failures. It decides an undecided block, if
-failures of branches decide blocks of that kind.
+A plan failure of the body ends the body and counts as one of the block's failures. This failure decides an undecided
+block, if failures of branches decide blocks of that kind.
 
 Two errors fail any block, even after the decision:
 
-- A usage error in a branch or in the body. It is raised unchanged, and never collected or retried.
+- A usage error in a branch or in the body, which is raised unchanged, and never collected or retried.
 - A failed cleanup of a cancelled branch, because the state of the world is then unknown.
 
 A block in the body of another block is a branch of the outer block, its *host*. In ``try_in_order`` the inner block
@@ -162,7 +162,6 @@ class Block:
         return Future(branch)
 
     def _refuse_in_timeout(self, name: str) -> None:
-        """Reject a branch that the body adds inside a timeout of the body."""
         scope = current_scope()
         if scope is None or scope is self.scope or current_branch() is not self._opened_in:
             return
@@ -458,7 +457,6 @@ class ReadBlock(Block):
         return f"the body of {self.name}", "", ()
 
     def _drop(self) -> None:
-        """Cancel the branches that haven't started."""
         self._dropping = True
         if self.state is State.CREATED:
             self.state = State.CANCELLED
@@ -496,7 +494,7 @@ class Opening(Scope[Block]):
 
 
 class Nothing(Opening, list[Result]):
-    """Value of ``par()``: opens a block. It is also an empty list, as the result of ``par(*[])`` is."""
+    """Value of ``par()``: opens a block, and is also an empty list, as the result of ``par(*[])`` is."""
 
     def __init__(self, policy: Policy) -> None:
         list.__init__(self)

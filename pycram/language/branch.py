@@ -1,7 +1,7 @@
 """Branches: the actions of a block, and their outcomes.
 
-An action is a function of the plan. Calling a function that contains ``async`` or ``yield`` only makes a coroutine or a
-generator. It would succeed without having run, so it is rejected. A plain function may return a generator.
+An action is a function of the plan. A function that contains ``async`` or ``yield`` is rejected: its call only makes a
+coroutine or a generator, and so would succeed without having run. A plain function may return a generator.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Result: TypeAlias = Any
 Function = TypeVar("Function", bound="Callable[..., Result]")
 
 _LAZY: Final = "__pycram_lazy__"
-_NOT_BEGUN: Final = "a plain function; a generator does nothing until its values are taken: use `lambda: [*f()]`"
+_NOT_BEGUN: Final = "a plain function; a generator function runs only when its values are read: use `lambda: [*f()]`"
 _EMPTY_CONTEXT: Final = Context()
 _MAX_LABEL: Final = 60  # maximum length of a lambda's body in a label
 
@@ -54,8 +54,8 @@ def _nothing() -> None:
 class Branch:
     """One action of a block, and its outcome.
 
-    A branch runs in a copy of the context that added it. It releases its action and its context when it ends, because
-    they may refer to the block.
+    A branch runs in a copy of the context that added it. At its end, a branch releases its action and its context,
+    because they may refer to the block.
 
     Args:
         changed: Condition of the block, notified when the branch ends.
@@ -154,7 +154,7 @@ def name_of(action: Callable[..., Result]) -> str:
 
 
 def label_of(action: Callable[..., Result], args: tuple[object, ...], kwargs: Mapping[str, object]) -> str:
-    """Return the text of a call: "fetch(milk)". This waits for no future, and calls no code of the plan."""
+    """Return the text of a call: "fetch(milk)". The function waits for no future, and calls no code of the plan."""
     if isinstance(action, partial):
         return label_of(action.func, (*action.args, *args), {**action.keywords, **kwargs})
     if isinstance(action, MethodType):
@@ -229,7 +229,7 @@ def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Resul
     if kind is CoroutineType or kind is AsyncGeneratorType:
         if kind is CoroutineType:
             result.close()  # else Python warns that it was never awaited
-        expected = "a plain function; `lambda: asyncio.run(...)` runs an async one to its end"
+        expected = "a plain function; `lambda: asyncio.run(...)` runs an async function"
         raise BadArgument("action", name_of(action), expected)
     if kind is GeneratorType and getgeneratorstate(result) == GEN_CREATED:
         function = _unwrapped(action)

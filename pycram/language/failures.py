@@ -64,9 +64,9 @@ class OutlivesTimeout(UsageError):
 class BranchesFailed(PlanFailure):
     """A block of the plan language failed; this failure has the failures of all branches.
 
-    It is an instance of all types that these failures have in common. If all are ``Unreachable``, ``except
-    Unreachable`` catches it, and it has the fields of the first failure. So ``except`` never hides failures of other
-    types.
+    The failure of a block is an instance of all types that these failures have in common. If all are ``Unreachable``,
+    ``except Unreachable`` catches it, and it has the fields of the first failure. So ``except`` never hides failures of
+    other types.
     """
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass

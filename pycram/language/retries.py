@@ -7,8 +7,8 @@ statement once, so a plan needs a loop::
         with attempt:
             pick_up(milk, attempt["arm"])
 
-This loop runs the body until it succeeds, at most six times: once, and five retries. Then the last failure is raised,
-with the earlier failures in its context. A recovery before a retry depends on the type of failure::
+This loop runs the body until it succeeds, at most six times: once, and five retries. After the last attempt, its
+failure is raised, with the earlier failures in its context. A recovery before a retry depends on the type of failure::
 
     handling = failure_handling(5).on(Unreachable, lambda failure: {"arm": "right"}).on(InCollision, step_back)
 
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 Result: TypeAlias = Any
 Parameters: TypeAlias = Mapping[str, Any]
-#: A function that is called with a failure before the next attempt. It may return parameters for that attempt.
+#: A function that is called with a failure before the next attempt, and may return parameters for that attempt.
 Recovery: TypeAlias = Callable[[Any], "Parameters | None"]
 
 _attempt: ContextVar[Attempt | None] = ContextVar("pycram_attempt", default=None)
@@ -95,8 +95,8 @@ class FailureHandling:
     def on(self, kind: type[PlanFailure], recovery: Recovery) -> Self:
         """Add a recovery for a type of failures; return this handling.
 
-        Before the next attempt, the first recovery that matches the failure is called. It may return parameters for
-        that attempt. An error of the recovery ends the handling.
+        Before the next attempt, the first recovery that matches the failure is called. A recovery may return parameters
+        for that attempt. An error of the recovery ends the handling.
 
         Raises:
             BadArgument: ``kind`` isn't a type of failures, or the recovery isn't a function.

@@ -1,7 +1,7 @@
 """Timeouts: parts of the plan with a deadline.
 
-At the deadline, the part is cancelled. It stops at its next checkpoint (:mod:`pycram.scheduling`), or at its end if
-there is no checkpoint before. Then it fails with :class:`TimedOut`, which a plan may handle or retry.
+At the deadline, the part is cancelled. A cancelled part stops at its next checkpoint (:mod:`pycram.scheduling`), or at
+its end if there is no checkpoint before. The part fails with :class:`TimedOut`, which a plan may handle or retry.
 
 The body can't add a branch to a block around the timeout, because the branch would outlive the timeout.
 """
@@ -72,8 +72,6 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 
 
 class _SimulatedDeadline(Limit):
-    """A moment of a world's simulated time."""
-
     def __init__(self, world: BulletWorld, seconds: float) -> None:
         super().__init__()
         self._world = world
@@ -93,14 +91,12 @@ class _SimulatedDeadline(Limit):
 
 @contextmanager
 def _timer(seconds: float) -> Iterator[CancelScope]:
-    """Yield a scope whose deadline is in wall-clock time."""
     with Deadline(seconds) as deadline:
         yield CancelScope(current_scope(), deadline)
 
 
 @contextmanager
 def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
-    """Yield a scope whose deadline is in the current world's simulated time."""
     from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds know nothing of plans
 
     world = BulletWorld.current_bullet_world

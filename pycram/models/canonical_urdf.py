@@ -1,6 +1,6 @@
 """Canonical URDF: the single form of URDF that the engine, viewers and recordings read.
 
-It has only elements that URDF defines; elements of Gazebo, of sensors and of other namespaces are removed. PyBullet
+A canonical URDF has only elements that URDF defines, without elements of Gazebo and of sensors. PyBullet
 rejects an invalid link without a reason, or loads it silently; an AssetError names the link. Planar and floating joints
 become chains of joints that the engine supports. Each element starts a new line, because PyBullet breaks lines after
 8,191 characters, even inside a number. Numbers keep their digits.
@@ -71,7 +71,7 @@ def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
     except (ET.ParseError, LookupError, ValueError) as error:
         if b"<xacro:" in (content.encode() if isinstance(content, str) else content):
             raise _expand_first(source) from error
-        raise AssetError(source, f"is not well-formed XML: {error}") from error
+        raise AssetError(source, f"the file is not well-formed XML: {error}") from error
     if source.suffix == ".xacro" or any(_XACRO in element.tag for element in root.iter()):
         raise _expand_first(source)
     namespace, end, tag = root.tag.rpartition("}")
@@ -79,12 +79,12 @@ def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
         for element in root.iter():
             element.tag = element.tag.removeprefix(namespace + end)
     if root.tag != "robot":
-        raise AssetError(source, f"its root element is <{root.tag}>, not <robot>")
+        raise AssetError(source, f"the root element is <{root.tag}>, not <robot>")
     _strip(root)
     if root.find("link") is None:
-        raise AssetError(source, "has no links")
+        raise AssetError(source, "the URDF has no links")
     if not root.get("name", "").strip():
-        raise AssetError(source, "its <robot> has no name")
+        raise AssetError(source, "the element <robot> has no name")
     _scale(root, scale)
     for link in root.findall("link"):
         check_link(source, link)
@@ -127,7 +127,7 @@ def _multiply(element: ET.Element, attributes: Iterable[str], factor: float) -> 
 def _expand_first(source: Path) -> AssetError:
     target = source.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
     target = target if target != source.name else f"expanded_{target}"
-    return AssetError(source, f"is a xacro file; make a URDF of it first: xacro {source.name} > {target}")
+    return AssetError(source, f"the file is xacro; make a URDF first: xacro {source.name} > {target}")
 
 
 def _strip(element: ET.Element) -> None:
@@ -184,11 +184,11 @@ def _check_inertial(source: Path, where: str, inertial: ET.Element) -> None:
     for name, attributes in (("mass", ("value",)), ("inertia", _MOMENTS)):
         element = inertial.find(name)
         if element is None:
-            raise AssetError(source, f"{where}: its <inertial> has no <{name}>")
+            raise AssetError(source, f"{where}: <inertial> has no <{name}>")
         for attribute in attributes:
             (value,) = _numbers(source, f"{where}, {name}", element, attribute, 1)
             if value < -_ROUNDING and attribute in ("value", "ixx", "iyy", "izz"):
-                raise AssetError(source, f"{where}: its {name} is {element.get(attribute)!r}, less than 0")
+                raise AssetError(source, f"{where}: {name} is {element.get(attribute)!r}, less than 0")
 
 
 def _check_origin(source: Path, where: str, element: ET.Element) -> None:
@@ -332,10 +332,10 @@ def check_size(source: Path, tree: Urdf) -> None:
         (len(tree.movable), _MAX_MOVABLE, "movable joints"),
     ):
         if count > most:
-            raise AssetError(source, f"has {count} {what}: the physics engine takes at most {most}")
+            raise AssetError(source, f"the URDF has {count} {what}: the physics engine takes at most {most}")
     for name in (tree.name, *tree.links, *tree.joints):
         if len(name.encode()) > _MAX_NAME:
-            reason = f"has a name of {len(name.encode())} bytes, {name[:20]}..."
+            reason = f"a name has {len(name.encode())} bytes, {name[:20]}..."
             raise AssetError(source, f"{reason}: the physics engine takes at most {_MAX_NAME}")
     for joint in tree.joints.values():
         at, _ = joint.origin

@@ -48,13 +48,13 @@ def get(
         AssetError: The mesh can't be read or converted.
     """
     content = read_bytes(file)
-    for name in _textures(file, content):
-        if not (file.parent / os.fsdecode(name)).is_file():
-            warn_of_missing(file, os.fsdecode(name))
+    textures = {name: file.parent / name for name in map(os.fsdecode, _textures(file, content))}
+    for name, texture in textures.items():
+        if not texture.is_file():
+            warn_of_missing(file, name)
     if beside is None and file.suffix.lower() == ".stl" and len(content) < _WORTH:
         return convert()
-    textures = [file.parent / os.fsdecode(name) for name in _textures(file, content)]
-    besides = [*_materials(file, content), *(_content(other) for other in (*textures, *(beside or ())))]
+    besides = [*_materials(file, content), *(_content(other) for other in (*textures.values(), *(beside or ())))]
     return kept(kind, (os.fsencode(file.name), content, *besides), convert)
 
 
@@ -94,7 +94,6 @@ def _version(library: str) -> str:
 
 
 def _materials(file: Path, content: bytes) -> list[bytes]:
-    """Return the contents of the material files that an OBJ names."""
     libraries = _MATERIALS.findall(content) if file.suffix.lower() == ".obj" else []
     return [_content(file.parent / os.fsdecode(library)) for library in libraries]
 

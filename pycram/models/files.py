@@ -54,7 +54,7 @@ def read_bytes(file: Path) -> bytes:
     try:
         return file.read_bytes()
     except OSError as error:
-        raise AssetError(file, f"can't be read: {error}") from error
+        raise AssetError(file, f"the file can't be read: {error.strerror}") from error
 
 
 def read_text(file: Path) -> str:
@@ -62,7 +62,7 @@ def read_text(file: Path) -> str:
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise AssetError(file, f"can't be read: {error}") from error
+        raise AssetError(file, f"the file can't be read: {error}") from error
 
 
 def parse_toml(text: str, source: str | Path) -> dict[str, object]:
@@ -70,7 +70,7 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise AssetError(source, f"is not TOML: {error}") from error
+        raise AssetError(source, f"the file is not TOML: {error}") from error
 
 
 def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -> Urdf:
@@ -115,7 +115,7 @@ def find(path: str | Path) -> Path:
     if given.is_file():
         return given.resolve()
     if given.exists():
-        raise AssetError(path, "is not a file")
+        raise AssetError(path, "the path is not a file")
     if given.name == str(path):
         if given.name in ROBOT_URDFS:
             file = _installed(given.name)  # the meshes are next to it
@@ -125,7 +125,7 @@ def find(path: str | Path) -> Path:
             return shipped
     known = [*ROBOT_URDFS, *sorted(file.name for kind in ("*.urdf", "*.stl") for file in resources().glob(kind))]
     near = similar_files(given, known)
-    raise AssetError(path, "no such file" + (near or f"; PyCRAM's own files are {', '.join(known)}"))
+    raise AssetError(path, "no such file" + (near or f"; PyCRAM's files are {', '.join(known)}"))
 
 
 @cache
@@ -136,12 +136,12 @@ def _installed(name: str) -> Path:
     try:
         files = metadata.files(_DISTRIBUTION) or []
     except metadata.PackageNotFoundError as error:
-        cause = f"comes with the package {_DISTRIBUTION}, which isn't installed; {hint('executor')}"
+        cause = f"the robot comes with the package {_DISTRIBUTION}, which isn't installed; {hint('executor')}"
         raise AssetError(name, cause) from error
     for file in files:
         if file.name == Path(_FILES[name]).name and file.as_posix().endswith(f"robots/{_FILES[name]}"):
             return Path(str(file.locate())).resolve()
-    raise AssetError(name, f"is not in the installed {_DISTRIBUTION}")
+    raise AssetError(name, f"the robot is not in the installed {_DISTRIBUTION}")
 
 
 def _with_gripper(name: str, arm: Path) -> Path:
@@ -183,14 +183,14 @@ def find_mesh(source: Path, name: str, packages: Sequence[Path] = ()) -> Path:
         packages: Folders in which the search for packages begins.
     """
     if not name:
-        raise AssetError(source, "has a <mesh> without filename")
+        raise AssetError(source, "the URDF has a <mesh> without filename")
     if name.startswith(_PACKAGE):
         return _in_package(source, name, packages)
     relative = name.removeprefix("file://")
     for folder in (source.parent, store.folder()):
         if (folder / relative).is_file():
             return folder / relative
-    raise AssetError(source, f"its mesh {name} doesn't exist")
+    raise AssetError(source, f"the mesh {name} doesn't exist")
 
 
 def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
@@ -202,10 +202,10 @@ def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
         if found is None and (folder.name == package or _is_package(folder, package)) and folder.is_dir():
             found = folder
     if found is not None:
-        raise AssetError(source, f"its mesh {name} doesn't exist: the package is {found}, which has no {path}")
+        raise AssetError(source, f"the mesh {name} doesn't exist: the package is {found}, which has no {path}")
     ways = f"Object(..., packages=[FOLDER]), or in the environment variable {_VARIABLE} or {_ROS_VARIABLE}"
     raise AssetError(
-        source, f"its mesh {name} doesn't exist: no package {package!r} is known; give its folder in {ways}"
+        source, f"the mesh {name} doesn't exist: no package {package!r} is known; give its folder in {ways}"
     )
 
 

@@ -152,7 +152,6 @@ def _free(
 def _rectangles(
     free: NDArray[np.bool_], rows: Array, columns: Array, least: Least
 ) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
-    """Yield the counter-clockwise corners and the cells of rectangles of free cells."""
     for top, left, bottom, right in divide(free, rows, columns, least.side, least.area):
         within = np.zeros_like(free)
         within[top:bottom, left:right] = True

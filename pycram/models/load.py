@@ -166,7 +166,6 @@ def _texture(
 
 
 def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: dict[str, AssetFile]) -> None:
-    """Replace a shape that has a texture with coloured meshes."""
     geometry = visual.find("geometry")
     shape = None if geometry is None else next(iter(geometry), None)
     if geometry is None or shape is None or shape.tag not in _SIZES:
@@ -221,7 +220,6 @@ def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple
 
 @cache
 def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple[_Painted, ...]:
-    """Store a shape with a texture as one mesh for each colour."""
     name = f"{picture.file.stem}-{kind}"
     parts = enumerate(cover_shape(kind, size, picture.file))
     return tuple(_Painted(store.write_mesh(f"{name}-{n}.stl", mesh.stl(some)), rgba) for n, (some, rgba) in parts)
@@ -249,7 +247,7 @@ def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
         try:
             text = file.content.decode()
         except UnicodeDecodeError as error:
-            raise AssetError(file.key, f"is not UTF-8: {error}") from error
+            raise AssetError(file.key, f"the file is not UTF-8: {error}") from error
         corrections.check(corrections.read(text, file.name), tree)
     return Model(path, tree, (model, *others), loading)
 
@@ -261,7 +259,7 @@ def _file(key: str, content: bytes) -> AssetFile:
         asset = corrections.asset(name, content)
     forbidden = name in _RESERVED or not name.isprintable() or len(os.fsencode(name)) > _MAX_NAME
     if asset.key != key or forbidden or "/" in name or "\\" in _ESCAPE.sub("", name):
-        raise AssetError(key, "has a name that doesn't match its content")
+        raise AssetError(key, "the name of the file doesn't match its content")
     return asset
 
 
@@ -270,14 +268,14 @@ def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
     """Check a stored URDF that a recording contained, and return its tree."""
     content = path.read_bytes()
     if not content.startswith(_START):
-        raise AssetError(key, "isn't a recorded URDF, which starts with <robot")
+        raise AssetError(key, "the file isn't a recorded URDF, which starts with <robot")
     if max(map(len, content.splitlines())) > _MAX_LINE:
-        raise AssetError(key, f"has a line of more than {_MAX_LINE} bytes, which canonical URDF doesn't have")
+        raise AssetError(key, f"a line has more than {_MAX_LINE} bytes, which isn't canonical")
     canonical_urdf.read(path, content)
     for element in ET.fromstring(content).iter():  # noqa: S314  without entities; the engine reads all elements
         named = element.get("filename")
         if element.tag == "texture" or (named is not None and named not in meshes):
-            raise AssetError(key, f"names the file {named!r}, which the recording doesn't contain for this body")
+            raise AssetError(key, f"the URDF names {named!r}, a file that the recording doesn't have for this body")
     tree = parse_urdf(content, key)
     canonical_urdf.check_size(path, tree)
     return tree
@@ -285,7 +283,6 @@ def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
 
 @lru_cache(maxsize=_CACHED_MESHES)
 def _check_mesh(path: Path) -> None:
-    """Reject a stored mesh that is neither a binary STL nor an OBJ without material files."""
     if path.suffix.lower() == ".obj" and _MATERIALS.search(path.read_bytes()):
-        raise AssetError(path.name, "names materials in another file")
+        raise AssetError(path.name, "the mesh names materials in another file")
     mesh.check(path)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from pycram.foundation.failures import AssetError
+from pycram.models.files import read_bytes
 from pycram.models.texture import bake, mean, read_image
 from recorder.packages import LazyModule, needed
 
@@ -56,7 +57,7 @@ def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[
     """Return the triangles of a .dae or .obj file, grouped by colour.
 
     Args:
-        file: The file. Its textures and materials are next to the file.
+        file: The file; textures and materials are next to the file.
         content: The content of the file.
         cover: Content of a texture for faces without a material.
 
@@ -194,12 +195,11 @@ def _parsing(file: Path) -> Iterator[None]:
             warnings.simplefilter("ignore")
             yield
     except Exception as error:  # parsers raise errors of any type for broken files
-        raise AssetError(file, f"can't be parsed as {file.suffix}: {error}") from error
+        raise AssetError(file, f"the file can't be parsed as {file.suffix}: {error}") from error
 
 
 @contextmanager
 def _without_log() -> Iterator[None]:
-    """Suppress the tracebacks that trimesh logs."""
     log = trimesh.util.log
     before, log.disabled = log.disabled, True
     try:
@@ -294,7 +294,7 @@ def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, by
     """Return file name, content and colour of each visual part of a mesh; a file without faces has no parts.
 
     The colour is RGBA 0..1, or None if the file has no colour. ``cover`` is the content of a texture for faces without
-    a material; faces without texture coordinates get its mean colour. Errors are those of :func:`convert`.
+    a material; faces without texture coordinates get its mean colour. Errors are as in :func:`convert`.
     """
     if file.suffix.lower() not in (".dae", ".obj"):
         image = None if cover is None else read_image(io.BytesIO(cover))
@@ -313,7 +313,7 @@ def check(file: Path) -> None:
     elif kind == ".obj":
         _all_triangles(file, _bytes(file))
     else:
-        raise AssetError(file, "is neither binary STL nor OBJ")
+        raise AssetError(file, "the mesh is neither binary STL nor OBJ")
 
 
 def _all_triangles(file: Path, content: bytes) -> NDArray[np.float64]:
@@ -330,12 +330,9 @@ def stl_faces(content: bytes) -> NDArray[np.void]:
 
 
 def _bytes(file: Path) -> bytes:
-    try:
-        content = file.read_bytes()
-    except OSError as error:
-        raise AssetError(file, f"can't be read: {error.strerror}") from error
+    content = read_bytes(file)
     if not content:
-        raise AssetError(file, "is empty")
+        raise AssetError(file, "the file is empty")
     return content
 
 
@@ -345,13 +342,13 @@ def _is_ascii(content: bytes) -> bool:
 
 def _check_binary_stl(file: Path, content: bytes) -> None:
     if len(content) < _STL_HEADER:
-        raise AssetError(file, f"isn't an STL: {len(content)} bytes are less than the header")
+        raise AssetError(file, f"the file isn't an STL: {len(content)} bytes are less than the header")
     faces = struct.unpack("<I", content[80:84])[0]
     wanted = _STL_HEADER + faces * _STL_FACE.itemsize
     if faces == 0:
-        raise AssetError(file, "is an STL without faces")
+        raise AssetError(file, "the STL has no faces")
     if len(content) < wanted:
-        raise AssetError(file, f"is truncated: {faces} faces take {wanted} bytes, it has {len(content)}")
+        raise AssetError(file, f"the STL is truncated: {faces} faces take {wanted} bytes, but it has {len(content)}")
     numbers = stl_faces(content)["numbers"]
     if not np.isfinite(numbers).all():
         raise AssetError(file, "has vertices that are not finite numbers")

@@ -72,7 +72,7 @@ def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[
         shape.vertices = shape.vertices * scale
     spread = np.linalg.svd(shape.vertices - shape.vertices.mean(axis=0), compute_uv=False)
     if len(spread) < 3 or spread[2] <= 1e-9 * spread[0]:
-        raise AssetError(file, "is flat: it encloses no volume")
+        raise AssetError(file, "the mesh is flat and encloses no volume")
     robot = ET.Element("robot", name=file.stem)
     link = ET.SubElement(robot, "link", name=file.stem)
     entry = _properties(file)
@@ -133,7 +133,6 @@ def _obj(shape: trimesh.Trimesh) -> bytes:
 
 
 def _decompose(content: bytes) -> bytes:
-    """Return the convex decomposition of an OBJ, as an OBJ with a group for each piece."""
     from pycram.physics.engine import decompose  # noqa: PLC0415  only concave meshes need the engine
 
     source = store.write(AssetFile("concave.obj", content).key, content)
@@ -158,7 +157,6 @@ def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
 
 
 def _properties(file: Path) -> Mapping[str, object]:
-    """Return a mesh's table in ``objects.toml``; empty if the file has no such table."""
     table = _table(file)
     entry = _parsed(read_text(table), table).get(file.stem) if table.is_file() else None
     return entry if isinstance(entry, dict) else {}
@@ -180,7 +178,7 @@ def _add_inertia(file: Path, link: ET.Element, shape: trimesh.Trimesh, entry: Ma
     tensor = solid.moment_inertia * (mass / solid.volume)
     if max(mass, abs(tensor).max()) > LARGEST:
         size = " x ".join(f"{length:.3g}" for length in shape.extents)
-        raise AssetError(file, f"is {size} m large: is it in millimetres? Object(..., scale=0.001)")
+        raise AssetError(file, f"the mesh is {size} m large: is it in millimetres? Object(..., scale=0.001)")
     inertial = ET.SubElement(link, "inertial")
     ET.SubElement(inertial, "origin", xyz=" ".join(repr(float(x)) for x in solid.center_mass), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=repr(mass))

@@ -203,7 +203,6 @@ def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
 
 
 def _triangles(shape: Shape, folder: Path) -> Array:
-    """Return the triangles of a shape, in the shape's frame."""
     if shape.kind == "mesh":
         scaled: Array = _mesh(folder / shape.mesh) * np.array(shape.size)
         return scaled
@@ -242,7 +241,6 @@ def _revolved(profile: Array) -> Array:
 @lru_cache(maxsize=1024)
 @notable
 def _mesh_ends(file: Path) -> Array:
-    """Return the lowest and the highest corner (2, 3) of a mesh."""
     if file.suffix.lower() == ".stl":  # the number format of an STL is exact, too
         return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
@@ -379,5 +377,4 @@ def _spatial() -> Any:
 
 @cache
 def _triples(count: int) -> NDArray[np.intp]:
-    """Return all choices (3, k) of three indices below a count."""
     return np.array(list(itertools.combinations(range(count), 3)), dtype=np.intp).reshape(-1, 3).T

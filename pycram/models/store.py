@@ -70,7 +70,6 @@ def _holds(lock: int) -> bool:
 
 
 def _remove_abandoned(where: Path) -> None:
-    """Remove the stores of this user's killed processes."""
     for found in where.glob(f"{_PREFIX}*"):
         with suppress(OSError):  # another user owns the store, or another process was faster
             of = found.lstat()

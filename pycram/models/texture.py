@@ -47,7 +47,7 @@ class MissingTexture(UserWarning):
 @cache
 def warn_of_missing(file: Path, name: str) -> None:
     """Warn, once per process, about a missing texture, because many published models name missing textures."""
-    text = f"{file}: its texture {name} doesn't exist; shapes are shown without it"
+    text = f"{file}: the texture {name} doesn't exist; shapes are shown without a texture"
     warnings.warn_explicit(text, MissingTexture, *call_site())
 
 

@@ -51,7 +51,7 @@ Function = TypeVar("Function", bound="Callable[..., object]")
 
 
 class Resolvers(Generic[Function]):
-    """Functions that users register. They are called in order until a function answers; iteration uses a snapshot."""
+    """Functions that users register, for calls in order until a function answers; iteration uses a snapshot."""
 
     def __init__(self, owner: str) -> None:
         self.owner = owner  # what the functions resolve, for messages
@@ -211,7 +211,7 @@ class Designator(ABC):
         return list(pairs(self._slots))
 
     def prop_value(self, key: str) -> Value:
-        """Return a copy of a slot's value; wait for the result of a future. None for a missing slot."""
+        """Return a copy of a slot's value, or None for a missing slot; wait for the result of a future."""
         wanted = slot_name(key)
         return next((own(unwrap(value)) for name, value in self._slots if slot_name(name) == wanted), None)
 
@@ -342,7 +342,7 @@ class Designator(ABC):
         return SolutionSlots(found) if type(found) is dict else found
 
     def resources(self) -> Resources | None:
-        """Return the known needs of the robot; None for the whole robot. This must not wait or fail."""
+        """Return the known needs of the robot; None for the whole robot. The method must not wait or fail."""
         return None
 
     def resolution(self, index: int | None = None) -> Resolution:
@@ -473,7 +473,6 @@ class ResolvedDesignator(Designator):
 
     @refusing("designator", name="next_solution")
     def _following(self, index: int) -> Solution | None:
-        """Return a later solution; None without such a solution."""
         with _recorded("next_solution", self, index) as asked:
             asked.answer = solution = self._solutions.at(index)
         return solution

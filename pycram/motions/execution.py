@@ -1,8 +1,8 @@
 """Executions of motions: instantaneous, as in the thesis, or in simulated time.
 
-A process module decides where joints and bases go, and checks the outcome; an execution moves them. Its methods plan
-immediately, with the world's lock held, so a motion fails before anything moves. They return a step: a function that
-moves joints or the base, and is called without the lock.
+A process module decides where joints and bases go, and checks the outcome; an execution moves joints and bases. Methods
+of an execution plan immediately, with the world's lock held, so a motion fails before anything moves. The methods
+return a step: a function that moves joints or the base, and is called without the lock.
 """
 
 from __future__ import annotations
@@ -481,7 +481,6 @@ def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Ma
 
 
 def _all(steps: Sequence[Step]) -> Step:
-    """Return a step that calls steps in order."""
 
     def step() -> None:
         for each in steps:
@@ -533,7 +532,6 @@ def _is_free(
     ignored: Sequence[Object] = (),
     ignored_links: Sequence[tuple[Object, str]] = (),
 ) -> bool:
-    """Return whether the postures are free of forbidden contacts."""
     every = [{**start, **posture} for posture in postures]
     with CollisionChecker(robot, start, ignored, ignored_links=ignored_links) as checker:
         return not any(

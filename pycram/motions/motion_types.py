@@ -1,7 +1,7 @@
 """The eleven types of motion designators of the thesis (4.5, tables 4.4-4.14) as data: their slots and resources.
 
-One resolver serves all types. It checks the slots, infers missing parameters, and yields solutions: dictionaries with
-``cmd`` and all parameters of the process module.
+One resolver serves all types. The resolver checks the slots, infers missing parameters, and yields solutions:
+dictionaries with ``cmd`` and all parameters of the process module.
 """
 
 from __future__ import annotations

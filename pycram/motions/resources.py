@@ -2,14 +2,14 @@
 
 The resources of a robot are its base, head, arms and grippers. A motion *moves* some resources, and needs other
 resources *at rest*. Two motions conflict if one moves a resource that the other moves or needs. A motion enters the
-queue when it is requested. It gets all its resources together, as soon as no earlier motion conflicts with it. So
+queue when it is requested. A motion gets all its resources together, as soon as no earlier motion conflicts with it. So
 conflicting motions run in the order of the plan, and other motions run concurrently. There is no deadlock, because each
 motion waits only for earlier motions.
 
-The exact needs of a motion are known when it is resolved and its process module is chosen, at its turn. Until then, it
-requests the resources of its designator, or the whole robot. Then its resources are corrected, *before* it moves
-anything. If it needs more, it releases its resources, keeps its place, and also waits for later motions that already
-run. Those motions wait for no motion of this queue, so there is still no deadlock.
+The exact needs of a motion are known when it is resolved and its process module is chosen, at its turn. Until then, a
+motion requests the resources of its designator, or the whole robot. The resources are corrected *before* the motion
+moves anything. If it needs more, the motion releases its resources, keeps its place, and also waits for later motions
+that already run. Running motions wait for no motion of this queue, so there is still no deadlock.
 
 Each world has a queue, and a motion may perform motions in another world. If such motions would wait for each other,
 the last motion is rejected.
@@ -110,7 +110,7 @@ def _without(needed: AbstractSet[str], given: AbstractSet[str]) -> AbstractSet[s
 
 
 class ResourceQueue:
-    """Motions that wait for resources of one robot, in order of arrival; ``outer`` are their outer motion's."""
+    """Motions that wait for resources of one robot, in order of arrival, within the resources ``outer``."""
 
     def __init__(self, outer: Resources = EVERYTHING) -> None:
         self.changed = Condition()
@@ -227,7 +227,6 @@ class Ticket:
             return self.granted
 
     def _blockers(self) -> Iterator[Ticket]:
-        """Yield the tickets for which this ticket waits."""
         earlier = True
         for known in list(self._queue.tickets):
             if known is self:

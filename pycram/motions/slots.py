@@ -290,7 +290,6 @@ def only_arm() -> str:
 
 
 def _arms() -> Mapping[str, Arm]:
-    """Return the arms of the current robot; empty without a description."""
     world = BulletWorld.current_bullet_world
     robot = world.robot if world is not None else None
     return robot.description.arms if robot is not None and robot.description is not None else {}

@@ -159,7 +159,7 @@ WRONG = {
     "tool frame": (
         "tool_offset = { rpy",
         "tool_offset = { xyz = [0, 0.01, 0], rpy",
-        "panda gripper: the middle between its fingers is 10.0 mm from the tool frame",
+        "panda gripper: the middle between the fingers is 10.0 mm from the tool frame",
     ),
     "a tool frame that points aside, though fingers are as thick as long": (
         "tool_offset = { rpy = [0, -1.5707963267948966, 0] }",
@@ -364,7 +364,7 @@ def test_grippers_are_found_whose_motors_have_no_shapes(where: str, tmp_path: Pa
     ((_, hand),) = guess(load.load(file)).arms
     assert not isinstance(hand, str), hand
     assert (hand.palm, set(hand.fingers)) == ("cup", {"a_finger", "b_finger"})
-    assert set(hand.closed) == {"a_finger_joint", "b_finger_joint"}
+    assert set(hand.joints) == {"a_finger_joint", "b_finger_joint"}
     assert hand.aperture == pytest.approx(0.163, abs=0.003)
 
 

@@ -96,7 +96,7 @@ class RobotDescription:
             )
             return described._without(checks.texts("without", table["without"])) if "without" in table else described
         except KeyError as error:
-            raise AssetError(source, f"has no entry {error.args[0]}") from error
+            raise AssetError(source, f"the description has no entry {error.args[0]}") from error
         except (BadArgument, TypeError) as error:
             raise AssetError(source, str(error)) from error
 
@@ -142,7 +142,7 @@ class RobotDescription:
         out = self.misfits(urdf)
         if not out:
             return self
-        text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # JSON's strings are TOML's, too
+        text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # JSON lists are TOML lists
         rest = self.parse(text, self.source)  # parsed, because recordings contain the text
         is_robot = "base_link" not in out and (rest.arms or rest.head or rest.camera or rest.torso)
         return rest if is_robot else None
@@ -172,11 +172,11 @@ def _misfit(urdf: Urdf, links: Iterable[str], joints: Mapping[str, Iterable[floa
         for name, values in joints.items():
             joint = urdf.joint(name)
             if not joint.movable:
-                return f"moves the fixed joint {name}"
+                return f"the description moves the fixed joint {name}"
             for value in values:
                 if not joint.lower <= value <= joint.upper:
                     limits = f"{joint.lower:g} to {joint.upper:g}"
-                    return f"sets {name} to {value:g}, outside of its limits {limits}"
+                    return f"the description sets {name} to {value:g}, outside the joint's limits {limits}"
     except UrdfError as error:
         return str(error)
     return ""
@@ -384,18 +384,18 @@ def _pairs(value: object) -> frozenset[frozenset[str]]:
     return pairs
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Gripper:
     """A gripper with fingers; or a suction cup, which has no joints and no fingers."""
 
     palm: str  # link of the palm or of the suction cup
-    joints: tuple[str, ...]  # names of all joints that move the fingers, including mimic joints
-    closed: tuple[float, ...]  # position of each joint when closed, rad or m
-    open: tuple[float, ...]  # position of each joint when open, rad or m
-    fingers: tuple[str, ...]  # names of the fingers' links
-    aperture: float  # m between the open finger tips
-    depth: float  # m from the tool frame back to the palm, where an object fits
-    tips: float  # m from the tool frame forward to the closed finger tips; open fingers reach less far
+    joints: tuple[str, ...] = ()  # names of all joints that move the fingers, including mimic joints
+    closed: tuple[float, ...] = ()  # position of each joint when closed, rad or m
+    open: tuple[float, ...] = ()  # position of each joint when open, rad or m
+    fingers: tuple[str, ...] = ()  # names of the fingers' links
+    aperture: float = 0.0  # m between the open finger tips
+    depth: float = 0.0  # m from the tool frame back to the palm, where an object fits
+    tips: float = 0.0  # m from the tool frame forward to the closed finger tips; open fingers reach less far
     underside: float  # m from the tool frame down to the lowest point of a level gripper
     gap: float = 0.0  # m between the closed finger tips; thinner objects slip through
     suction: float = 0.0  # m, radius of the suction cup, whose rim is at the tool frame; 0 for fingers
@@ -413,8 +413,8 @@ class Gripper:
         """Yield reasons why the fingers don't close from both sides along the y axis of the tool frame.
 
         A fixed jaw is a side. Several fingers of a side may close at angles to y if their sum is along y, as in hands
-        with three fingers around a centre. This checks only kinematics; ``pycram describe --check`` also checks shapes.
-        ``tool_frame`` and ``tool_offset`` are those of the arm.
+        with three fingers around a centre. Only kinematics are checked; ``pycram describe --check`` also checks shapes.
+        ``tool_frame`` and ``tool_offset`` belong to the arm.
         """
         if self.suction:
             return
@@ -427,11 +427,11 @@ class Gripper:
             held_by_others = side[0] in across and all(sides) and abs(z) > abs(x)
             if abs(y) < _ALONG * math.hypot(x, y, z) and not held_by_others:
                 closing = f"finger {side[0]} closes" if len(side) == 1 else f"fingers {', '.join(side)} close"
-                yield f"its {closing} along the tool frame's {'x' if abs(x) > abs(z) else 'z'} axis, not along y"
+                yield f"{closing} along the tool frame's {'x' if abs(x) > abs(z) else 'z'} axis, not along y"
         if self.fingers and not any(sides):
-            yield f"its joints {', '.join(self.joints)} move none of its fingers"
+            yield f"the joints {', '.join(self.joints)} don't move the fingers"
         elif self.fingers and not all(sides) and len(moving) == len(ways):
-            yield "its fingers all close from one side"
+            yield "all fingers close from the same side"
 
     def jaws(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> list[str]:
         """Return the fingers on the two sides. With four fingers around a centre, some fingers are on no side."""
@@ -477,13 +477,6 @@ def read_gripper(table: checks.Table) -> Gripper:
         checks.only(table, "palm", "suction", "underside")
         return Gripper(
             palm=checks.text("palm", table["palm"]),
-            joints=(),
-            closed=(),
-            open=(),
-            fingers=(),
-            aperture=0.0,
-            depth=0.0,
-            tips=0.0,
             underside=checks.in_range("underside", table["underside"], *_SIZES),
             suction=checks.in_range("suction", table["suction"], 1e-3, 1.0),
         )

@@ -1,6 +1,6 @@
 """The ten process modules of the thesis (table 4.15), for simulated robots with a description.
 
-They serve two execution environments, with different executions of motions (:mod:`pycram.motions.execution`).
+The modules serve two execution environments, with different executions of motions (:mod:`pycram.motions.execution`).
 """
 
 from __future__ import annotations

@@ -137,7 +137,6 @@ class Accessing(SimulatedModule):
 
 
 def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequence[str]) -> AccessFailed:
-    """Return the failure, which says where the arm's path ends, and which remedies help."""
     details = {
         "handle": handle.link,
         "arm": arm.name,

@@ -61,7 +61,6 @@ class Detecting(SimulatedModule):
 
 
 def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str, Plain]:
-    """Return the poses of objects as evidence of a choice."""
     return sightings(robot.name, source, {body.name: body.get_position_and_orientation() for body in bodies})
 
 

@@ -135,7 +135,6 @@ class PickUp(SimulatedModule):
                 raise GraspFailed(arm.name, body.name, f"{inside}, {why}" if other.carrier else f"{inside}; {why}")
 
     def _check_still(self, robot: Object, arm: Arm, body: Object, stood: PoseLike, giver: Arm | None) -> None:
-        """Check that an object didn't move while the hand approached, and is free, or still in the other hand."""
         if giver is not None and self.held(robot, giver) is not body:
             reason = f"the {giver.name} gripper released the object while the hand approached"
             raise GraspFailed(arm.name, body.name, reason)

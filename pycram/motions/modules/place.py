@@ -49,8 +49,6 @@ _ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which the object is lowered
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """A plan to put an object down."""
-
     lower: Step  # step that moves the arm to the place
     pose: Pose  # pose of the object at its release
     opened: Mapping[str, float]  # joint values of the open gripper, by name
@@ -59,8 +57,8 @@ class _Plan:
 class Place(SimulatedModule):
     """Puts a held object down on its support; upright if no orientation is given.
 
-    It succeeds if all objects come to rest, the object stands where it was released, and its neighbours don't move. If
-    the object leans on the hand, the hand is drawn back, and the object must still stand.
+    Placing succeeds if all objects come to rest, the object stands where it was released, and its neighbours don't
+    move. If the object leans on the hand, the hand is drawn back, and the object must still stand.
     """
 
     failures = (PlaceFailed, Unreachable, MissingPart)
@@ -171,7 +169,6 @@ def _refused(
     orientation: Sequence[float] | None,
     refusals: Refusals,
 ) -> PlanFailure:
-    """Return the failure of an object that can't be put down."""
     if refusals.no_path:
         return refusals.no_path[0]
     if not (refusals.pairs or refusals.misses):
@@ -227,7 +224,6 @@ def _reasons(
 def _failure(
     body: Object, target: Sequence[float], wanted: Pose, orientation: Sequence[float] | None, reasons: Sequence[str]
 ) -> PlaceFailed:
-    """Return the failure, with the reasons and the contacts of the object."""
     touching = _touching(body, body.world.objects)
     at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
     return PlaceFailed(

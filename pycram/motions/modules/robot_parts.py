@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 
 class Navigation(SimulatedModule):
-    """Moves the robot, with the objects that it holds, to a pose. It rejects a pose in collision."""
+    """Moves the robot, with the objects that it holds, to a pose; rejects a pose in collision."""
 
     failures = (InCollision, NotDrivable)
     failures_in_time = (NoPath, *FOLLOWING)

@@ -154,9 +154,9 @@ def test_a_run_that_hangs_or_dies_is_an_ending() -> None:
     (deadlock,) = [each for each in explore(races.knife_and_fork, 16, seed=1).found if each.ending.kind == DEADLOCK]
     assert deadlock.ending.failure.count("races.py:") == 2
     (late,) = explore(partial(time.sleep, 1000), 1, limit=0.5).found
-    assert (late.ending.kind, late.ending.failure) == (TIME_LIMIT, "it was still running after 0.5 s")
+    assert (late.ending.kind, late.ending.failure) == (TIME_LIMIT, "the run was still running after 0.5 s")
     (dead,) = explore(os.abort, 1).found
-    assert (dead.ending.kind, dead.ending.failure) == (DIED, "its process was ended by SIGABRT")
+    assert (dead.ending.kind, dead.ending.failure) == (DIED, "the process was ended by SIGABRT")
 
 
 @pytest.mark.slow

@@ -74,13 +74,13 @@ def test_async_functions_are_refused(run: Callable[[Callable[[], object]], objec
 
 @pytest.mark.parametrize("run", RUNNERS)
 def test_generator_functions_are_refused(run: Callable[[Callable[[], object]], object]) -> None:
-    with pytest.raises(BadArgument, match=r"counting.*does nothing until its values are taken"):
+    with pytest.raises(BadArgument, match=r"counting.*runs only when its values are read"):
         run(counting)
 
 
 @pytest.mark.parametrize("action", [Counting().count, Counting(), functools.partial(counting), decorated])
 def test_generator_functions_are_refused_however_wrapped(action: Callable[[], object]) -> None:
-    with pytest.raises(BadArgument, match="does nothing until its values are taken"):
+    with pytest.raises(BadArgument, match="runs only when its values are read"):
         par(action)
 
 

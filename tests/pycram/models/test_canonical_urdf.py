@@ -302,7 +302,7 @@ def test_names_that_would_crash_the_engine_are_rejected(tmp_path: Path, world: B
     named = {"robot": ("thing", long), "link": ('"a"', f'"{long}"'), "joint": ('"j"', f'"{long}"')}[element]
     file = tmp_path / "long.urdf"
     file.write_text(text.replace(*named))
-    with pytest.raises(AssetError, match="has a name of 1100 bytes, xxxx"):
+    with pytest.raises(AssetError, match="a name has 1100 bytes, xxxx"):
         Object("thing", "thing", file)
     assert not world.objects
 

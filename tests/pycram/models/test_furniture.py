@@ -394,7 +394,7 @@ def test_a_model_restored_from_a_recording_has_the_same_furniture() -> None:
     restored = load.restore(files, model.loading)
     assert furniture_of(restored) == kitchen()
     forged = [*files[:-1], (files[-1][0], files[-1][1] + b"[")]
-    with pytest.raises(AssetError, match="has a name that doesn't match its content"):
+    with pytest.raises(AssetError, match="the name of the file doesn't match its content"):
         load.restore(forged, model.loading)
 
 

@@ -82,4 +82,4 @@ def test_hands_that_do_not_close_around_the_tool_frame_are_rejected(tmp_path: Pa
 
     skewed = {"thumb": (60.0, True), "index": (240.0, True)}
     assert "closes along the tool frame's z axis, not along y" in refused(skewed)
-    assert "all close from one side" in refused({"thumb": (0.0, True), "index": (30.0, True)})
+    assert "all fingers close from the same side" in refused({"thumb": (0.0, True), "index": (30.0, True)})

@@ -140,5 +140,5 @@ def test_changed_files_are_loaded_again(tmp_path: Path, world: BulletWorld) -> N
     file.write_text(collides.replace("<mesh", '<mesh scale="1 1 3"'), encoding="utf-8")
     assert height("scaled") == pytest.approx(6.0, abs=0.01)
     mesh.unlink()
-    with pytest.raises(AssetError, match=r"its mesh crate\.obj doesn't exist"):
+    with pytest.raises(AssetError, match=r"the mesh crate\.obj doesn't exist"):
         height("without its mesh")

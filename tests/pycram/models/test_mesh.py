@@ -36,7 +36,7 @@ def test_broken_files_are_rejected_with_their_cause(tmp_path: Path, world: Bulle
     files = {
         "empty": (broken(tmp_path, "empty.stl", b""), "is empty"),
         "truncated": (broken(tmp_path, "cut.stl", milk[: len(milk) // 2]), "truncated"),
-        "no faces": (broken(tmp_path, "none.stl", milk[:80] + struct.pack("<I", 0)), "without faces"),
+        "no faces": (broken(tmp_path, "none.stl", milk[:80] + struct.pack("<I", 0)), "has no faces"),
         "NaN": (broken(tmp_path, "nan.stl", nan), "not finite"),
         "text": (broken(tmp_path, "text.obj", b"hello"), "no faces"),
         "xml": (broken(tmp_path, "bad.urdf", b"<robot><link></robot>"), "well-formed"),

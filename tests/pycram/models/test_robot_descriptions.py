@@ -44,11 +44,11 @@ def test_invalid_entries_are_rejected(name: str) -> None:
     ("good", "bad", "message"),
     [
         ('"l_gripper_tool_frame"', '"l_gripper_tol_frame"', "l_gripper_tool_frame"),
-        ("open = 0.548", "open = 5.48", "outside of its limits"),
+        ("open = 0.548", "open = 5.48", "outside the joint's limits"),
         (
             'joint = "torso_lift_joint"\ndefault = 0.2',
             'joint = "l_elbow_flex_joint"\ndefault = 0.2',
-            "to 0.2, outside of its",
+            "to 0.2, outside the joint",
         ),
         ('    "l_shoulder_pan_joint", "l_shoulder_lift_joint",', '    "l_shoulder_lift_joint",', "numbers|joints"),
     ],

@@ -160,10 +160,10 @@ def test_fingers_close_around_the_tool_frames_x_axis() -> None:
         with pytest.raises(AssetError, match=f"closes along the tool frame's {axis} axis, not along y"):
             RobotDescription.parse(turned).check(urdf)
     one_side = re.sub(r'"l_gripper_r_finger\w*",?', "", PR2)
-    with pytest.raises(AssetError, match="all close from one side"):
+    with pytest.raises(AssetError, match="all fingers close from the same side"):
         RobotDescription.parse(one_side).check(urdf)
     swapped = PR2.replace("closed = 0.0\nopen = 0.548", "closed = 0.0\nopen = 0.0", 1)
-    with pytest.raises(AssetError, match="move none of its fingers"):
+    with pytest.raises(AssetError, match="don't move the fingers"):
         RobotDescription.parse(swapped).check(urdf)
 
 
@@ -245,7 +245,7 @@ def test_another_robot_with_a_known_name_says_why_its_description_does_not_fit(
         world.robot = made = Object("other", "robot", tmp_path / "other.urdf")
     assert warned[0].filename == __file__
     assert made.description is None
-    with pytest.raises(NoProcessModule, match=r"of panda doesn't fit it: .*no link 'panda_link0'") as raised:
+    with pytest.raises(NoProcessModule, match=r"of panda doesn't match the URDF: .*no link 'panda_link0'") as raised:
         perform(type="looking", target=[1, 0, 1])
     assert "pycram describe" in raised.value.undescribed
 

@@ -132,7 +132,9 @@ def test_a_scaled_object_is_restored_and_executed_again_bit_for_bit(tmp_path: Pa
 def test_a_file_in_millimetres_is_asked_about(tmp_path: Path, world: BulletWorld, sink: MemorySink) -> None:
     block = trimesh.creation.box((50, 50, 50))
     block.export(tmp_path / "block.stl")
-    with pytest.raises(AssetError, match=r"block.stl: is 50 x 50 x 50 m large: is it in millimetres\? .*scale=0.001"):
+    with pytest.raises(
+        AssetError, match=r"block.stl: the mesh is 50 x 50 x 50 m large: is it in millimetres\? .*scale=0.001"
+    ):
         Object("block", "block", tmp_path / "block.stl")
     trimesh.creation.box((10, 10, 20)).export(tmp_path / "screw.stl")
     with pytest.warns(Oversized, match=r"screw is 20 m wide: is its file in millimetres\? .*scale=0.001") as raised:

@@ -111,7 +111,7 @@ def test_textures_are_shown(tmp_path: Path) -> None:
 
 def test_a_missing_texture_is_grey_and_warned_of_once(tmp_path: Path) -> None:
     dae(tmp_path, TEXTURE, plain(BLUE))
-    with pytest.warns(MissingTexture, match=r"square\.dae: its texture picture\.png doesn't exist") as warned:
+    with pytest.warns(MissingTexture, match=r"square\.dae: the texture picture\.png doesn't exist") as warned:
         found = seen(tmp_path, "square.dae")
     assert [Path(each.filename).name for each in warned] == [Path(__file__).name]
     seen(tmp_path, "square.dae")  # again: a second warning would be an error here
@@ -126,7 +126,7 @@ def test_a_missing_texture_of_a_urdf_is_warned_of(tmp_path: Path) -> None:
         '<visual><geometry><box size="1 1 1"/></geometry><material name="n"><texture filename=""/></material></visual>'
         "</link></robot>"
     )
-    with pytest.warns(MissingTexture, match=r"thing\.urdf: its texture package://things/label\.png doesn't exist"):
+    with pytest.warns(MissingTexture, match=r"thing\.urdf: the texture package://things/label\.png doesn't exist"):
         model = load.load(tmp_path / "thing.urdf")
     assert {0.0, 1.0} <= set(shapes_of(model.path).colors[0][0].tolist())
 
@@ -184,7 +184,7 @@ def test_a_urdf_s_texture_covers_meshes_without_material(tmp_path: Path) -> None
     halves(tmp_path, YELLOW)
     assert color_at(seen(tmp_path, "square.obj", material), 0.5, 0.9) == pytest.approx(YELLOW, abs=0.05), "as it is now"
     (tmp_path / "label.png").unlink()
-    with pytest.warns(MissingTexture, match=r"thing\.urdf: its texture label\.png"):
+    with pytest.warns(MissingTexture, match=r"thing\.urdf: the texture label\.png"):
         found = seen(tmp_path, "square.obj", material)
     assert color_at(found, 0.5, 0.9) == pytest.approx((0.0, 1.0, 0.0))
 
