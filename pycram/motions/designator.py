@@ -239,7 +239,8 @@ class Designator(ABC):
     def branches(self) -> Iterator[Pending]:
         """Yield the branches of all futures in the slots, also in slots of inner designators, without waiting."""
         for _, value in self._slots:
-            yield from value.branches() if isinstance(value, Designator) else branches_in(value)
+            # isinstance() would wait for a future's result
+            yield from value.branches() if issubclass(type(value), Designator) else branches_in(value)
 
     def check(self) -> None:  # noqa: B027  most classes have nothing to check
         """Check the slots as far as possible without a search.

@@ -142,7 +142,7 @@ def test_a_motion_that_waits_for_a_result_holds_no_resources(where: Callable[[Bl
     order, asked = [], Gate()
 
     def find() -> str:
-        asked.pass_through(20)
+        assert asked.pass_through(20), "the body waits for the branch"
         do(lambda: order.append(1), "left-arm")
         return "milk"
 
