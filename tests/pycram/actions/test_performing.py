@@ -468,6 +468,7 @@ def test_a_failure_that_no_move_mends_and_one_in_a_projection_carry_no_advice(co
     assert str(outcome.failure).endswith("m away")
 
 
+@pytest.mark.slow
 def test_a_robot_with_a_fixed_base_advises_to_slide_what_it_would_fetch(world: BulletWorld) -> None:
     world.exit()
     with BulletWorld() as room:

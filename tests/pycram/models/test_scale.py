@@ -47,12 +47,12 @@ CHEST = """<robot name="chest">
 </robot>"""
 
 
-def in_millimetres(folder: Path, kind: str) -> Path:
-    """PyCRAM's cup in millimetres, as CAD programs export it."""
-    cup = trimesh.load(find("cup.stl"), force="mesh")
-    cup.apply_scale(1000.0)
-    cup.export(folder / f"cup.{kind}")
-    return folder / f"cup.{kind}"
+def in_millimetres(folder: Path, kind: str, name: str = "cup") -> Path:
+    """A mesh of PyCRAM in millimetres, as CAD programs export it."""
+    mesh = trimesh.load(find(f"{name}.stl"), force="mesh")
+    mesh.apply_scale(1000.0)
+    mesh.export(folder / f"{name}.{kind}")
+    return folder / f"{name}.{kind}"
 
 
 def chest(folder: Path, millimetre: float) -> Path:
@@ -73,10 +73,10 @@ def chest(folder: Path, millimetre: float) -> Path:
 def test_a_mesh_in_millimetres_falls_as_the_same_mesh_in_metres(tmp_path: Path, world: BulletWorld, kind: str) -> None:
     world.set_gravity([0, 0, -9.8])
     Object("floor", "environment", "plane.urdf")
-    file = in_millimetres(tmp_path, kind)
-    trimesh.load(find("cup.stl"), force="mesh").export(tmp_path / f"own.{kind}")
-    own = Object("own", "cup", tmp_path / f"own.{kind}", [0, 0, 0.2])
-    scaled = Object("scaled", "cup", file, [1, 0, 0.2], scale=0.001)
+    file = in_millimetres(tmp_path, kind, "milk")  # convex: nothing to decompose
+    trimesh.load(find("milk.stl"), force="mesh").export(tmp_path / f"own.{kind}")
+    own = Object("own", "milk", tmp_path / f"own.{kind}", [0, 0, 0.2])
+    scaled = Object("scaled", "milk", file, [1, 0, 0.2], scale=0.001)
     assert sizes.width(scaled.model.path) == pytest.approx(sizes.width(own.model.path), rel=1e-4)
     assert inertia(scaled) == pytest.approx(inertia(own), rel=1e-4)
     world.simulate(2)

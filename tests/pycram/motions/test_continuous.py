@@ -435,6 +435,7 @@ def test_a_run_with_motion_is_recorded_and_retraced_as_such(tmp_path: Path) -> N
     assert "\nmotion " not in run("replay", "info", str(log))
 
 
+@pytest.mark.slow
 def test_a_bottle_stays_upright_on_a_level_way(world: BulletWorld, sink: MemorySink) -> None:
     """The nearest posture that reaches the place tips it; an orientation in which it would lean is refused."""
     Object("floor", "environment", "plane.urdf")
