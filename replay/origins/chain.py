@@ -7,56 +7,37 @@ import inspect
 import math
 from bisect import bisect_right
 from collections import defaultdict, deque
-from dataclasses import dataclass, field
 from itertools import chain as joined
 from types import FunctionType, MethodType, ModuleType
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pycram.world.object import Object
 from recorder.tracing.call_stack import described
 from replay.origins.noting import FUNCTIONS, Held, bound_names
+from replay.origins.origin import Origin
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from typing import TypeAlias
 
     from replay.origins.noting import Note, Notes
 
 _MAX_FACTS: Final = 400  # largest number of facts of a value
-_MAX_DEPTH: Final = 14
+_MAX_SEARCHED: Final = 64  # largest number of evaluations of an expression that are searched
 _MAX_BEFORE: Final = 2  # largest number of listed statements before a call
 _MAX_CHANGES: Final = 3  # largest number of listed changes of a container
 _PLAIN: Final = (bool, int, float, str, type(None), list, tuple, dict)
 _COMPREHENSIONS: Final = ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp
 
 
-@dataclass
-class Fact:
-    """A value, where the plan made it, and the facts about what it was made from."""
-
-    kind: str  # see :class:`replay.origins.origin.Origin`
-    name: str  # the expression
-    value: str
-    number: Any  # its value as JSON data, if it consists of numbers; otherwise None
-    file: str
-    line: int
-    text: str  # the line's text
-    step: int  # the last step before it
-    own: float  # how much of its own the line has: 1 for numbers, 0.5 for texts, 0 if it only passes values on
-    body: str = ""  # name of the object that was read
-    remark: str = ""  # what is unusual about it, in words
-    parts: list[Fact] = field(default_factory=list)
-
-
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """Where and when an expression was evaluated."""
 
     frame: int
     time: int
 
 
-Facts: TypeAlias = "Iterator[Fact]"
+Facts: TypeAlias = "Iterator[Origin]"
 
 
 class Tracer:
@@ -113,55 +94,51 @@ class Tracer:
             around = self._around.get(id(around))
 
     def _fact(
-        self, kind: str, node: ast.AST, name: str, value: Held | None, step: int, parts: Facts | None = None
-    ) -> Fact:
+        self, kind: str, node: ast.AST, name: str, value: Held | None, step: int, parts: Iterable[Origin] = (),
+        *, body: str = "", remark: str = "",
+    ) -> Origin:  # fmt: skip
         file, line = self._file(node), getattr(node, "lineno", 0)
-        lines = self._notes.texts[file]
-        text = lines[line - 1].strip() if 0 < line <= len(lines) else ""
+        text = self._notes.texts[file][line - 1].strip() if line else ""
         self._count += 1
-        number = None if value is None else _numbers_in(value.copy)
-        parts_of_line = [*_own_nodes(node)]
-        constants = [each.value for each in parts_of_line if isinstance(each, ast.Constant)]
-        numbers = any(isinstance(each, int | float) for each in constants)
-        own = 1.0 if numbers or any(isinstance(each, ast.operator) for each in parts_of_line) else 0.5 * bool(constants)
-        fact = Fact(kind, name, "" if value is None else shown(value.copy), number, file, line, text, step, own)
-        fact.parts = [] if parts is None else list(parts)
-        return fact
+        words, number = ("", None) if value is None else (shown(value.copy), _numbers_in(value.copy))
+        own = [each for each in _own_nodes(node) if isinstance(each, ast.Constant | ast.operator)]
+        numbers = any(not isinstance(getattr(each, "value", 0), str | None) for each in own)
+        weight = 1.0 if numbers else 0.5 * bool(own)
+        return Origin(kind, name, words, number, file, line, text, step, weight, body, remark, tuple(parts))
 
     # --- where a run was ------------------------------------------------------------------------------------------
 
-    def call(self, note: Note) -> Fact:
+    def call(self, note: Note) -> Origin:
         """Return a call of the plan, with its arguments, and the conditions that led to it."""
         self._seen.clear()
         self._count = 0
         node, place = self._node(note), Place(note.frame, note.time)
-        arguments = joined.from_iterable(self._arguments(note))
-        facts = [*arguments, *self._receivers(node, place), *self._conditions(node, place), *self._before(node, place)]
+        facts = [
+            *self._arguments(note),
+            *self._receivers(node, place),
+            *self._conditions(node, place),
+            *self._before(node, place),
+        ]
         outer = note.parent
         while outer is not None:
             facts += self._conditions(self._node(outer), Place(outer.frame, outer.time))
             outer = outer.parent
-        return self._fact("call", node, ast.unparse(node.func), note.result, note.step, iter(facts))
+        return self._fact("call", node, ast.unparse(node.func), note.result, note.step, facts)
 
-    def line(self, file: str, line: int, frame: int) -> Fact | None:
+    def line(self, file: str, line: int, frame: int) -> Origin | None:
         """Return the statement at a line, which raised an error, with the values that it used."""
         self._seen.clear()
         self._count = 0
-        tree = self._notes.trees.get(file)
-        found = [
-            node
-            for node in ast.walk(tree or ast.Module([], []))
-            if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or node.lineno)
-        ]
+        every = ast.walk(self._notes.trees[file])
+        found = [each for each in every if isinstance(each, ast.stmt) and each.lineno <= line <= (each.end_lineno or 0)]
         if not found:
             return None
         statement, place = found[-1], Place(frame, len(self._notes.all))
-        parts: list[ast.AST] = [statement]
-        if hasattr(statement, "body"):
-            parts = [each for each in ast.iter_child_nodes(statement) if not isinstance(each, ast.stmt)]
+        inner = ast.iter_child_nodes(statement) if hasattr(statement, "body") else ()
+        parts = [each for each in inner if not isinstance(each, ast.stmt)] or [statement]
         facts = [fact for each in parts for fact in self._inputs(each, place)]
         facts += self._conditions(statement, place)
-        return self._fact("call", statement, "", None, self._notes.step, iter(facts))
+        return self._fact("call", statement, "", None, self._notes.step, facts)
 
     def _before(self, node: ast.AST, place: Place) -> Facts:
         """Yield the calls in the statements just before a node, nearest first."""
@@ -198,11 +175,13 @@ class Tracer:
     # --- values ---------------------------------------------------------------------------------------------------
 
     def _noted(self, node: ast.AST, place: Place) -> Note | None:
-        """Return the last note of a node at a place, or else in any frame, as in comprehensions."""
+        """Return the last note of a node at a place; comprehensions and functions within it have other frames."""
         notes = self._of_node.get(self._numbers[id(node)], [])
         until = bisect_right(notes, place.time, key=lambda note: note.time)
-        own = [note for note in notes[:until][-64:] if note.frame == place.frame]
-        return own[-1] if own else notes[until - 1] if until else None
+        inner = any(isinstance(each, _COMPREHENSIONS | ast.Lambda) for each in self._parents(node))
+        inner = inner or isinstance(node, FUNCTIONS)
+        some = notes[max(until - _MAX_SEARCHED, 0) : until]
+        return next((note for note in reversed(some) if inner or note.frame == place.frame), None)
 
     def value(self, node: ast.AST, place: Place) -> Held | None:
         """Return the value of an expression at a place; None if it is unknown."""
@@ -293,9 +272,8 @@ class Tracer:
             kind, source = "item", node.iter
             element = self._element(node.iter, held, before)
             if element is not None:
-                fact = self._fact(kind, element, name, held, note.step, joined(parts, self._inputs(element, before)))
-                fact.remark = remark
-                yield fact
+                inner = joined(parts, self._inputs(element, before))
+                yield self._fact(kind, element, name, held, note.step, inner, remark=remark)
                 return
         elif isinstance(node, ast.With | ast.AsyncWith):
             source = node.items[0].context_expr
@@ -306,9 +284,8 @@ class Tracer:
             source = _matching(node.targets[0], node.value, name)
         located = node.target if isinstance(node, ast.comprehension) else node
         made = () if source is None else self._inputs(source, before)
-        fact = self._fact(kind, located, name, held, note.step, joined(parts, made))
-        fact.remark = remark or self._rounding(source, before)
-        yield fact
+        remark = remark or self._rounding(source, before)
+        yield self._fact(kind, located, name, held, note.step, joined(parts, made), remark=remark)
 
     def _remark(self, name: str, note: Note, place: Place) -> str:
         """Return what is unusual about a name: it outlived its loop, or hides another one."""
@@ -329,12 +306,12 @@ class Tracer:
                     return f"{ast.unparse(each)} rounds {shown(numbers[0] / numbers[1])} down"
         return ""
 
-    def _argument(self, name: str, note: Note, held: Held, changes: list[Fact]) -> Facts:
+    def _argument(self, name: str, note: Note, held: Held, changes: list[Origin]) -> Facts:
         """Yield how a function got an argument."""
         node, call = self._node(note), note.parent
         if call is None or not _runs(call.function, self._notes.codes[note.frame]):
             if call is not None:
-                yield self._fact("argument", self._node(call), name, held, note.step, iter(changes))
+                yield self._fact("argument", self._node(call), name, held, note.step, changes)
             return
         passed = self._node(call)
         before = Place(call.frame, call.time)
@@ -346,21 +323,19 @@ class Tracer:
             starred = any(isinstance(each, ast.Starred) for each in passed.args)
             given = passed.args[index] if 0 <= index < len(passed.args) and not starred else None
         packed = [each for each in passed.keywords if each.arg is None]
-        if node.args.kwarg is not None and node.args.kwarg.arg == name:
-            rest: Iterable[ast.AST] = [each for each in passed.keywords if each.arg not in names]
-        elif given is not None:
+        rest: Sequence[ast.AST] = [*packed, *(each for each in passed.args if isinstance(each, ast.Starred))]
+        if given is not None:
             rest = [given]
+        elif node.args.kwarg is not None and node.args.kwarg.arg == name:
+            rest = [each for each in passed.keywords if each.arg not in names]
         elif node.args.vararg is not None and node.args.vararg.arg == name:
             rest = passed.args
-        else:
-            rest = [*packed, *(each for each in passed.args if isinstance(each, ast.Starred))]
         default = _default(node, name)
         if given is None and default is not None and not rest:
             changes = [*changes, *self._changed(held.ref, -1, note.time)]
             made = self._inputs(default, Place(note.frame, note.time))
-            fact = self._fact("default", default, name, held, note.step, joined(changes, made))
-            fact.remark = "kept from earlier calls" if changes else ""
-            yield fact
+            kept = "kept from earlier calls" if changes else ""
+            yield self._fact("default", default, name, held, note.step, joined(changes, made), remark=kept)
             return
         inner = joined.from_iterable(self._inputs(each, before) for each in rest)
         if isinstance(given, ast.Name) and given.id == name:
@@ -379,16 +354,15 @@ class Tracer:
             node = self._node(note)
             if self._is_known(note.time, "change"):
                 continue
-            before = Place(note.frame, note.time)
-            parts = self._arguments(note) if note.kind == "call" else [self._inputs(node.value, before)]
-            target = node.func.value if note.kind == "call" else getattr(node, "target", None) or node.targets[0]
-            inner = joined.from_iterable(parts)
+            called = note.kind == "call"
+            inner = self._arguments(note) if called else self._inputs(node.value, Place(note.frame, note.time))
+            target = node.func.value if called else getattr(node, "target", None) or node.targets[0]
             yield self._fact("change", node, ast.unparse(target), None, note.step, inner)
 
-    def _arguments(self, note: Note) -> Iterator[Facts]:
-        node, place = self._node(note), Place(note.frame, note.time)
+    def _arguments(self, note: Note) -> Facts:
+        node = self._node(note)
         for each in (*node.args, *(keyword.value for keyword in node.keywords)):
-            yield self._inputs(each, place)
+            yield from self._inputs(each, Place(note.frame, note.time))
 
     def _receivers(self, node: ast.Call, place: Place) -> Facts:
         if isinstance(node.func, ast.Attribute):
@@ -412,18 +386,13 @@ class Tracer:
                 parts = joined(self._inputs(made, place), self._conditions(self._node(returned), place))
                 yield self._fact("returned", self._node(returned), name, note.result, note.last_step, parts)
             return
-        inner = joined(joined.from_iterable(self._arguments(note)), self._receivers(node, place))
+        inner = joined(self._arguments(note), self._receivers(node, place))
         if isinstance(owner, Object) and note.result is not None and _numbers_in(note.result.copy) is not None:
-            yield self._read(node, name, owner, note.result, note.last_step, inner)
+            yield self._fact("read", node, name, note.result, note.last_step, inner, body=owner.name)
         elif module.startswith(("pycram.reasoning", "pycram.bullet_world_reasoning")) or name.startswith("perform("):
             yield self._fact("answer", node, name, note.result, note.last_step, inner)
         else:
             yield from inner
-
-    def _read(self, node: ast.AST, name: str, owner: Object, value: Held, step: int, parts: Facts) -> Fact:
-        fact = self._fact("read", node, name, value, step, parts)
-        fact.body = owner.name
-        return fact
 
     def _attribute(self, node: ast.Attribute, place: Place) -> Facts:
         note, owner = self._noted(node, place), self.value(node.value, place)
@@ -438,7 +407,8 @@ class Tracer:
             return
         if isinstance(owner.ref, Object):
             if _numbers_in(held.copy) is not None:
-                yield self._read(node, name, owner.ref, held, note.step, self._inputs(node.value, place))
+                inner = self._inputs(node.value, place)
+                yield self._fact("read", node, name, held, note.step, inner, body=owner.ref.name)
             return
         stores = [each for each in self._changed(owner.ref, -1, place.time, node.attr) if each.kind == "change"]
         yield from stores[:1] or self._field(node, name, owner.ref, held, place)
@@ -521,16 +491,19 @@ class Tracer:
         return fitting[0] if len(fitting) == 1 else None
 
 
-def nearest(fact: Fact, count: int) -> set[int]:
-    """Return the ids of the facts that are nearest to a fact."""
-    chosen: list[int] = []
-    waiting = deque([(fact, 0)])
+def nearest(origin: Origin, count: int) -> dict[str, Any]:
+    """Return an origin as JSON data, with those of its parts that are nearest to it."""
+    chosen, waiting = {id(origin)}, deque([origin])
     while waiting and len(chosen) < count:
-        each, depth = waiting.popleft()
-        chosen.append(id(each))
-        if depth < _MAX_DEPTH:
-            waiting.extend((part, depth + 1) for part in each.parts)
-    return set(chosen)
+        parts = waiting.popleft().parts[: count - len(chosen)]
+        chosen.update(map(id, parts))
+        waiting.extend(parts)
+
+    def data(each: Origin) -> dict[str, Any]:
+        facts = {name: getattr(each, name) for name in each.__slots__}
+        return {**facts, "parts": [data(part) for part in each.parts if id(part) in chosen]}
+
+    return data(origin)
 
 
 def shown(value: Any) -> str:

@@ -103,7 +103,7 @@ class Origins:
 
 def _walk(origin: Origin, rank: float) -> Iterator[tuple[float, Origin]]:
     """Yield the facts with their ranks: far from the failure, and what only passes values on, comes last."""
-    suspect = _SUSPECT if origin.remark or origin.moved else 0.0
+    suspect = _SUSPECT if origin.moved or origin.remark.partition(" ")[0] not in ("", "hides") else 0.0
     yield rank - suspect + 1.0 - origin.own, origin
     for part in origin.parts:
         away = 0.5 + origin.own / 2

@@ -7,7 +7,7 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from pycram.projection.child import die_with
 from recorder.records import Run, Task
@@ -19,7 +19,6 @@ from replay.retrace.plan_process import Guidance
 
 if TYPE_CHECKING:
     from recorder.records import Record
-    from replay.origins.chain import Fact
     from replay.origins.noting import Note
     from replay.retrace.plan_process import FirstDifference
 
@@ -48,63 +47,39 @@ class _NotingSink(NullSink):
         """Note the plan's call that made a record."""
         step = self.notes.step = record.seq
         call = self.notes.current
+        if self._difference is not None:
+            self.finish()
         if isinstance(record, Task) and record.phase != Task.FINISHED:
             call = self._tasks.setdefault(record.task, call or self._tasks.get(record.parent))
         if step in self._steps:
             self._calls[step] = call or self._tasks.get(record.task)
             error = sys.exception()
-            if isinstance(record, Run) and error is not None:
-                files = self.notes.trees
-                frames = [
-                    (each, line)
-                    for each, line in traceback.walk_tb(error.__traceback__)
-                    if each.f_code.co_filename in files
-                ]
-                if frames:
-                    frame, line = frames[-1]
+            trace = traceback.walk_tb(error.__traceback__) if isinstance(record, Run) and error is not None else ()
+            for frame, line in trace:
+                if frame.f_code.co_filename in self.notes.trees:
                     self._raised[step] = frame.f_code.co_filename, line, self.notes.frame_of(frame)
-        if self._difference is not None or step >= max(self._steps):
+        if step >= max(self._steps):
             self.finish()
 
     def _report(self, _: int, difference: FirstDifference | None) -> None:
         self._difference = difference
 
     def _refuse(self, error: Exception) -> NoReturn:
-        self._difference = None
         self._write({"error": str(error)})
 
     def finish(self) -> NoReturn:
         """Send the facts about the steps, and end the process."""
-        tracer = Tracer(self.notes)
-        facts: dict[int, Fact | None] = {}
+        tracer, found, facts = Tracer(self.notes), self._difference, {}
         for step, call in self._calls.items():
-            facts[step] = (
-                tracer.line(*self._raised[step])
-                if step in self._raised
-                else None
-                if call is None
-                else tracer.call(call)
-            )
-        found = self._difference
-        self._write(
-            {
-                "facts": {
-                    step: None if fact is None else _data(fact, nearest(fact, _MAX_FACTS))
-                    for step, fact in facts.items()
-                },
-                "difference": None if found is None else {"step": found.step, "text": found.text},
-                "folder": self.guided.guidance.moved,
-            }
-        )
+            raised = self._raised.get(step)
+            origin = tracer.line(*raised) if raised is not None else None if call is None else tracer.call(call)
+            facts[step] = None if origin is None else nearest(origin, _MAX_FACTS)
+        difference = None if found is None else {"step": found.step, "text": found.text}
+        self._write({"facts": facts, "difference": difference, "folder": self.guided.guidance.moved})
 
     def _write(self, answer: dict[str, object]) -> NoReturn:
         Path(self._result).write_text(json.dumps(answer), encoding="utf-8")
         os._exit(0)
-
-
-def _data(fact: Fact, chosen: set[int]) -> dict[str, Any]:
-    parts = [_data(each, chosen) for each in fact.parts if id(each) in chosen]
-    return {**{name: value for name, value in vars(fact).items() if name != "parts"}, "parts": parts}
 
 
 def main() -> None:
