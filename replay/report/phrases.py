@@ -1,4 +1,4 @@
-"""Phrases for all texts: values, numbers, lines of the plan, tasks, changes, records, answers and their evidence."""
+"""Phrases for values, numbers, lines of the plan, tasks, changes, records, answers and evidence."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Sampled
 
 
-_WIDTH: Final = 100  # largest number of characters of a value
-_MAX_NAMES: Final = 4  # largest number of listed names
-_MAX_REASONS: Final = 3  # largest number of reasons for rejected candidates in a line
+_WIDTH: Final = 100  # values have at most this many characters
+_MAX_NAMES: Final = 4  # at most this many names are listed
+_MAX_REASONS: Final = 3  # a line has at most this many reasons
 _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 
 def value(recorded: Plain) -> str:
-    """Return a recorded value: bodies by name, numbers with three decimals."""
+    """Return a recorded value with names of bodies, and numbers with three decimals."""
     if isinstance(recorded, dict):
         if set(recorded) == {"object", "world"}:
             return str(recorded["object"])
@@ -49,7 +49,7 @@ def value(recorded: Plain) -> str:
 
 
 def short(text: str) -> str:
-    """Return a text, truncated to the width of a line."""
+    """Return a text that is cut to the width of a line."""
     return text if len(text) <= _WIDTH else text[: _WIDTH - 3] + "..."
 
 
@@ -70,7 +70,7 @@ def plural(count: int, what: str) -> str:
 
 
 def names(items: Sequence[str]) -> str:
-    """Return the first names, as in "a, b and 3 more"."""
+    """Return the first names and the number of others, such as "a, b and 3 more"."""
     shown = list(items[:_MAX_NAMES])
     if len(items) > _MAX_NAMES:
         shown.append(f"{len(items) - _MAX_NAMES} more")
@@ -129,14 +129,14 @@ def seconds(duration_ns: int) -> str:
 
 
 def path(file: str) -> str:
-    """Return a file's path, relative to the current folder if the folder contains the file."""
-    with suppress(ValueError, OSError):  # the file is in another folder, or the current folder was deleted
+    """Return the path of a file. In the current folder, the path is relative."""
+    with suppress(ValueError, OSError):
         return str(PurePath(file).relative_to(Path.cwd()))
     return file
 
 
 def place(line: Line) -> str:
-    """Return the place of a line of the plan as "file:line", or in a notebook as "In [3], line 1"."""
+    """Return the place of a line of the plan: "file:line", or in a notebook "In [3], line 1"."""
     return notebook.place(path(line.file), line.number)
 
 
@@ -152,7 +152,7 @@ def location(line: Line) -> str:
 
 
 def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield a call stack, innermost line first; leave out outer lines that were printed with another stack."""
+    """Yield a call stack, innermost line first, without outer lines that another stack has printed."""
     common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
     shared = max((len(list(pairs)) for pairs in common), default=0)
     printed.append(stack)
@@ -188,7 +188,7 @@ def node(task_: Node) -> str:
 
 
 def error(task_: Node) -> str:
-    """Return the error of a task in a line; without an error, its status."""
+    """Return the error of a task in a line, or the status of a task without an error."""
     return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
 
 
@@ -203,9 +203,9 @@ def refused(refusal: Refusal) -> str:
 
 
 def handler(started: Task) -> str:
-    """Return a handler's call, with the step of its event."""
+    """Return the call of a handler, with the step of the event."""
     event = argument_values(started.parameters).get("event", "")
-    step = f" of step {started.cause}" if started.cause else ""  # the event came before the recording if the cause is 0
+    step = f" of step {started.cause}" if started.cause else ""  # the cause 0 is an event before the recording
     return f"the handler {started.name} of event {event}{step}"
 
 
@@ -231,7 +231,7 @@ _CHANGES: Final[Mapping[str, str]] = {
 
 
 def change(name: str, how: str, mover: str = "") -> str:
-    """Return the change of a body or joint; ``mover`` is the body that carried it or moved it along."""
+    """Return the change of a body or joint. ``mover`` is the body that carried the body or moved it along."""
     if how in ("gravity", "joints"):
         return "gravity was set" if how == "gravity" else f"joints of {name} moved"
     word = {"carried": "by", "along": "with"}.get(how) if mover else None
@@ -239,19 +239,19 @@ def change(name: str, how: str, mover: str = "") -> str:
 
 
 def carrier(held: Attachment) -> str:
-    """Return a carrier, with the link that holds the body."""
+    """Return a carrier and the link that holds the body."""
     return held.carrier + (f" ({held.carrier_link})" if held.carrier_link else "")
 
 
 def learned(source: str, step: int) -> str:
-    """Return the source of a belief, as in "seen at step 40"."""
+    """Return the source of a belief, such as "seen at step 40"."""
     words = {"held": "in its hand since", "told": "read from the world's state at", "placed": "released there at"}
     word = words.get(source, f"{source} at")
     return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
 
 
 def sampled(moment: Sampled, *, exact: bool = False) -> str:
-    """Return the time of a moment within a stretch of simulation, and how its state is known."""
+    """Return the time of a moment within a simulation, and how its state is known."""
     stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
     if exact:
         return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to that time"
@@ -264,7 +264,7 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
 
 
 def record_line(record: Record) -> str:
-    """Return a record as one line."""
+    """Return a line for a record."""
     if isinstance(record, Task) and record.phase == Task.STARTED:
         earlier = ", already running" if record.began_ns else ""
         return f"{record.kind} {call(record.name, argument_values(record.parameters))}{earlier}"
@@ -285,7 +285,7 @@ def question(query: Query) -> str:
 
 
 def answer(query: Query) -> str:
-    """Return the answer of a query: yes, no, objects, or the failure; with the note that a fork overrides it."""
+    """Return the answer of a query: yes, no, objects, or the failure. A note says if a fork has set the answer."""
     if query.HasField("failure"):
         return failure(query.failure)
     if query.by_fork:
@@ -363,7 +363,7 @@ def _obstacles(bodies: Plain, _: _Evidence) -> str:
     known = [pair_text(pair) for pair in pairs if isinstance(pair, dict)]
     if len(known) == len(bodies):
         return names(known)
-    return f"the arm would touch {names(list(bodies))}"  # older releases didn't record the links
+    return f"the arm would touch {names(list(bodies))}"  # older recordings lack the links
 
 
 def _links(links: Plain, _: _Evidence) -> str:
@@ -374,11 +374,11 @@ def _links(links: Plain, _: _Evidence) -> str:
 
 
 def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
-    """Return a phrase for an amount: ``text`` formats the amount times the factor."""
+    """Return a phrase for an amount. ``text`` is the format of the amount times the factor."""
     return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
 
 
-#: Phrases for parts of a query's evidence; other values are printed with their names.
+#: Phrases for parts of a query's evidence. Other values are printed with their names.
 _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
     "share": _share,
     "hidden_by": _hidden,
@@ -392,5 +392,5 @@ _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
         f"in {steps / STEPS_PER_SECOND:.2f} s of simulation" if isinstance(steps, int) else ""
     ),
 }
-#: Parts of the evidence that phrases for other parts include.
+#: Phrases of other parts include these parts of the evidence.
 _INCLUDED: Final = frozenset({"hiding_links", "pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

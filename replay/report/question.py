@@ -1,8 +1,7 @@
 """Questions for ``ask``: ``visible(milk, wide_stereo_optical_frame)``.
 
-A question is one call of a query with names, strings, numbers, lists and keyword arguments. Python's parser reads it,
-but it is never executed. A name is an object, the robot or a frame, depending on the query. The text of a recorded
-query, with ``true``, ``false`` and ``null``, is also accepted as a question.
+A question is a call of a query with names, strings, numbers, lists and keyword arguments. Python parses the question,
+but never executes it. A name is an object, the robot or a frame. The text of a recorded query is also a question.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """An identifier without quotes; only the last part of a dotted name counts: ``BulletWorld.robot`` is the robot."""
+    """An identifier without quotes. Only the last part of a dotted name counts: ``BulletWorld.robot`` is the robot."""
 
     text: str
 
@@ -51,20 +50,16 @@ class QueryCall:
 
 
 class BadQuestion(ReplayError):
-    """A question is malformed, or the world of that step can't answer it."""
+    """A question is malformed, or the world of the step can't answer it."""
 
     def __init__(self, question: str, cause: str) -> None:
         super().__init__(f"{question}: {cause}")
-        self.question = question  # the question's text
-        self.cause = cause  # the error in the question
+        self.question = question
+        self.cause = cause
 
 
 def question_of(record: Query) -> QueryCall:
-    """Return a recorded query as a question with its recorded argument names.
-
-    Raises:
-        BadQuestion: the arguments can't be decoded.
-    """
+    """Return a recorded query as a question with named arguments. Unreadable arguments raise BadQuestion."""
     try:
         arguments = {argument.name: _recorded(json.loads(argument.json)) for argument in record.arguments}
     except ValueError as error:
@@ -81,13 +76,9 @@ def _recorded(value: Plain) -> Term:
 
 
 def parse(text: str) -> QueryCall:
-    """Parse a question such as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``.
-
-    Raises:
-        BadQuestion: the text isn't a single call with plain arguments.
-    """
+    """Parse a question such as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``; raise BadQuestion for other texts."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # Python warns about text that looks like mistaken code
+        with warnings.catch_warnings(action="ignore"):  # about text that looks like mistaken code
             call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cause = error.msg.partition(". ")[0] if isinstance(error, SyntaxError) else str(error)
@@ -107,7 +98,7 @@ def parse(text: str) -> QueryCall:
     if any(keyword.arg is None for keyword in call.keywords):
         raise BadQuestion(text, "** can't be used here")
     if len(keywords) < len(call.keywords):
-        raise BadQuestion(text, "an argument is given twice")
+        raise BadQuestion(text, "the question has an argument twice")
     return QueryCall(query, arguments, keywords)
 
 
@@ -116,7 +107,7 @@ class _NotATerm(Exception):
 
 
 def _term(node: ast.expr) -> Term:
-    """Return an argument; raise :class:`_NotATerm` if it isn't plain data."""
+    """Return an argument; raise :class:`_NotATerm` for other expressions."""
     if isinstance(node, ast.Name) and node.id in _LITERALS:
         return _LITERALS[node.id]
     if isinstance(node, ast.Name | ast.Attribute):
@@ -142,12 +133,12 @@ def _identifier(node: ast.expr) -> str:
 
 
 def written(name: str) -> str:
-    """Return a name in the form that commands accept: if it isn't an identifier, in quotes as in Python."""
+    """Return a name in the form of commands. Names that aren't identifiers have quotes as in Python."""
     return name if name.isidentifier() and not iskeyword(name) and name not in _LITERALS else repr(name)
 
 
 def unquoted(text: str) -> tuple[str, str]:
-    """Return the name in quotes at the start of a text, and the text after it; "" if the text starts without quotes."""
+    """Return the name in quotes at the start of a text, or "", and the remaining text."""
     found = _QUOTED.match(text)
     return ("", text) if found is None else (str(ast.literal_eval(found[0].strip())), text[found.end() :])
 

@@ -1,7 +1,7 @@
-"""Renders results as JSON data, and as sections of lines.
+"""Render results as JSON data, and as sections of lines.
 
 Records, tasks, lines of the plan and dataclasses have the same form everywhere. A module registers a rule with
-:func:`data` for a class whose JSON keys aren't its fields. The keys are part of the verbs' interface.
+:func:`data` for a class whose JSON keys differ from its fields. The keys are part of the verbs' interface.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def data(value: object) -> object:
 
 
 def fields_data(value: object, **keys: str) -> dict[str, object]:
-    """Return the fields of a dataclass in order; ``keys`` renames fields."""
+    """Return the fields of a dataclass in order. ``keys`` are new names of fields."""
     return {
         keys.get(each.name, each.name): data(getattr(value, each.name))
         for each in fields(value)  # type: ignore[arg-type]  # a dataclass
@@ -63,13 +63,13 @@ def _(line: Line) -> dict[str, object]:
 
 
 def call_stack(stack: Sequence[Line]) -> dict[str, object]:
-    """Return a call stack as its innermost line and the callers."""
+    """Return a call stack: the innermost line and the callers."""
     lines = [data(line) for line in stack]
     return {"line": lines[-1] if lines else None, "callers": lines[:-1]}
 
 
 def section(title: str, body: Iterable[str]) -> Iterator[str]:
-    """Yield an empty line, a title and indented lines; yield nothing if there are no lines."""
+    """Yield an empty line, a title and indented lines. Yield nothing without lines."""
     for number, line in enumerate(body):
         if not number:
             yield from ("", title)

@@ -1,7 +1,7 @@
-"""Asks reasoning queries at any past step, also under changed conditions.
+"""Ask reasoning queries at a past step, also with moved objects.
 
-The world of that step is rebuilt unrecorded, objects are moved on request, and the query runs there. Plans call the
-same code, so at the step of a plan's query, the answer equals the plan's answer.
+The world of the step is rebuilt without a record, objects are moved, and the query runs. Plans call the same code, so a
+repeated query of a plan has the plan's answer.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from replay.state.state import State
 
 BELIEVED: Final = "believed"
-"""Asks for a robot's recorded belief; ``away`` is the object's distance in m from the believed position."""
+"""The query for a robot's recorded belief. ``away`` is the distance of the object from the believed position in m."""
 _BELIEVED_TAKES: Final = ("what", "robot")
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
-"""Names of the queries that can be asked."""
-#: Parameters that take one or several objects; a pose may be an object or a position.
+"""Names of the queries."""
+#: Parameters that are objects. A pose may be an object or a position.
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
 _PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
 
@@ -48,21 +48,21 @@ _PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS
 class Move:
     """An object that is moved before the query."""
 
-    body: str  # name of the object
+    body: str
     position: Vector  # xyz, m
-    orientation: Quaternion | None = None  # xyzw; None leaves it unchanged
+    orientation: Quaternion | None = None  # xyzw; None for no change
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class QueryAnswer:
     """The answer to a query."""
 
-    step: int  # the step after which it was asked
-    world: str  # name of the world
-    question: QueryCall  # the query with its arguments
-    answer: bool | list[str | bool]  # true or false, names of objects, or true or false for each target
-    evidence: Mapping[str, Plain]  # the basis of the answer
-    moves: tuple[Move, ...] = ()  # moves that were made before the query
+    step: int  # the query was asked after this step
+    world: str
+    question: QueryCall
+    answer: bool | list[str | bool]  # true or false, names of objects, or an answer for each target
+    evidence: Mapping[str, Plain]
+    moves: tuple[Move, ...] = ()
 
     def __repr__(self) -> str:
         return f"<QueryAnswer after step {self.step}: {next(self.lines())}>"
@@ -86,16 +86,16 @@ def ask(
     moves: Sequence[Move] = (),
     moment: float | None = None,
 ) -> QueryAnswer:
-    """Ask a query at a past step, without recording it. Objects are moved first, with all objects that they carry.
+    """Ask a query at a past step, without a record.
 
-    A question is any of :data:`QUERIES` with the arguments of :mod:`pycram.bullet_world_reasoning`, such as
-    ``visible(milk, wide_stereo_optical_frame)``; or ``believed(milk)``, with an object or a type. Without a question,
-    the query that is recorded at this step is asked again, in its world. By default, the world is the last opened world
-    that is open. For ``moment`` see :func:`replay.restore.world.world_at`.
+    Objects of ``moves`` and the objects that they carry are moved first. A question is a query of
+    :mod:`pycram.bullet_world_reasoning`, such as ``visible(milk, wide_stereo_optical_frame)``, or ``believed(milk)``
+    with an object or a type. The default is the query that the step recorded, in its world. The default world is the
+    last opened world. ``moment`` is explained at :func:`replay.restore.world.world_at`.
 
     Raises:
-        BadQuestion: the question is invalid, the world has no answer, or the step's record isn't a query.
-        NotRestored: no world was open at that step.
+        BadQuestion: The question is invalid, the world has no answer, or the record of the step isn't a query.
+        NotRestored: No world is open at the step.
     """
     if question is None:
         question, world = _recorded(log, step, world)
@@ -116,13 +116,8 @@ def ask(
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(call), str(error)) from error
-        except (
-            ArithmeticError,
-            AttributeError,
-            LookupError,
-            TypeError,
-            ValueError,
-        ) as error:  # the query didn't check its arguments
+        # queries may not check all arguments
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise BadQuestion(str(call), f"it can't be answered: {format_error(error)}") from error
         answer: bool | list[str | bool]
         if isinstance(result, list):
@@ -156,10 +151,10 @@ def _is_property(text: str) -> bool:
 
 
 def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCall, str]:
-    """Return the query of a step's record, and its world.
+    """Return the query that a step recorded, and the world of the query.
 
     Raises:
-        BadQuestion: the record isn't a query that can be asked again, or the query was asked in another world.
+        BadQuestion: The record isn't a query of a plan, or the query was asked in another world.
     """
     record = log[step]
     if not isinstance(record, Query):
@@ -168,16 +163,16 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCal
         cause = f"its record is a {record.name}, which isn't a plan's query about a world; give a question"
         raise BadQuestion(f"step {step}", cause)
     if world not in (None, record.world):
-        raise BadQuestion(f"step {step}", f"that query was asked in {record.world}, not in {world}")
+        raise BadQuestion(f"step {step}", f"the query was asked in {record.world}, not in {world}")
     return question_of(record), record.world
 
 
 def _believed(state: State, step: int, world: str | None, question: QueryCall, moves: Sequence[Move]) -> QueryAnswer:
-    """Return a robot's belief after a step, from the records.
+    """Return a robot's recorded belief after a step.
 
     Raises:
-        BadQuestion: the question has other arguments, or objects are moved: beliefs don't depend on that.
-        NoSuchName: there is no such object or type.
+        BadQuestion: The question has other arguments, or objects are moved, which doesn't change past beliefs.
+        NoSuchName: There is no such object or type.
     """
     if moves:
         raise BadQuestion(str(question), "a robot's past belief doesn't depend on moves")

@@ -22,14 +22,14 @@ if TYPE_CHECKING:
 
 
 def world_state(log: RecordReader, step: int, name: str | None = None, moment: float | None = None) -> World:
-    """Return the state of a world that is open after a step; without a name, the state of the last opened world.
+    """Return the state of an open world after a step, by default the last opened world.
 
-    For a moment within the next record, in s of simulated time, see :func:`replay.state.fold.state_at`.
+    ``moment`` is a simulated time in s within the next record (:func:`replay.state.fold.state_at`).
 
     Raises:
-        NotRestored: the world isn't open at that step.
-        NoSuchName: the recording has no world of that name.
-        Damaged: lost records may have changed it.
+        NotRestored: The world isn't open at the step.
+        NoSuchName: The recording has no world of this name.
+        Damaged: Lost records may have changed the world.
     """
     state = state_at(log, step, moment)
     if name is None and not any(world.open for world in state.worlds.values()):
@@ -49,10 +49,10 @@ def world_state(log: RecordReader, step: int, name: str | None = None, moment: f
 
 
 def model_of(log: RecordReader, loaded: LoadBody) -> Model:
-    """Return the model of a body, as files in a temporary folder.
+    """Return the model of a body as files in a temporary folder.
 
     Raises:
-        Damaged: a file is missing, damaged or invalid.
+        Damaged: A file is missing, damaged or invalid.
     """
     names = [f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in loaded.assets]
     if not names:
@@ -69,7 +69,7 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
 
 
 def contacts_of(log: RecordReader) -> ContactClient:
-    """Return a client that measures contacts in states of a recording; it needs the engine."""
+    """Return a client that measures contacts in states of a recording with the engine."""
     from pycram.reasoning.queries.measured import ContactClient  # noqa: PLC0415  drawing needs no engine
 
     return ContactClient(lambda _, loaded: model_of(log, loaded))
@@ -77,5 +77,5 @@ def contacts_of(log: RecordReader) -> ContactClient:
 
 @cache
 def description_of(text: str) -> RobotDescription | None:
-    """Return a robot's description from its recorded TOML text; None for "", which bodies other than robots have."""
+    """Return the robot description of a recorded TOML text; None for "", the text of bodies that aren't robots."""
     return RobotDescription.parse(text, "the recording's robot description") if text else None

@@ -1,9 +1,9 @@
-"""Pictures of any step, without a viewer and without the physics engine: the folded state, drawn by our rasterizer.
+"""Pictures of a step, without a viewer and without the physics engine: our rasterizer draws the folded state.
 
 A picture is taken from a camera of the robot, from a point, or from a viewpoint with a clear view of its target. The
-target is an object or a link, by default the robot and the movable objects. Viewpoints are rated by rendering: by the
-share of an object's pixels that remain when everything else is drawn, too. Each object is drawn in a window just around
-it, so small objects count like large ones. If no viewpoint has a clear view, furniture and walls in front are cut away.
+target is an object or a link, by default the robot and the movable objects. Viewpoints are rated by the visible share
+of an object's pixels, in a window around the object, so small objects count like large objects. If no viewpoint has a
+clear view, furniture and walls in front are cut away.
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ with needed("render"):
     from pycram.vision import Camera, Window, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
 
-_FIELD_OF_VIEW: Final = math.radians(60)  # horizontal field of view of cameras that don't specify one
+_FIELD_OF_VIEW: Final = math.radians(60)  # default horizontal field of view
 _NEAR, _FAR = 0.02, 30.0  # range of a camera in m
-_OVERSAMPLING: Final = 2  # pixels per side that are averaged to one, for smooth edges
-_MAX_SIDE: Final = 4096  # largest number of pixels per side
-_SURROUNDINGS: Final = 0.7  # smallest size in m of the scene in the picture of a small object
-#: Directions from the target to the viewpoint, in the robot's frame, for each side that can be requested.
+_OVERSAMPLING: Final = 2  # each pixel is the mean of this many pixels per side, for smooth edges
+_MAX_SIDE: Final = 4096  # largest width and height in pixels
+_SURROUNDINGS: Final = 0.7  # a picture of a small object shows at least this much of the scene, m
+#: Directions from the target to the viewpoint in the robot's frame, by requested side.
 SIDES: Final[dict[str, tuple[Vector, ...]]] = {
     "behind": ((-0.85, 0.0, 0.5), (-0.95, 0.0, 0.2), (-0.6, 0.0, 0.8)),
     "right": ((0.0, -0.85, 0.5), (0.0, -0.95, 0.2), (0.0, -0.6, 0.8)),
@@ -55,7 +55,7 @@ SIDES: Final[dict[str, tuple[Vector, ...]]] = {
     "front": ((0.85, 0.0, 0.5), (0.95, 0.0, 0.2), (0.6, 0.0, 0.8)),
     "above": ((-0.02, 0.0, 1.0),),
 }
-#: If no side is requested, these directions come first: over the robot's shoulders, then from its front.
+#: First directions without a requested side: over the robot's shoulders, and from the front.
 _PREFERRED: Final = (
     (-0.55, -0.65, 0.55),
     (-0.55, 0.65, 0.55),
@@ -63,16 +63,16 @@ _PREFERRED: Final = (
     (0.55, 0.65, 0.55),
     (-0.4, 0.0, 0.9),
 )
-_CLOSER: Final = 0.6  # this fraction of the distance is also tried, for viewpoints within the walls of a room
-_ENOUGH: Final = 0.7  # the first viewpoint that shows at least this share of the pixels is taken
-#: If the best viewpoint shows less than this share of the pixels, the links that hide the target are cut away.
+_CLOSER: Final = 0.6  # viewpoints at this fraction of the distance may be within the walls of a room
+_ENOUGH: Final = 0.7  # the first viewpoint with this visible share of the pixels is taken
+#: Below this visible share of the pixels, the links that hide the target are cut away.
 _TOO_LITTLE: Final = 0.3
-_ROBOT_SHARE: Final = 0.4  # this share of a robot's pixels is enough, because objects of its work hide it
+_ROBOT_SHARE: Final = 0.4  # this share of a robot's pixels is enough, because objects hide the robot
 _RATED: Final = 3  # number of moments of a film for which viewpoints are rated
-_GLANCE: Final = (40, 40)  # pixels of the window around an object
-_MAX_CUTS: Final = 6  # largest number of layers of furniture and walls that are cut away
-_ROOM: Final = 1.5  # in m; a fixed link that is smaller in any direction is furniture; no viewpoint may be inside it
-_CUT_GAP: Final = 0.02  # in m between a cut and the visible object
+_GLANCE: Final = (40, 40)  # size of the window around an object in pixels
+_MAX_CUTS: Final = 6  # at most this many layers of furniture and walls are cut away
+_ROOM: Final = 1.5  # m; a smaller fixed link is furniture, in which no viewpoint may be
+_CUT_GAP: Final = 0.02  # distance between a cut and the visible object in m
 _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for number in range(8)])
 
 
@@ -80,17 +80,17 @@ _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for numb
 class _DrawnBody:
     """A body with the poses of its links in the world."""
 
-    body: Body  # state of the body
-    frames: Mapping[str, Pose]  # poses of all links by name
-    parts: Mapping[str, int]  # numbers in the scene of the links that have shapes, by name of the link
+    body: Body
+    frames: Mapping[str, Pose]
+    parts: Mapping[str, int]  # numbers of the links with shapes by name of the link
 
 
 class DrawnWorld:
-    """The bodies of a world after a step, or at a moment (see :func:`world_state`), which can be drawn.
+    """The bodies of a world after a step or at a moment (:func:`world_state`), for pictures.
 
     Raises:
-        NotRestored: no world was open then.
-        Damaged: records or files are lost or invalid.
+        NotRestored: No world is open.
+        Damaged: Records or files are lost or invalid.
     """
 
     def __init__(self, log: RecordReader, step: int, world: str | None = None, moment: float | None = None) -> None:
@@ -120,7 +120,7 @@ class DrawnWorld:
 
     @property
     def camera(self) -> str:
-        """Frame of the robot's camera; "" if there is no robot, or its description names none."""
+        """The frame of the robot's camera; "" without a robot or a described camera."""
         description = description_of(self._robot.body.loaded.robot_description) if self._robot else None
         return description.camera.frame if description and description.camera else ""
 
@@ -134,20 +134,20 @@ class DrawnWorld:
     ) -> Image.Image:
         """Return a picture of the world.
 
-        If no viewpoint shows the target, furniture and walls in front of it are cut away. The picture's ``info`` has
-        the "step", and the names of the cut links as "cut".
+        If no viewpoint shows the target, furniture and walls in front are cut away. ``info`` of the picture has the
+        "step", and the names of the cut links ("cut").
 
         Args:
-            camera: a frame of the robot, such as "wide_stereo_optical_frame"; if it is the robot's camera, the picture
-                has the camera's field of view and range.
-            eye: viewpoint, xyz in m, or a side of the robot (one of :data:`SIDES`); by default, it has a clear view.
-            target: the middle of the picture: a point, xyz in m; an object; a link such as "kitchen.sink_area"; or
-                several of these. By default, it is the robot and the movable objects.
-            size: width and height in pixels, up to 4096 each.
+            camera: A frame of the robot, such as "wide_stereo_optical_frame". The robot's camera also determines the
+                field of view and the range.
+            eye: A viewpoint, xyz in m, or a side of the robot (:data:`SIDES`). The default has a clear view.
+            target: The middle of the picture: a point, xyz in m; an object; a link such as "kitchen.sink_area"; or
+                several objects and links. The default is the robot and the movable objects.
+            size: Width and height, up to 4096 pixels each.
 
         Raises:
-            NoSuchName: there is no such frame, object, link or side.
-            ReplayError: the size or a point is impossible.
+            NoSuchName: There is no such frame, object, link or side.
+            ReplayError: The size or a point is impossible.
         """
         _check_size(size)
         own = None if camera is None else self._robot_camera(camera, size)
@@ -187,9 +187,9 @@ class DrawnWorld:
         return free_view(cameras, [*scenes[: -1 : max(1, len(scenes) // _RATED)], (self.parts, subject)])
 
     def subjects(self, why: Why) -> list[str] | None:
-        """Return the robot and the objects of a failed task as targets of a picture; None if there are none.
+        """Return the robot and the objects of a failed task as targets of a picture; None without targets.
 
-        For furniture, the targets are the links that the task names, such as a drawer's handle.
+        Targets of furniture are the links that the task names, such as the handle of a drawer.
         """
         named = why.task.motion.parameters.values() if why.task is not None else ()
         targets: list[str] = []
@@ -248,7 +248,7 @@ class DrawnWorld:
         return PictureSubject(tuple(group for group in groups if group), every=False), point
 
     def _parts_of(self, name: str) -> tuple[int, ...]:
-        """Return the numbers of a body's drawn links, or of a link ``BODY.LINK``; the body's if the link has none."""
+        """Return the numbers of the drawn links of ``BODY`` or ``BODY.LINK``. A link without shapes means the body."""
         drawn = self._bodies.get(name)
         if drawn is not None:
             return tuple(drawn.parts.values())
@@ -303,11 +303,7 @@ def film(
 
 
 def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
-    """Write the pictures of an explained failure, and return their files.
-
-    Raises:
-        ReplayError: they can't be drawn or written.
-    """
+    """Write the pictures of an explained failure, and return their files. After an error, raise ReplayError."""
     files = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -320,9 +316,9 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         about = scene.subjects(why)
         files.append(folder / f"step_{why.step}_side.png")
         scene.picture(target=about).save(files[-1])
-        if about and len(about) > 1:  # the whole picture shows everything from farther away, because the robot is large
+        if about and len(about) > 1:  # the robot is large, so the first picture is from far away
             for name in about[1:]:
-                part = re.sub(r"[^\w.-]", "_", name)  # valid in names of files on any system
+                part = re.sub(r"[^\w.-]", "_", name)  # valid in file names
                 files.append(folder / f"step_{why.step}_{part}.png")
                 scene.picture(target=name).save(files[-1])
     except OSError as error:
@@ -354,14 +350,14 @@ def _vector(values: Sequence[float] | NDArray[np.float64]) -> Vector:
 
 @dataclass(frozen=True, slots=True)
 class DrawnLink:
-    """A link of a body, which can be drawn."""
+    """A link of a body, for pictures."""
 
-    drawable: Drawable  # the link alone
-    fixed: bool  # whether it belongs to furniture or a wall, and may be cut away
+    drawable: Drawable
+    fixed: bool  # whether the link is furniture or a wall, and may be cut away
 
     @property
     def corners(self) -> NDArray[np.float64]:
-        """Corners of its box in the world, m; shape (8, 3)."""
+        """The corners (8, 3) of the link's box in the world, m."""
         ends = np.concatenate([self.drawable.shapes.low, self.drawable.shapes.high])
         turned = ends[(_CORNERS, [0, 1, 2])] @ geometry.to_matrix(self.drawable.orientations[0]).T
         corners: NDArray[np.float64] = turned + self.drawable.positions[0]
@@ -373,12 +369,12 @@ class PictureSubject:
     """The objects and links that a picture shows."""
 
     groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each object
-    every: bool  # whether every object must be visible; if not, most of them must be
+    every: bool  # whether every object must be visible, instead of most objects
 
 
 @dataclass(frozen=True, slots=True)
 class CutawayView:
-    """A camera, and the links that are cut away in front of it."""
+    """A camera, and the links that are cut away in front of the camera."""
 
     camera: Camera
     cut: frozenset[int] = frozenset()  # numbers of the cut parts
@@ -409,7 +405,7 @@ def _draw(
 
 
 def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest corner of a subject, in m."""
+    """Return the lowest and highest corner of a subject in m."""
     corners = [parts[number].corners for group in subject.groups for number in group]
     if not corners:  # the subject has no shapes
         return np.zeros(3), np.ones(3)
@@ -417,9 +413,9 @@ def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray
 
 
 def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | None = None) -> Iterator[Vector]:
-    """Yield viewpoints in the world, m, at a distance from the target ``aim``, the preferred viewpoints first.
+    """Yield viewpoints in the world at a distance from the target ``aim`` (m), preferred viewpoints first.
 
-    ``heading`` (xyzw) is the orientation of the robot that has the sides. With a ``side``, only its points are yielded.
+    ``heading`` (xyzw) is the robot's orientation. With a ``side``, yield only viewpoints on this side.
     """
     if side is not None:
         directions: Sequence[Sequence[float]] = SIDES[side]
@@ -467,7 +463,7 @@ def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:
 
 
 def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject, most: float = -1.0) -> float:
-    """Return the visible share of a subject, 0 to 1; a share that is at most ``most`` may be inexact."""
+    """Return the visible share of a subject, 0 to 1. A share up to ``most`` may be inexact."""
     shares = []
     for group in sorted(subject.groups, key=lambda group: parts[group[0]].drawable.is_robot):  # drawing robots is slow
         share = _Glance(view, parts, group).share
@@ -478,7 +474,7 @@ def _seen(view: CutawayView, parts: Sequence[DrawnLink], subject: PictureSubject
 
 
 class _Glance:
-    """The visible share of an object: the share of its pixels that remains when all other objects are drawn, too."""
+    """The visible share of an object: the share of its pixels that other objects don't hide."""
 
     def __init__(self, view: CutawayView, parts: Sequence[DrawnLink], group: tuple[int, ...]) -> None:
         window = _window(view.camera, np.concatenate([parts[number].corners for number in group]))
@@ -486,13 +482,12 @@ class _Glance:
         among = view.draw(parts, window, _GLANCE).bodies
         there = alone.bodies >= 0
         hidden = there & ~np.isin(among, group)
-        # visible share of the object's pixels
         self.share = 1.0 - float(hidden.sum() / there.sum()) if there.any() else 0.0
-        # numbers of the parts of furniture and walls that hide the object's other pixels
+        # numbers of the parts of furniture and walls that hide the object
         self.hiding = frozenset(
             int(number) for number in np.unique(among[hidden]) if number >= 0 and parts[number].fixed
         )
-        # depth of the nearest hidden pixel, m along the camera's axis
+        # depth of the nearest hidden pixel along the camera's axis, m
         self.depth = float(alone.depth[hidden].min(initial=np.inf))
 
 
@@ -508,7 +503,10 @@ def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
 
 
 def _cut_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Cut fixed links in front of the subject; return the first view that shows enough of it, else the best."""
+    """Cut fixed links in front of the subject.
+
+    Return the first view that shows enough of the subject, or else the best view.
+    """
     best, most = CutawayView(cameras[0]), -1.0
     for camera in cameras:
         view = CutawayView(camera)

@@ -1,11 +1,9 @@
-"""Verifies a recording: checks that it is consistent, and that repeating its changes has the recorded effects.
+"""Verify a recording: check that it is consistent, and that repeating its changes has the recorded effects.
 
-The changes are executed in new worlds, in order, and each mutation is compared with the recorded mutation to the last
-bit: every pose, joint, velocity, attachment and simulated sample. They are equal with one build of the physics engine
-on one kind of computer. Elsewhere the last bits may differ, and contacts amplify that. Then the result has the largest
+The changes are executed in new worlds, in order. Each mutation is compared with the recorded mutation to the last bit:
+poses, joints, velocities, attachments and samples. They are equal with the same build of the engine on the same kind of
+computer. Elsewhere, the last bits may differ, and contacts amplify differences; then the result has the largest
 deviation. In a world that began before its recording, changes without physics are compared to a micrometre.
-
-Messages for other tools (``/tf``, ``/log``) follow from the records and aren't compared.
 """
 
 from __future__ import annotations
@@ -31,15 +29,20 @@ if TYPE_CHECKING:
     from replay.state.state import World
 
 OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
-"""Tolerance, in m or rad, of effects on another computer, or with another build of the engine."""
+"""Tolerance of effects on another computer or with another build of the engine, m or rad."""
 
 _DIFFERENT: Final = "repeated, the change has another effect"
-_LATE_TOLERANCE: Final = 1e-6  # m or rad; for changes without physics in a world that continues from a keyframe
-_ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")  # the last bits of the results depend on these
+_LATE_TOLERANCE: Final = 1e-6  # m or rad, for changes without physics in a world that continues from a keyframe
+_ENVIRONMENT_KEYS: Final = (
+    "pycram",
+    "pybullet",
+    "machine",
+    "platform",
+)  # the last bits of effects depend on these
 
 
 def verify(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
-    """Verify a recording up to the first problem; ``progress`` is called with each step."""
+    """Verify a recording up to the first problem. ``progress`` is called with each step."""
     with Reexecution(log, "again") as reexecution:
         return _Verifier(log, reexecution).run(progress)
 
@@ -57,7 +60,7 @@ class _Verifier(Verifier):
         self._reexecution.forget()
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:
-        """Make a change again and compare it; a missing world begins with its keyframe."""
+        """Repeat a change, and compare the effects. A missing world begins with its keyframe."""
         try:
             if isinstance(record, Mutation):
                 return self._repeat(record)
@@ -85,7 +88,7 @@ class _Verifier(Verifier):
         if self.log.newer is not None:
             record = Mutation.FromString(record.SerializeToString())
             record.DiscardUnknownFields()
-        if record.drags:  # drags can't be repeated, so the world continues from the recorded state
+        if record.drags:  # the world continues from the recorded state, because drags can't be repeated
             self.dragged[record.world] = None
             self._reexecution.late.add(record.world)
         if record.world in self._reexecution.late:
@@ -114,7 +117,7 @@ class _Verifier(Verifier):
         return None
 
     def _follow(self, record: Mutation) -> None:
-        """Set a world to the state after the record; from then on, the world isn't compared to the last bit."""
+        """Set a world to the state after the record. From then on, the world isn't compared to the last bit."""
         world, state = self._reexecution.worlds.get(record.world), self.integrity.world(record.world)
         self._reexecution.late.add(record.world)
         with unrecorded():

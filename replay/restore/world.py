@@ -1,13 +1,12 @@
-"""Rebuilds live worlds as they were after any step, from the recording alone.
+"""Rebuild live worlds of a past step from the recording alone.
 
-There are two methods. The first loads bodies from the recorded models and places them in the recorded *state*. Poses,
-joints, velocities, attachments, gravity, colours and the robot are exact. The solver's contacts and the targets of
-sagging motors are unknown, so the future may differ from the original. The second is *re-execution* (``exact``): each
-change is made again from the start, so the future equals the original, bit for bit. A world that began before its
-recording continues from its first keyframe: it is close to the original, but differs in the last bits once time runs.
+By default, bodies are loaded from the recorded models and get the recorded state. Poses, joints, velocities,
+attachments, gravity, colours and the robot are exact. But the solver's contacts are unknown, so the future may differ
+from the original. With ``exact``, each change is executed again from the start, so the future is equal, bit for bit. A
+world that began before its recording continues from its first keyframe, and differs in the last bits.
 
-A world is unrecorded while it is rebuilt. After that, running recordings get the whole state of a world that is for a
-user; a world that is for a question never appears in a recording.
+Rebuilding isn't recorded. After that, running recordings get the whole state of a world for the user, but never a world
+for a question.
 """
 
 from __future__ import annotations
@@ -50,16 +49,16 @@ def world_at(
     mode: str = "DIRECT",
     moment: float | None = None,
 ) -> BulletWorld:
-    """Return a world as it was after a step, called ``NAME@STEP``; it becomes the current world, and its time stops.
+    """Return the world of a past step, named ``NAME@STEP``, which becomes the current world. Its time stops.
 
-    By default it is the last opened world. With ``exact``, every change is executed again, so that the world's future
-    equals the original. A ``moment`` (s of simulated time) within the next record gives the state of the last sample
-    until then; with ``exact``, the world is simulated up to the last step of 1/240 s before the moment.
+    The default is the last opened world. With ``exact``, every change is executed again, so that the world's future
+    equals the original. A ``moment`` is a simulated time in s within the next record: the world has the state of the
+    last sample, or with ``exact`` of the last simulated step before the moment.
 
     Raises:
-        NotRestored: no world was open at that step, or an exact world is impossible.
+        NotRestored: No world is open at the step, or an exact world is impossible.
         Damaged: records or files are lost or invalid.
-        DisplayError: no window can open.
+        DisplayError: No window can open.
     """
     state = world_state(log, step, world, moment)
     within = state_at(log, step, moment).sampled
@@ -87,9 +86,9 @@ def _suffix(step: int, within: Sampled | None) -> str:
 def temporary_world(
     log: RecordReader, step: int, world: str | None = None, moment: float | None = None
 ) -> Iterator[BulletWorld]:
-    """Yield a past world for a question: it is unrecorded, isn't the current world, and is closed after the block.
+    """Yield a past world for a question, which is unrecorded and not the current world. The block closes the world.
 
-    The arguments and errors are those of :func:`world_at`.
+    Arguments and errors are those of :func:`world_at`.
     """
     state = world_state(log, step, world, moment)
     with journal.unrecorded():
@@ -101,7 +100,7 @@ def temporary_world(
 
 @contextmanager
 def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
-    """Raise the executor's errors as damage of the recording, except the error that a window can't open."""
+    """Raise errors of the executor as damage of the recording, except DisplayError."""
     try:
         yield
     except DisplayError:
@@ -111,7 +110,7 @@ def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
 
 
 def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a new world ``NAME@SUFFIX`` with a recorded state; the caller switches recording off."""
+    """Return a new world ``NAME@SUFFIX`` with a recorded state. The caller switches recording off."""
     world = open_world(f"{state.name}@{suffix}", mode)
     with ExitStack() as undoing:
         undoing.callback(world.exit)
@@ -134,7 +133,7 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
 
 
 def open_world(name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return an empty world that isn't the current world; if the name is taken, a number is added to it."""
+    """Return an empty world that isn't the current world. A number distinguishes equal names."""
     current = BulletWorld.current_bullet_world
     taken = {world.name for world in open_worlds()}
     numbered = (f"{name} ({number})" for number in itertools.count(2))
@@ -149,10 +148,10 @@ def load_body(
 ) -> Object:
     """Load a body from its recorded model.
 
-    ``color`` is RGBA 0..1, or empty for the model's color. By default, it is the color with which the body was loaded.
+    ``color`` is RGBA 0..1, or empty for the colour of the model. The default is the recorded colour.
 
     Raises:
-        Damaged: a file is missing or damaged.
+        Damaged: A file is missing or damaged.
     """
     return Object(
         loaded.body,
@@ -169,7 +168,7 @@ def load_body(
 
 
 def _recorded(belief: RecordedBelief) -> records.Belief:
-    """Return a belief in the form of records; the pose of a held object is left out, as the hand has it."""
+    """Return a belief in the form of records, without the pose of a held object."""
     held = belief.source == "held"
     return records.Belief(
         robot=belief.robot,
@@ -183,7 +182,7 @@ def _recorded(belief: RecordedBelief) -> records.Belief:
 
 
 def reading(body: Body) -> Snapshot:
-    """Return a body's state in the engine's form."""
+    """Return the state of a body in the engine's form."""
     return Snapshot(body.pose, body.velocity, tuple(body.joints.values()), tuple(body.joint_velocities.values()))
 
 
@@ -191,14 +190,14 @@ class _LastMutation(NullSink):
     def __init__(self) -> None:
         self.record: Mutation | None = None
 
-    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002
         """Keep a record."""
         if isinstance(record, Mutation):
             self.record = Mutation.FromString(payload)
 
 
 class Reexecution:
-    """Worlds ``NAME@SUFFIX`` in which recorded changes are made again. As a context manager, it closes them."""
+    """Worlds ``NAME@SUFFIX`` in which recorded changes are repeated. The context manager closes the worlds."""
 
     def __init__(self, log: RecordReader, suffix: str, mode: str = "DIRECT") -> None:
         self._log = log
@@ -206,8 +205,8 @@ class Reexecution:
         self._mode = mode
         self._last = _LastMutation()
         self._journal = Journal([self._last])
-        self.worlds: dict[str, BulletWorld] = {}  # open worlds by their recorded names
-        self.late: set[str] = set()  # names of worlds that continue from a keyframe, or after a drag by hand
+        self.worlds: dict[str, BulletWorld] = {}  # open worlds by recorded name
+        self.late: set[str] = set()  # names of worlds that continue from a keyframe or after a drag by hand
 
     def __enter__(self) -> Self:
         return self
@@ -233,17 +232,17 @@ class Reexecution:
             self.late.add(frame.world)
 
     def repeat(self, record: Mutation, *, observed: bool = True) -> Mutation | None:
-        """Make a recorded change again, and return the new mutation with the envelope of the recorded mutation.
+        """Repeat a recorded change, and return the new mutation with the envelope of the recorded mutation.
 
-        Return None if the change isn't observed, or if this release doesn't know it.
+        Return None for a change that isn't observed or that this release doesn't know.
 
         Raises:
-            PycramError: the change can't be made.
-            NotRestored: the beginning of its world isn't recorded.
-            Damaged: the change contradicts the world's clock.
+            PycramError: The change can't be repeated.
+            NotRestored: The beginning of the world isn't recorded.
+            Damaged: The change contradicts the clock of the world.
         """
         command = record.WhichOneof("command") or ""
-        if command == "set_realtime":  # the simulation in real time is recorded as simulate commands
+        if command == "set_realtime":  # the effects of real time are simulate commands
             return record
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
@@ -276,7 +275,7 @@ class Reexecution:
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
-    """Copy the fields that don't depend on how the change is made; copy overlaps only if the recording has them."""
+    """Copy the fields that don't depend on the repeated change. Overlaps are dropped if the recording has none."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # a window has no effect
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
@@ -286,19 +285,19 @@ def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: b
 
 
 def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a world that is open after a step, with the engine's complete state: its future equals the original.
+    """Return an open world after a step with the complete state of the engine, so that its future equals the original.
 
     Raises:
-        NotRestored: the world began before the recording.
-        Damaged: records before that step are lost.
+        NotRestored: The world began before the recording.
+        Damaged: Records before the step are lost.
     """
     lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
     chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
-    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # losses are known only after reading the records
+    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # readers of records note losses
         pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
-        cause = f"step {gap.start} is lost; try it without exact"
+        cause = f"step {gap.start} is lost; restore the world without exact"
         raise Damaged(log.path, f"the part before step {step}", cause)
     with Reexecution(log, str(step), mode) as reexecution:
         for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
@@ -307,10 +306,10 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
             if isinstance(record, Mutation):
                 if record.drags:
                     dragged = f"{record.drags[0].body} was dragged by hand at step {record.seq}"
-                    raise NotRestored(step, f"{dragged}; restore it without exact")
+                    raise NotRestored(step, f"{dragged}; restore the world without exact")
                 reexecution.repeat(record, observed=False)
             elif name not in reexecution.worlds:
-                raise NotRestored(step, f"{name} began before the recording; restore it without exact")
+                raise NotRestored(step, f"{name} began before the recording; restore the world without exact")
         return reexecution.worlds.pop(name)
 
 

@@ -1,15 +1,11 @@
 """A folder of recordings as tables, for read-only SQL statements.
 
-Only new and changed recordings are read to update the tables, which are replaced atomically.
-
-In the folder, ``tables/`` has ``contents.json``, which lists the recordings in the tables, and subfolders, the parts. A
-part has the Parquet files of some recordings. An update adds a part; small parts are merged. A single rename replaces
-the old contents by the new contents, so a kill leaves one of them. Readers hold a shared lock on their parts, so that
-an obsolete part stays until its last reader closes. Recordings that can't be read, or are from a newer release, are
-left out and reported.
-
-DuckDB executes statements in memory, from the Parquet files. It is sandboxed: it accepts single SELECT statements,
-opens no other files, and its settings are locked.
+An update reads only new and changed recordings. In the folder, ``tables/`` has ``contents.json``, the list of
+recordings, and parts: subfolders with Parquet files of some recordings. An update adds a part and merges small parts. A
+single rename replaces the contents, so a killed update leaves the old contents or the new contents. Readers hold a
+shared lock on their parts, so obsolete parts stay until the last reader closes. Unreadable recordings and recordings of
+newer releases are left out and reported. DuckDB executes statements in a sandbox: single SELECT statements, no other
+files, locked settings.
 """
 
 from __future__ import annotations
@@ -47,11 +43,11 @@ if TYPE_CHECKING:
 
 
 _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
-_MODELS: Final = "models-"  # prefix of files of models that a sweep's recordings share
+_MODELS: Final = "models-"  # prefix of shared models of a sweep
 _CONTENTS: Final = "contents.json"
-_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # name of a part; a dot precedes it while it is written
-_BATCH: Final = 200  # largest number of recordings whose rows are in memory together
-_PARTS: Final = 8  # number of small parts that are merged into one
+_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # name of a part; incomplete parts begin with a dot
+_BATCH: Final = 200  # rows of at most this many recordings are in memory
+_PARTS: Final = 8  # this many small parts are merged
 _SMALL: Final = 2000  # a part with fewer recordings is small
 
 
@@ -60,15 +56,15 @@ class NotRead(ReplayError):
 
     def __init__(self, path: Path, cause: str) -> None:
         super().__init__(f"{path}: {cause}")
-        self.path = str(path)  # path of the folder
-        self.cause = cause  # why the tables can't be made or read, and what to do
+        self.path = str(path)
+        self.cause = cause
 
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
     """A file in the folder without rows in the tables."""
 
-    name: str  # name of the file
+    name: str
     reason: str
 
 
@@ -76,7 +72,7 @@ class Folder:
     """A folder of recordings, with its tables.
 
     Raises:
-        NotALog: there is no such folder, or no recording in it.
+        NotALog: There is no such folder, or the folder has no recording.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -89,7 +85,7 @@ class Folder:
         self._held = contextlib.ExitStack()
 
     def close(self) -> None:
-        """Release the tables; other processes may then remove obsolete parts."""
+        """Release the tables. Other processes may then remove obsolete parts."""
         self._held.close()
 
     @property
@@ -110,18 +106,18 @@ class Folder:
 
     def files(self, table: str) -> list[str]:
         """Return the Parquet files of a table."""
-        tables = self.tables.absolute()  # the process may change its working directory
+        tables = self.tables.absolute()  # the working directory may change
         return [str(tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
 
     def recordings(self) -> dict[str, os.stat_result]:
-        """Return the recordings in the folder by name; files whose names begin with a dot are being written."""
+        """Return the recordings in the folder by name. A name of an incomplete file begins with a dot."""
         found = {}
         with os.scandir(self.path) as entries:
             for entry in entries:
                 ours = entry.name.endswith(".mcap") and not entry.name.startswith((".", _MODELS))
                 if not ours:
                     continue
-                if entry.is_symlink():  # a broken link can't be read, and is reported
+                if entry.is_symlink():  # a broken link is reported as unreadable
                     if not Path(entry.path).is_dir():
                         found[entry.name] = entry.stat(follow_symlinks=Path(entry.path).is_file())
                 elif entry.is_file():
@@ -129,13 +125,15 @@ class Folder:
         return dict(sorted(found.items()))
 
     def update(self, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
-        """Bring the tables up to date; ``progress`` is called with the numbers of recordings read, and to read in all.
+        """Update the tables.
+
+        Arguments of ``progress`` are the number of recordings that were read, and of all new recordings.
 
         Raises:
-            NotRead: the tables aren't up to date, and can't be written.
+            NotRead: The tables are outdated, and can't be written.
         """
-        if self.tables.is_symlink():  # its target may be anywhere
-            raise NotRead(self.path, f"{self.tables} is a link; remove it, to make tables in its place")
+        if self.tables.is_symlink():  # the target may be anywhere
+            raise NotRead(self.path, f"{self.tables} is a link; remove it and try again")
         self.close()
         try:
             with self._locked():
@@ -151,7 +149,7 @@ class Folder:
             self._hold()
 
     def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
-        """Return two lists: recordings in the tables that changed or are gone, and recordings that must be read."""
+        """Return the recordings in the tables that have changed or are gone, and the recordings that must be read."""
         known = self._contents.files
         stale = [
             name
@@ -235,7 +233,7 @@ class Folder:
                 self._rewrite([part], rest)
 
     def _rewrite(self, parts: Sequence[str], names: Sequence[str]) -> None:
-        """Write the rows of some recordings of some parts as one new part."""
+        """Write the rows of recordings in parts as a new part."""
         kept = pa.array(names, pa.string())
         tables = {}
         for table in TABLES:
@@ -253,20 +251,20 @@ class Folder:
         try:
             for name, table in tables.items():
                 parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
-            shutil.rmtree(self.tables / part, ignore_errors=True)  # it is left from an update that was killed
+            shutil.rmtree(self.tables / part, ignore_errors=True)  # left from a killed update
             mask = os.umask(0)
             os.umask(mask)
             partial.chmod(0o777 & ~mask)
             partial.rename(self.tables / part)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)  # remove the rest if the folder wasn't renamed
+            shutil.rmtree(partial, ignore_errors=True)  # the folder may still have its old name
         return part
 
     # --- locks -------------------------------------------------------------------------------------------------------
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep other processes from changing the tables."""
+        """Lock the tables, so that other processes don't change them."""
         self.tables.mkdir(exist_ok=True)
         (self.tables / NEW).mkdir(exist_ok=True)
         with (self.tables / ".lock").open("w") as lock:
@@ -275,7 +273,7 @@ class Folder:
             yield
 
     def _hold(self) -> None:
-        """Keep other processes from removing these tables until they are closed."""
+        """Lock these tables until :meth:`close`, so that other processes don't remove them."""
         for part in self._contents.parts:
             with contextlib.suppress(BlockingIOError):  # another process is removing the part
                 self._held.enter_context(flocked(self.tables / part, exclusive=False))
@@ -294,7 +292,7 @@ def empty_tables() -> dict[str, pa.Table]:
 class Contents:
     """The contents of the tables."""
 
-    #: For each recording that was read: its size and time, and its part or the reason why it can't be read.
+    #: Facts about each recording: size and time, and the part or the reason why the recording can't be read.
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     next: int = 1  # number of the next part
 
@@ -309,13 +307,13 @@ class Contents:
 
     @classmethod
     def read(cls, tables: Path) -> Contents:
-        """Return the contents of a folder of tables; empty contents if they are unreadable or of another release."""
+        """Return the contents of a folder of tables. Unreadable contents and contents of other releases are empty."""
         numbers = [int(found[1]) for name in parts_there(tables) if (found := _PART.fullmatch(name))]
-        nothing = cls(next=max(numbers, default=0) + 1)  # readers may still use old parts: no number is reused
+        nothing = cls(next=max(numbers, default=0) + 1)  # no number is reused, because readers may use old parts
         try:
             content = json.loads((tables / _CONTENTS).read_text(encoding="utf-8"))
             contents = cls(dict(content["files"]), int(content["next"]))
-            decimal = all(part.isdecimal() for part in contents.parts)  # so no name leads out of the folder
+            decimal = all(part.isdecimal() for part in contents.parts)  # no name leads out of the folder
             ours = content["version"] == VERSION and decimal
             intact = ours and all(
                 (tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
@@ -336,19 +334,19 @@ class Contents:
 
 
 def parts_there(tables: Path) -> set[str]:
-    """Return the names of the folders of parts, including obsolete parts."""
+    """Return the names of all parts, also of obsolete parts."""
     found = tables.iterdir() if tables.is_dir() else ()
     return {each.name for each in found if _PART.fullmatch(each.name) and each.is_dir() and not each.is_symlink()}
 
 
 @contextlib.contextmanager
 def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """Hold a lock on a folder without waiting for the lock. If the system has no locks, do nothing.
+    """Lock a folder in a block, without waiting. On systems without locks, do nothing.
 
     Raises:
-        BlockingIOError: another process holds it.
+        BlockingIOError: Another process holds the lock.
     """
-    if not system.HAS_LOCKS:  # a system without locks doesn't open folders either
+    if not system.HAS_LOCKS:  # systems without locks don't open folders
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -368,7 +366,7 @@ def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
 
 
 class Refused(ReplayError):
-    """A statement does more than read the tables, or can't be executed."""
+    """A statement is more than a selection, or can't be executed."""
 
     def __init__(self, sql: str, cause: str) -> None:
         super().__init__(cause)
@@ -381,7 +379,7 @@ class Answer:
 
     def __init__(self, table: pa.Table) -> None:
         names: list[str] = []
-        for name in table.column_names:  # JSON objects and data frames need unique names, joined tables don't
+        for name in table.column_names:  # JSON objects and data frames need unique names
             others = (f"{name}_{number}" for number in range(1, len(table.column_names)))
             names.append(name if name not in names else next(each for each in others if each not in names))
         self._table = table.rename_columns(names)
@@ -413,24 +411,24 @@ class Answer:
         return self._table
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return the rows as a pandas data frame; pandas must be installed."""
+        """Return the rows as a data frame of pandas, which must be installed."""
         return self._table.to_pandas()
 
     def to_polars(self) -> pl.DataFrame:
-        """Return the rows as a polars data frame; polars must be installed."""
+        """Return the rows as a data frame of polars, which must be installed."""
         import polars as pl  # noqa: PLC0415  optional
 
         return pl.DataFrame(self._table)
 
 
 class Runs:
-    """A folder of recordings as tables; :func:`replay.open_runs` opens it. It can be used in a ``with`` statement.
+    """A folder of recordings as tables, a context manager, which :func:`replay.open_runs` opens.
 
-    ``progress`` is called with the number of new recordings that were read, and the number of all new recordings.
+    Arguments of ``progress`` are the number of recordings that were read, and of all new recordings.
 
     Raises:
-        NotALog: there is no such folder.
-        NotRead: its tables can't be written next to the recordings.
+        NotALog: There is no such folder.
+        NotRead: The tables can't be written next to the recordings.
     """
 
     def __init__(self, path: str | Path, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
@@ -475,19 +473,19 @@ class Runs:
         self.folder.close()
 
     def sql(self, statement: str, values: Sequence[object] = ()) -> Answer:
-        """Return the rows that a SELECT in DuckDB's SQL, with ? for values, selects; docs/runs.md has the columns.
+        """Return the rows of a SELECT in DuckDB's SQL, with ? for values. The columns are in docs/runs.md.
 
         Raises:
-            Refused: the statement isn't a single SELECT, opens other files, or is invalid.
-            NotRead: the tables were removed since they were opened.
+            Refused: The statement isn't a single SELECT, opens other files, or is invalid.
+            NotRead: The tables were removed.
         """
         try:
             found = self._database.extract_statements(statement)
         except duckdb.Error as error:
             raise Refused(statement, str(error)) from error
         if len(found) != 1 or found[0].type != duckdb.StatementType.SELECT:
-            raise Refused(statement, "give a single SELECT statement: the tables of runs are read-only")
-        with ThreadPoolExecutor(1) as executor:  # the database doesn't react to Ctrl-C
+            raise Refused(statement, "give a single SELECT statement; the tables of runs are read-only")
+        with ThreadPoolExecutor(1) as executor:  # the database ignores Ctrl-C
             selected = executor.submit(lambda: self._database.sql(statement, params=list(values)).to_arrow_table())
             try:
                 return Answer(selected.result())
@@ -499,7 +497,7 @@ class Runs:
 
     def _error(self, statement: str, error: duckdb.Error) -> ReplayError:
         if not all(Path(file).exists() for file in self._files):
-            return NotRead(self.path, "its tables were removed since they were opened; open the folder again")
+            return NotRead(self.path, "its tables were removed; open the folder again")
         if isinstance(error, duckdb.PermissionException):
             return Refused(statement, f"only the folder's own tables are read: {_first_line(error)}")
         return Refused(statement, str(error))

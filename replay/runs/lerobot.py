@@ -1,13 +1,10 @@
-"""Runs as a data set in LeRobot's format v3.0: each run is an episode, with 30 frames per second of simulated time.
+"""Runs as a data set in LeRobot's format v3.0. An episode is a run, with 30 frames per second of simulated time.
 
-A frame has the robot's base pose and joints (``observation.state``), the base pose and joints of the next frame
-(``action``), and the poses of all bodies that move in any run (``observation.environment_state``). Between two changes
-nothing moves. So only runs whose motions take time (execution environment ``continuous``) have trajectories. The folder
-is written under a temporary name and renamed when it is complete.
-
-A video of the robot's camera can be drawn from the recordings. Episodes follow one another in AV1 files (MP4), at the
-frame rate of the data set. Every second frame is a key frame, because training reads single frames. A frame is drawn
-only if the world has changed since the last frame.
+``observation.state`` of a frame is the robot's base pose and joints, ``action`` is the state of the next frame, and
+``observation.environment_state`` has the poses of all bodies that move in a run. Only runs with ``--motion continuous``
+have trajectories, because nothing moves between two changes. A video of the robot's camera is drawn from the
+recordings, into AV1 files (MP4). Every second frame is a key frame, because training reads single frames. Unchanged
+frames aren't drawn again.
 """
 
 from __future__ import annotations
@@ -43,12 +40,12 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
 FPS: Final = 30
-_FILE_SIZE: Final = 100  # MB of a data file
-_FILES: Final = 1000  # files in a folder
+_FILE_SIZE: Final = 100  # size of a data file in MB
+_FILES: Final = 1000  # number of files in a folder
 _DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO: Final = "observation.images.camera"
 _VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_MAX_VIDEO: Final = 200  # MB of a video file, after which the next episode begins a new one
+_MAX_VIDEO: Final = 200  # MB; after a video file of this size, the next episode begins a new file
 _PICTURE: Final = (320, 240)  # width and height in pixels
 _FORMAT: Final = "yuv420p"
 _CODECS: Final = {"libsvtav1": {"g": "2", "crf": "30", "preset": "8"}, "libx264": {"g": "2", "crf": "23"}}
@@ -58,27 +55,26 @@ _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.9
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
 
 
-#: A function that draws the picture of a camera in a world, after a step or at a moment (s of simulated time) within
-#: the next step. The size is width and height in pixels. The caller provides it, as this package doesn't import
-#: rendering.
+#: A function that draws the picture of a camera: (recording, step, world, moment within the next step or None, size).
+#: The moment is simulated time in s, the size is in pixels. This package doesn't import rendering.
 Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"
 
 
 @dataclass(frozen=True, slots=True)
 class Exported:
-    """A data set that was written."""
+    """A written data set."""
 
     folder: Path
-    episodes: tuple[str, ...]  # names of the recordings, in the order of the episodes
+    episodes: tuple[str, ...]  # names of the recordings in the order of the episodes
     frames: int
     left_out: tuple[str, ...]  # names of recordings in which no robot moves
 
 
 def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = None) -> Exported:
-    """Export runs of one robot (names of recordings) into a new folder. Without ``draw``, the data set has no video.
+    """Export runs of a robot into a new folder. ``names`` are recordings. Without ``draw``, there is no video.
 
     Raises:
-        ReplayError: no robot moves in any run, the runs are of several robots, or the folder can't be written.
+        ReplayError: No robot moves, the runs have several robots, or the folder can't be written.
     """
     if draw is not None:
         with needed("video"):
@@ -103,14 +99,14 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
             partial.chmod(0o755)
             partial.rename(folder)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)  # it is left if it wasn't renamed
+            shutil.rmtree(partial, ignore_errors=True)  # the folder may still have its old name
     except OSError as error:
         raise ReplayError(f"{folder}: can't be written: {error.strerror or error}") from error
     return Exported(folder, tuple(robots), frames, tuple(name for name in names if name not in robots))
 
 
 def _robots(runs: Runs, names: Sequence[str]) -> dict[str, str]:
-    """Return the last robot of each run in which joints are recorded."""
+    """Return the last robot with recorded joints of each run."""
     rows = runs.sql(
         "SELECT run, arg_max(body, step) FROM mutations m WHERE command = 'set_robot' AND body <> '' "
         "AND EXISTS (SELECT 1 FROM joints j WHERE j.run = m.run AND j.body = m.body) GROUP BY run ORDER BY run"
@@ -173,7 +169,7 @@ class _Writer:
 
     @property
     def task(self) -> str:
-        """The task's description: the plan's name."""
+        """The description of the task, which is the plan's name."""
         (plan,) = self.runs.sql("SELECT plan FROM runs WHERE run = ?", [self.names[0]]).rows()[0]
         return str(plan)
 
@@ -187,7 +183,7 @@ class _Writer:
         return [name for (name,) in rows.rows()]
 
     def _moving(self) -> list[str]:
-        """Return the bodies that all runs have and that move in any run, without the robot."""
+        """Return the bodies that all runs have and that move in a run, without the robot."""
         in_all = self._common("body", "poses", "body <> ?", [self.robot])
         rows = self.runs.sql(
             "SELECT DISTINCT body FROM (SELECT run, body FROM poses WHERE list_contains(?, run) GROUP BY run, body "
@@ -221,7 +217,7 @@ class _Writer:
     def _series(
         self, run: str, table: str, key: str, columns: Sequence[str], body: str | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return times and values by name; if there are several values at a time, the last counts."""
+        """Return times and values by name. The last value at a time counts."""
         rows = self.runs.sql(
             f"SELECT {key}, sim_seconds, {', '.join(columns)} FROM {table} WHERE run = ? AND (? IS NULL OR body = ?) "  # noqa: S608  the names are ours
             "ORDER BY step, sim_seconds",
@@ -297,7 +293,7 @@ class _Writer:
 
 
 def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarray:
-    """Return the values at given moments; moments before the first value get the first value."""
+    """Return the values at moments. Moments before the first value have the first value."""
     times, values = series
     return values[np.maximum(np.searchsorted(times, moments + 1e-9, side="right") - 1, 0)]
 
@@ -314,7 +310,7 @@ def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
 
 
 def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[float]]]:
-    """Return the statistics by which LeRobot normalises: each is a list with a number per component of a feature."""
+    """Return the statistics by which LeRobot normalises: lists with a number for each component of a feature."""
     found = {}
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)
@@ -328,15 +324,15 @@ def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[f
 
 
 class _Videos:
-    """Writes the videos of a data set, with views of the robot's camera, into its folder. It is a context manager."""
+    """A writer of a data set's videos, with views of the robot's camera; a context manager."""
 
     def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
         self._folder, self._runs, self._robot, self._draw = folder, runs, robot, draw
         self._file = -1
-        self._frames = 0  # number of frames in the present file
+        self._frames = 0  # number of frames in the file
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
-        self._counts = np.zeros((3, 256), np.int64)  # number of pixels for each channel and each value, in all episodes
+        self._counts = np.zeros((3, 256), np.int64)  # numbers of pixels by channel and value in all episodes
         import av  # noqa: PLC0415  an extra
 
         self._av = av
@@ -351,10 +347,12 @@ class _Videos:
         self._close()
 
     def write(self, run: str, moments: np.ndarray) -> dict[str, Any]:
-        """Write a run's frames at moments in s of simulated time; return its columns in the table of episodes.
+        """Write the frames of a run at moments (simulated time in s).
+
+        Return the run's columns in the table of episodes.
 
         Raises:
-            ReplayError: the robot has no camera, or its view isn't recorded.
+            ReplayError: The robot has no camera, or the view isn't recorded.
         """
         if self._container is None or self._path.stat().st_size > _MAX_VIDEO * 1e6:
             self._close()
@@ -379,7 +377,7 @@ class _Videos:
         }
 
     def feature(self) -> dict[str, Any]:
-        """Return the data set's description of its videos."""
+        """Return the description of the videos for the data set."""
         width, height = _PICTURE
         info = {
             "video.height": height,
@@ -414,11 +412,11 @@ class _Videos:
         ).rows()
         steps, times = [step for step, _ in changes], np.maximum.accumulate([time for _, time in changes])
         drawn: NDArray[np.uint8] | None = None
-        still = -1  # index of the last change, if nothing has moved since then
+        still = -1  # index of the last change; -1 during motions
         with RecordReader(self._runs.path / run) as log:
             for moment in moments:
                 at = max(int(np.searchsorted(times, moment + 1e-9, side="right")) - 1, 0)
-                moves = at + 1 < len(times) and bool(times[at] < moment - 1e-9)  # the moment is within the next change
+                moves = at + 1 < len(times) and bool(times[at] < moment - 1e-9)  # within the next change
                 if drawn is None or moves or at != still:
                     drawn = self._draw(log, steps[at], world, float(moment) if moves else None, _PICTURE)
                     still = -1 if moves else at
@@ -427,7 +425,7 @@ class _Videos:
     def _open(self) -> None:
         self._file += 1
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        os.environ.setdefault("SVT_LOG", "1")  # else the codec prints its configuration
+        os.environ.setdefault("SVT_LOG", "1")  # otherwise the codec prints its configuration
         self._container = self._av.open(str(self._path), "w")
         stream = cast("VideoStream", self._container.add_stream(self._name, rate=FPS, options=self._options))
         stream.width, stream.height = _PICTURE
@@ -447,9 +445,9 @@ class _Videos:
 
 
 def _picture_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, Any]:
-    """Return the statistics by which LeRobot normalises pictures, for each channel, with values from 0 to 1.
+    """Return the statistics by which LeRobot normalises pictures, for each channel, 0 to 1.
 
-    ``counts`` has the frequency of each value from 0 to 255 in each channel.
+    ``counts`` is the number of pixels for each channel and value 0..255.
     """
     values, of = np.arange(256) / 255, counts.sum(1, keepdims=True)
     mean = (counts * values).sum(1, keepdims=True) / of

@@ -1,12 +1,10 @@
-"""The rows of a recording, for the tables of its folder.
+"""The rows of a recording for the tables of its folder.
 
-One pass over the records makes the rows; a failed run also gets its root cause. The process that made a recording calls
-:func:`write_rows` when the recording ends; readers make the rows of all other recordings. A row file contains one table
-after another, until a reader merges it into the folder's tables (:mod:`replay.runs.folder`).
-
-Two failures have the same cause if their types, their first colliding pairs of links, and the names of the tasks around
-them are equal. If no links are recorded, the first line of the message is compared, without its numbers. So
-coordinates, seeds and attempt numbers don't split a cause.
+The process that made a recording calls :func:`write_rows` at the end; readers make the rows of all other recordings. A
+row file has the tables one after another, until a reader merges it into the folder's tables
+(:mod:`replay.runs.folder`). Two failures have the same cause if their types, their first colliding pairs of links, and
+the names of the tasks around them are equal. Without links, the first line of the message without numbers is compared,
+so coordinates and seeds don't split a cause.
 """
 
 from __future__ import annotations
@@ -51,27 +49,27 @@ if TYPE_CHECKING:
 
 
 FOLDER: Final = "tables"
-"""Name of the subfolder, in a folder of recordings, that contains its tables."""
+"""Name of the subfolder with the tables in a folder of recordings."""
 NEW: Final = "new"
-"""Name of the tables' subfolder that contains rows which aren't merged yet."""
-_PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the processor cores
-_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas here, if installed, before a process forks
-_NO_EVENT: Final = Event()  # replaces the fields that records of fluents lack
+"""Name of the subfolder with new rows in the folder of tables."""
+_PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the cores
+_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas, which must be before forks
+_NO_EVENT: Final = Event()  # for the fields that records of fluents lack
 _STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 _OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
 _NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 _LIST: Final = re.compile(r"[\[(]#(?:, #)*[\])]")
-_MAX_PATH: Final = 500  # largest number of characters of a path; tasks may be nested a thousand levels deep
-_MAX_NAMED: Final = 3  # largest number of objects in a label
+_MAX_PATH: Final = 500  # paths have at most this many characters, because tasks may be nested a thousand levels deep
+_MAX_NAMED: Final = 3  # labels have at most this many objects
 
 
 def write_rows(path: Path) -> None:
-    """Write the rows of a finished recording; readers of its folder use them.
+    """Write the rows of a finished recording for readers of its folder.
 
     Raises:
-        ReplayError: the recording can't be read.
-        OSError: the rows can't be written.
+        ReplayError: The recording can't be read.
+        OSError: The rows can't be written.
     """
     with RecordReader(path) as log:
         tables = tables_of(log)
@@ -84,14 +82,14 @@ def write_rows(path: Path) -> None:
                 marked = table.replace_schema_metadata(_marks(name, state))
                 with pa.ipc.new_stream(file, marked.schema, options=_PACKED) as stream:
                     stream.write_table(marked)
-        with suppress(FileNotFoundError):  # a reader has already removed it
+        with suppress(FileNotFoundError):  # a reader has removed the file
             partial.replace(rows)
     finally:
         partial.unlink(missing_ok=True)
 
 
 def read_rows(path: Path, state: os.stat_result) -> dict[str, pa.Table] | None:
-    """Return the rows that the process of a recording wrote; None without rows, or if the recording has changed."""
+    """Return the rows that the process of a recording wrote; None without rows and for a changed recording."""
     tables = {}
     with suppress(OSError, pa.ArrowInvalid), written_rows(path).open("rb") as file:
         for table in TABLES:
@@ -110,21 +108,21 @@ def written_rows(path: Path) -> Path:
 
 
 def partial_rows(path: Path) -> Path:
-    """Return the file of the rows while they are written; the file remains if the writer is killed."""
+    """Return the file of incomplete rows, which a killed writer leaves."""
     rows = written_rows(path)
     return rows.with_name(f".{rows.name}")
 
 
 def _marks(table: str, state: os.stat_result) -> dict[str, str]:
-    """Return the metadata that identifies recording, table and version of a row file."""
+    """Return metadata of a row file: recording, table and version."""
     return {"table": table, "version": str(VERSION), "file": f"{state.st_size} {state.st_mtime_ns}"}
 
 
 def tables_of(log: RecordReader) -> dict[str, pa.Table]:
-    """Return the rows of a recording, by the names of the tables.
+    """Return the rows of a recording by the names of the tables.
 
     Raises:
-        Damaged: no record can be read, or a record is inconsistent.
+        Damaged: No record can be read, or a record is inconsistent.
     """
     rows = _Rows()
     for record in log.records():
@@ -146,15 +144,15 @@ def tables_of(log: RecordReader) -> dict[str, pa.Table]:
 class _Rows:
     def __init__(self) -> None:
         self._of: dict[str, list[list[Any]]] = {table.name: [] for table in TABLES}
-        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # columns: a record may add dozens of rows
+        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # columns, because a record may add many rows
         self.first: Record | None = None
         self.last: Record | None = None
         self.start: Run | None = None
         self.end: Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
-        self._tasks: dict[int, list[Any]] = {}  # rows of the tasks by id
-        self._violated: set[str] = set()  # violated properties
-        self._failing: set[int] = set()  # ids of the tasks that have a failed part
+        self._tasks: dict[int, list[Any]] = {}  # rows of tasks by id
+        self._violated: set[str] = set()
+        self._failing: set[int] = set()  # ids of tasks with a failed part
 
     def add(self, record: Record) -> None:
         """Add the rows of a record."""
@@ -207,7 +205,7 @@ class _Rows:
         if record.phase in (Task.STARTED, Task.ASKED):
             self._begin(record)
             return
-        if record.task not in self._tasks:  # the record of the task's beginning is lost
+        if record.task not in self._tasks:  # the beginning of the task isn't recorded
             self._begin(record)
         if record.phase == Task.LEFT:
             return
@@ -230,7 +228,7 @@ class _Rows:
                 self._failure(record, "task", record.failure)
 
     def _begin(self, record: Task) -> None:
-        """Add a task's row; when a requested task starts, its row gets the time of the start."""
+        """Add the row of a task. The start of a requested task only changes the time in its row."""
         known = self._tasks.get(record.task)
         if known is not None:
             at = COLUMNS["tasks"]
@@ -403,7 +401,7 @@ class _Rows:
     # --- the run -----------------------------------------------------------------------------------------------------
 
     def finish(self, log: RecordReader) -> None:
-        """Add the row of the run, after all records."""
+        """Add the row of the run after all records."""
         first, last, end = self.first, self.last, self.end
         if first is None or last is None:
             return
@@ -446,7 +444,7 @@ class _Rows:
         )
 
     def _root(self, broken: RootCause | None) -> tuple[Failure | None, str, int | None]:
-        """Mark the failure that explains the run's end; return the failure, the path of its task, and its step."""
+        """Mark the failure that explains the end of the run. Return the failure, the path of its task, and its step."""
         if broken is None:
             return None, "", None
         failure, path = broken.failure, ""
@@ -462,13 +460,13 @@ class _Rows:
 
 
 def parameters(start: Run) -> list[tuple[str, str]]:
-    """Return the parameters of a run; if it has none, the options among its arguments."""
+    """Return the parameters of a run, or without parameters the options among the arguments."""
     given = {each.name: each.value_json for each in start.parameters}
     return list((given or _options(start.arguments)).items())
 
 
 def _options(arguments: Sequence[str]) -> Mapping[str, str]:
-    """Return options such as ``--arm left`` or ``--arm=left``, with their values as JSON."""
+    """Return the JSON values of options such as ``--arm left`` or ``--arm=left``."""
     found: dict[str, str] = {}
     for at, argument in enumerate(arguments):
         option = _OPTION.fullmatch(argument)
@@ -481,7 +479,7 @@ def _options(arguments: Sequence[str]) -> Mapping[str, str]:
 
 
 def json_of(arguments: Sequence[Argument]) -> str:
-    """Return named values as one JSON object, or ""."""
+    """Return named values as a JSON object, or ""."""
     if not arguments:
         return ""
     return "{" + ",".join([f"{_key(each.name)}:{each.json or 'null'}" for each in arguments]) + "}"
@@ -493,7 +491,7 @@ def _key(name: str) -> str:
 
 
 def label(name: str, arguments: Sequence[Argument]) -> str:
-    """Return a name with the objects among the arguments; without objects, with the type of object in the arguments."""
+    """Return a name with the objects among the arguments, or without objects with the type of object."""
     found: dict[str, None] = {}
     for argument in arguments:
         if '{"object":' in argument.json:
@@ -505,23 +503,23 @@ def label(name: str, arguments: Sequence[Argument]) -> str:
 
 
 def source(record: Task | Query | Mutation | Event | Fluent | Refusal | Check) -> str:
-    """Return the plan's line that caused a record, as `file:line`, or ""."""
+    """Return the plan's line that caused a record, ``file:line``, or ""."""
     return f"{record.source_file}:{record.source_line}" if record.source_file else ""
 
 
 def without_numbers(text: str) -> str:
-    """Return the first line of a text in which # replaces each number and each list of numbers."""
+    """Return the first line of a text with # instead of each number and each list of numbers."""
     return _LIST.sub("#", _NUMBER.sub("#", text.strip().partition("\n")[0]))
 
 
 def pairs_of(failure: Failure) -> list[str]:
-    """Return the colliding pairs of links, in words, in the recorded order."""
+    """Return the colliding pairs of links in words."""
     recorded = argument_values(failure.data).get("pairs") if failure.data else None
     return [pair_text(pair) for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
 
 
 def cause_of(failure: Failure, path: str) -> str:
-    """Return the cause of a failure; ``path`` has the names of the tasks in which it began."""
+    """Return the cause of a failure. ``path`` has the names of the tasks around the failure."""
     pairs = pairs_of(failure)
     what = pairs[0] if pairs else without_numbers(failure.message)
     where = f" at {without_numbers(path)}" if path else ""

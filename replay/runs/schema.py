@@ -1,6 +1,6 @@
-"""The tables of a folder of recordings: their columns and meanings. The documentation is generated from this module.
+"""The tables of a folder of recordings: columns and meanings. The documentation is generated from this module.
 
-Values of users' own types are JSON, as in recordings. Times are s of the clock since the recording began;
+Values of users' types are JSON, as in recordings. Times are seconds since the beginning of the recording.
 ``sim_seconds`` is the simulated time of the record's world.
 """
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 VERSION: Final = 2
-"""Version of these tables; tables of other versions are made again from the recordings."""
+"""Version of the tables. Tables of other versions are made again from the recordings."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +31,9 @@ class Column:
 class Table:
     """A table. The first column of each table is ``run``."""
 
-    name: str  # name of the table, and of its view
+    name: str
     meaning: str  # meaning of a row
-    columns: tuple[Column, ...]  # the columns, without ``run``
+    columns: tuple[Column, ...]  # columns without ``run``
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,12 +50,12 @@ def _table(name: str, meaning: str, *columns: tuple[str, str, str]) -> Table:
 
 _STEP: Final = ("step", "whole", "step of the record")
 _TASK: Final = ("task", "whole", "id of the task that made the record; 0: no task")
-_PATH: Final = ("path", "text", "names of that task and the tasks around it, outermost first, in the form `a/b/c`")
+_PATH: Final = ("path", "text", "names of the task and the tasks around it, outermost first, in the form `a/b/c`")
 _WORLD: Final = ("world", "text", "name of the world")
 _SECONDS: Final = ("seconds", "number", "time in s since the recording began")
 _SIM: Final = ("sim_seconds", "number", "simulated time in s")
 _SOURCE: Final = ("source", "text", "the plan's line, in the form `file:line`")
-_ERROR: Final = ("failure", "text", "type of the raised error; empty: none")
+_ERROR: Final = ("failure", "text", "type of the raised error; empty: no error")
 
 TABLES: Final = (
     _table(
@@ -77,12 +77,12 @@ TABLES: Final = (
         (
             "cause",
             "text",
-            "cause of the failure, without numbers, so that all runs with this cause have the same text; empty: none",
+            "cause of the failure without numbers, the same text for all runs with this cause; empty: no failure",
         ),
         ("failure", "text", "type of the failure that explains the run's end; empty: no failure"),
-        ("message", "text", "message of that failure"),
-        ("cause_path", "text", "names of the tasks in which that failure began"),
-        ("cause_step", "whole", "the step at which that failure began; null: no failure"),
+        ("message", "text", "message of the failure that explains the run's end"),
+        ("cause_path", "text", "names of the tasks in which the failure began"),
+        ("cause_step", "whole", "step at which the failure began; null: no failure"),
         ("violated", "whole", "number of properties that were watched and violated"),
         ("last_step", "whole", "the last step at which a world was open"),
         ("began", "moment", "time at which the run began"),
@@ -92,7 +92,7 @@ TABLES: Final = (
         ("bytes", "whole", "size of the file in bytes"),
         ("plan_sha256", "text", "hash of the plan's text"),
         ("complete", "yes/no", "whether the recording is complete and undamaged"),
-        ("release", "text", "PyCRAM's release that made it"),
+        ("release", "text", "release of PyCRAM that made the recording"),
         ("host", "text", "computer"),
     ),
     _table(
@@ -100,7 +100,7 @@ TABLES: Final = (
         "a task",
         ("step", "whole", "step at which the task started, or was requested"),
         ("task", "whole", "id of the task"),
-        ("parent", "whole", "id of the task around this task; 0: none"),
+        ("parent", "whole", "id of the task around this task; 0: no task"),
         ("path", "text", "names from the outermost task to this task, in the form `a/b/c`"),
         ("kind", "text", "`motion`, `process-module`, `block`, `branch`, `attempt`, ..."),
         ("name", "text", "name of the task"),
@@ -118,7 +118,7 @@ TABLES: Final = (
         ("result", "text", "JSON"),
         ("resolver", "text", "function that found the solution"),
         ("module", "text", "class of the process module"),
-        ("origin", "yes/no", "whether a failure began in this task itself, not in a part of it"),
+        ("origin", "yes/no", "whether a failure began in this task, and not in a part of the task"),
         _ERROR,
         ("message", "text", "message of the failure"),
         _SOURCE,
@@ -133,8 +133,8 @@ TABLES: Final = (
         ("label", "text", "name of the query, with the objects among the arguments, such as `reachable_object(milk)`"),
         _WORLD,
         ("arguments", "text", "JSON"),
-        ("answer", "text", "JSON; empty: none"),
-        ("chosen", "text", "name of the chosen candidate; empty: none was chosen, or this isn't a choice"),
+        ("answer", "text", "JSON; empty: no answer"),
+        ("chosen", "text", "name of the chosen candidate; empty: no chosen candidate"),
         ("candidates", "whole", "number of considered candidates"),
         ("began", "number", "start in s since the recording began"),
         ("seconds", "number", "duration, s"),
@@ -149,7 +149,7 @@ TABLES: Final = (
         _TASK,
         _PATH,
         ("query", "text", "name of the query"),
-        ("label", "text", "the query's name with its objects"),
+        ("label", "text", "name of the query with its objects"),
         ("candidate", "text", "names of the candidates, such as `front`"),
         ("count", "whole", "number of candidates"),
         ("chosen", "yes/no", "whether the candidate was chosen"),
@@ -164,7 +164,7 @@ TABLES: Final = (
         _PATH,
         _WORLD,
         ("command", "text", "`move_body`, `attach_body`, `simulate`, ..."),
-        ("body", "text", "name of the changed object; empty: none"),
+        ("body", "text", "name of the changed object; empty: no object"),
         ("text", "text", "the change in words"),
         ("changed", "whole", "number of bodies that changed"),
         _SECONDS,
@@ -191,7 +191,7 @@ TABLES: Final = (
     ),
     _table(
         "checks",
-        "a property that was watched in the run, or one of its violations",
+        "a property that was watched in the run, or a violation of a property",
         _STEP,
         _TASK,
         _PATH,
@@ -251,13 +251,13 @@ TABLES: Final = (
 
 
 COLUMNS: Final = {table.name: {name: at for at, name in enumerate(table.names)} for table in TABLES}
-"""Index of each column in a row of its table, without ``run``."""
+"""Index of each column in a row without ``run``."""
 
 
 @cache
 def arrow_schema(table: Table) -> pa.Schema:
-    """Return the Arrow schema of a table, without ``run``."""
-    import pyarrow as pa  # noqa: PLC0415  the documentation doesn't need it
+    """Return the Arrow schema of a table without ``run``."""
+    import pyarrow as pa  # noqa: PLC0415  the documentation needs no pyarrow
 
     kinds = {
         "text": pa.string(),
