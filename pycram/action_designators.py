@@ -290,6 +290,8 @@ def parking_arms(
 ) -> ActionDesignator:
     """Folds the arms, if possible together, and with the objects that they hold.
 
+    In an environment with ``level``, an arm that holds an object is drawn back instead, with the object upright.
+
     Args:
         arm: Name of the arm; by default all arms.
         budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of

@@ -12,6 +12,7 @@ from pycram.actions.performing import perform
 from pycram.foundation import checks
 from pycram.foundation.failures import NoPath, PlanFailure, PostureInCollision
 from pycram.motions.designator import MotionDesignator
+from pycram.motions.execution import level
 from pycram.reasoning.places.search import check_drives
 from pycram.world.world import BulletWorld
 from recorder import geometry
@@ -19,8 +20,12 @@ from recorder import geometry
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
+    from pycram.models.robots.description import Arm
+    from pycram.world.object import Object
+
 
 _THERE: Final = (1e-3, 1e-3)  # m and rad, maximum distance of a robot from its place
+_CARRIED: Final = ((0.5, 0.1, 0.0), (0.5, -0.1, 0.0), (0.6, 0.0, 0.0), (0.6, 0.0, -0.2))  # m from the shoulder
 _PARKED: Final = 0.01  # rad or m, maximum deviation of a joint of a parked arm
 
 
@@ -70,12 +75,19 @@ def park() -> None:
 def parking_arms(arm: str | None = None) -> None:
     """Folds the arms, if possible together, and with the objects that they hold.
 
+    In an environment with ``level``, an arm that holds an object is drawn back instead, with the object upright.
+
     Args:
         arm: Name of the arm; by default all arms.
     """
-    description = BulletWorld.current_robot().description
+    robot = BulletWorld.current_robot()
+    description = robot.description
     every = [] if description is None else [each for each in description.arms.values() if "park" in each.poses]
-    now = BulletWorld.current_robot().get_joint_positions()
+    for each in every:
+        if arm in (None, each.name) and level(robot, each):
+            _carry(robot, each)
+    every = [each for each in every if not level(robot, each)]
+    now = robot.get_joint_positions()
     open_ = [
         each.name
         for each in every
@@ -91,3 +103,17 @@ def parking_arms(arm: str | None = None) -> None:
             raise
         for name in open_:
             perform(MotionDesignator([("type", "move-arm-joints"), (f"{name}-arm", "park")]))
+
+
+def _carry(robot: Object, arm: Arm) -> None:
+    """Draw an arm back before its shoulder, with the object that it holds upright; ignore a failure."""
+    shoulder = robot.urdf.forward_kinematics(robot.get_joint_positions(), robot.urdf.joint(arm.joints[0]).child)[0]
+    base = robot.get_position_and_orientation()
+    places = [geometry.transform(geometry.multiply(base, (shoulder, geometry.IDENTITY[1])), each) for each in _CARRIED]
+    here = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[0]
+    if min(math.dist(here, place) for place in places) < _THERE[0]:
+        return
+    for place in places:
+        with suppress(PlanFailure):
+            perform(MotionDesignator(type="move-tcp", arm=arm.name, target=place, level=True))
+            return

@@ -208,8 +208,11 @@ class NoPath(PlanFailure):
     nearest: Mapping[str, float] = kept_as(dict)  # reached configuration nearest to the goal
     distance: float  # Euclidean, from ``nearest`` to the goal, in joint values; for a base in m, 0.5 m per radian
     pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links whose contact most often ended a path
+    reason: str = ""  # another cause
 
     def _message(self) -> str:
+        if self.reason:
+            return f"no path was found for the {self.mover}: {self.reason}; it stays where it is"
         often = f"; most often {phrases(self.pairs)}" if self.pairs else ""
         searched = f"the search ended {self.distance:.2f} from the goal after {self.checks} checked configurations"
         return f"no path was found for the {self.mover}: {searched}{often}; it stays where it is"

@@ -12,6 +12,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import nullcontext
+from contextvars import ContextVar
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -19,7 +20,7 @@ from pycram import planning
 from pycram.foundation.failures import Blocked, Displaced, NoPath, PlanFailure, WorldClosed
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.grasping import fingers
-from pycram.world import driving, simulation
+from pycram.world import attachment, driving, simulation
 from pycram.world.simulation import RestDetector
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
@@ -40,6 +41,12 @@ Step: TypeAlias = Callable[[], None]
 
 TIMEOUT: Final = 5
 """Maximum simulated time in s until all objects are at rest."""
+
+LEVEL: Final[ContextVar[bool]] = ContextVar("pycram_level", default=False)
+"""Whether motions keep what a hand holds upright; see :func:`pycram.motions.process_module.execution_environment`."""
+
+LEAN: Final = math.radians(15)
+"""Rad by which the tool may lean more than at the start of a level motion."""
 
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # m, lengths of the straight lines that are tried
 _BACK: Final = (-1.0, 0.0, 0.0)  # direction in the tool frame
@@ -258,7 +265,7 @@ class ContinuousExecution(Execution):
 
         After a cancelled placement, a hand may surround an object. Path searches miss the narrow way out.
         """
-        plan = partial(planning.joint_motion, robot, positions)
+        plan = partial(_upright, robot, partial(planning.joint_motion, robot, positions))
         try:
             return _following(robot, plan)
         except NoPath:
@@ -273,8 +280,11 @@ class ContinuousExecution(Execution):
 
     def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:
         """Move the tool straight to its pose, or through points above and behind its start and its goal."""
-        start = _now(robot, arm.joints)
-        here, goal = (_tool_pose(robot, arm, positions) for positions in (start, posture))
+        return self._level_way(robot, arm, _now(robot, arm.joints), posture)
+
+    @staticmethod
+    def _level_way(robot: Object, arm: Arm, start: Mapping[str, float], posture: Mapping[str, float]) -> Step:
+        here, goal = (_tool_pose(robot, arm, {**start, **positions}) for positions in ({}, posture))
         x, y, _ = robot.get_position()
         failures: list[PlanFailure] = []
         for rise, back in _DETOURS:
@@ -282,7 +292,7 @@ class ContinuousExecution(Execution):
             for (u, v, w), turn in (here, goal):
                 away = math.hypot(u - x, v - y)
                 corners.append(((u + back * (x - u) / away, v + back * (y - v) / away, w + rise), turn))
-            way = [start]
+            way = [dict(start)]
             try:
                 for corner in (*corners, goal) if rise or back else (goal,):
                     way += planning.line(robot, arm, way[-1], corner)[1:]
@@ -315,6 +325,14 @@ class ContinuousExecution(Execution):
             steps.append(_following(robot, partial(planning.joint_motion, robot, lifted, start=before)))
         start = before | lifted
         end = start | dict(posture)
+        if level(robot, arm):
+            try:
+                level_way = self._level_way(robot, arm, _now(robot, arm.joints) | lifted, posture)
+            except PlanFailure:
+                level_way = None
+            if level_way is None:
+                raise NoPath(f"{arm.name} arm", posture, 0, {}, 0.0, [], "no straight or bent way there is level")
+            return _all((*steps, level_way))
         ways = (geometry.rotate(_tool_pose(robot, arm, end)[1], direction), _UP)
         line = _line(robot, arm, end, ways, ignored, ignored_links)
         if line is None:  # the open fingers may have room around the object
@@ -375,6 +393,29 @@ class ContinuousExecution(Execution):
         if world.exiting:
             raise WorldClosed(world.name, "continue its simulation")
         return detector.restless
+
+
+def level(robot: Object, arm: Arm) -> bool:
+    """Return whether an arm holds an object that has to stay upright."""
+    return LEVEL.get() and attachment.attached_to(robot, arm.tool_frame) is not None
+
+
+def _upright(
+    robot: Object, plan: Callable[..., planning.PlannedMotion], start: Mapping[str, float] | None = None
+) -> planning.PlannedMotion:
+    """Return a plan for joints; raise NoPath if an object that has to stay upright would lean on its way."""
+    planned = plan(start=start)
+    for arm in robot.description.arms.values() if robot.description else ():
+        if not level(robot, arm) or set(arm.joints).isdisjoint(planned.trajectory.joints):
+            continue
+        rows = planned.trajectory.positions
+        poses = [_tool_pose(robot, arm, dict(zip(planned.trajectory.joints, row, strict=True))) for row in rows]
+        first = geometry.conjugate(poses[0][1])
+        worst = max(geometry.lean(geometry.product(turn, first), geometry.IDENTITY[1]) for _, turn in poses)
+        if worst > LEAN:
+            leans = f"the {arm.name} hand would lean by {math.degrees(worst):.0f} degrees on its way"
+            raise NoPath(f"{arm.name} arm", planned.end, planned.search.checks, {}, 0.0, [], leans)
+    return planned
 
 
 def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal: Pose) -> None:

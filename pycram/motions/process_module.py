@@ -32,7 +32,7 @@ from pycram.foundation.refusals import refusing
 from pycram.language.branch import current_block, run
 from pycram.models.robots.description import find_description
 from pycram.motions.designator import Designator, DesignatorError, Resolvers, performing, unfinished
-from pycram.motions.execution import INSTANT
+from pycram.motions.execution import INSTANT, LEVEL
 from pycram.motions.resources import ResourceQueue, Resources, Ticket, forget_tickets
 from pycram.scheduling.cancellation import Binding, checkpoint, uninterruptible
 from pycram.world import attachment
@@ -129,18 +129,19 @@ export("pycram.process_module", NoProcessModule, NoDescription)
 
 
 @contextmanager
-def execution_environment(name: str) -> Iterator[None]:
+def execution_environment(name: str, *, level: bool = False) -> Iterator[None]:
     """Use the process modules of an environment in the ``with`` block.
 
     Args:
         name: "simulated" (the default), "continuous", or an environment for which modules are registered.
+        level: Whether motions keep the objects in the robot's hands upright, within 15 degrees.
 
     Raises:
         BadArgument: The argument isn't a name.
         NotInstalled: "continuous" needs packages that plan motions, and these aren't installed.
     """
     _require(checks.text("name", name))
-    with Binding(_environment, name):
+    with Binding(_environment, name), Binding(LEVEL, level):
         yield
 
 

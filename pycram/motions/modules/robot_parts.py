@@ -20,6 +20,7 @@ from pycram.foundation.failures import (
     PostureInCollision,
     Unreachable,
 )
+from pycram.motions.execution import LEAN, level
 from pycram.motions.process_module import AS_ASKED, FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.collision import checker
@@ -74,7 +75,6 @@ class Navigation(SimulatedModule):
 
 _ACCURACY: Final = math.radians(0.5)
 _PAN_AND_TILT: Final = 2  # number of joints that can point the camera anywhere
-_LEVEL: Final = math.radians(15)  # maximum lean of the tool, relative to the start of a level motion
 _TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # degrees; turns about the vertical that are tried
 
 
@@ -195,7 +195,7 @@ class MoveTCP(SimulatedModule):
                 robot.world.lock,
                 choosing("posture", robot.world, arm=arm.name, target=target, orientation=turn) as choice,
             ):
-                if solution.get("level"):
+                if solution.get("level") or level(robot, arm):
                     move = self._level(robot, arm, target, turn, choice)
                 else:
                     move = self.execution.move(robot, _posture(robot, arm, target, turn, choice))
@@ -234,9 +234,9 @@ def _level_postures(
         turns = [(x, y, z, w)]
         change = geometry.product(turns[0], geometry.conjugate(now))  # in the world
         lean = geometry.lean(change, geometry.IDENTITY[1])
-        if lean > _LEVEL:
+        if lean > LEAN:
             more = f"at the target the tool would lean by {math.degrees(lean):.0f} degrees more than now"
-            raise Unreachable(arm.name, target, None, f"{more}; the maximum is {math.degrees(_LEVEL):.0f} degrees")
+            raise Unreachable(arm.name, target, None, f"{more}; the maximum is {math.degrees(LEAN):.0f} degrees")
     for turn in turns:
         try:
             yield _posture(robot, arm, target, turn, choice)

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from pycram.actions import perform as perform_action
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import MotionDesignator
-from pycram.failures import AccessFailed, Displaced, GraspFailed, InCollision, Unreachable
+from pycram.designator import ActionDesignator, MotionDesignator
+from pycram.failures import AccessFailed, Displaced, GraspFailed, InCollision, NoPath, Unreachable
 from pycram.fluent import network
 from pycram.fluents.world import joint, pose, position
 from pycram.language import State, par, pursue, timeout
@@ -435,6 +436,13 @@ def test_a_run_with_motion_is_recorded_and_retraced_as_such(tmp_path: Path) -> N
     assert "\nmotion " not in run("replay", "info", str(log))
 
 
+def max_lean(sink: MemorySink) -> float:
+    """How far the bottle leant in all samples of the records, rad."""
+    samples = [sample for record in sink.of(Mutation) for sample in record.effect.samples]
+    turns = [body.orientation for sample in samples for body in sample.bodies if body.body == "bottle"]
+    return max(geometry.lean(turn, geometry.IDENTITY[1]) for turn in turns if turn)
+
+
 @pytest.mark.slow
 def test_a_bottle_stays_upright_on_a_level_way(world: BulletWorld, sink: MemorySink) -> None:
     """The nearest posture that reaches the place tips it; an orientation in which it would lean is refused."""
@@ -453,11 +461,19 @@ def test_a_bottle_stays_upright_on_a_level_way(world: BulletWorld, sink: MemoryS
         sink.records.clear()
         perform(type="move-tcp", arm="left", target=[1.36, 0.5, 1.0], level=level)
         assert math.dist(tool(world.robot, "left")[0], [1.36, 0.5, 1.0]) < 0.01
-        samples = [sample for record in sink.of(Mutation) for sample in record.effect.samples]
-        turns = [body.orientation for sample in samples for body in sample.bodies if body.body == "bottle"]
-        leans.append(max(geometry.lean(turn, geometry.IDENTITY[1]) for turn in turns if turn))
+        leans.append(max_lean(sink))
     assert leans[0] < math.radians(2)
     assert leans[1] > math.radians(15)
+    world.restore(taken)
+    sink.records.clear()
+    with execution_environment("continuous", level=True):
+        with pytest.raises(NoPath, match=r"the left hand would lean by \d+ degrees on its way"):
+            perform(type="move-arm-joints", left_arm="park")
+        perform_action(ActionDesignator(type="parking-arms"))
+        perform(type="moving", target=[0.3, 1.0, 0], orientation=[0, 0, 0.3, 0.95])
+        perform(type="moving", target=[0.65, 0.7, 0], orientation=[0, 0, 0, 1])
+        perform(type="place", object=bottle, arm="left", target=[1.3, 0.6, 0.99])
+    assert max_lean(sink) < math.radians(2)
     across = geometry.product(geometry.from_rpy(math.radians(40), 0, 0), tool(world.robot, "left")[1])
     world.restore(taken)
     with pytest.raises(Unreachable, match=r"would lean by \d+ degrees more than now; the maximum is 15 degrees"):
