@@ -97,7 +97,7 @@ def prove(
             for (number, _), outcome in zip(wanted, outcomes, strict=True):
                 tried[number].append(outcome)
         result = control.result()
-        proofs = [_proof(tried[number], len(trials[number])) for number in tried]
+        proofs = [_proof(tried[number], trials[number], why.causes[number].untestable) for number in tried]
         if not result.identical:
             proofs = [_uncontrolled(proof, result) for proof in proofs]
         order = sorted(tried, key=lambda number: _RANK.index(proofs[number].verdict))
@@ -105,7 +105,7 @@ def prove(
         return replace(why, causes=causes, proofs=tuple(proofs[number] for number in order)), result
 
 
-def _proof(tried: Sequence[TriedTrial], trials: int) -> Proof:
+def _proof(tried: Sequence[TriedTrial], trials: Sequence[Trial], untestable: str) -> Proof:
     refuting = [each for each in tried if each.verdict == REFUTED]
     if len(refuting) < len(tried):
         refuting = [each for each in refuting if each.trial.decisive]
@@ -115,8 +115,7 @@ def _proof(tried: Sequence[TriedTrial], trials: int) -> Proof:
             verdict = found[0].verdict if found is not tried else UNTESTED
             text = f"{'not tested' if verdict == UNTESTED else verdict}: {found[0].text}"
             return Proof(verdict, text, tuple(tried))
-    reason = "the budget of forks was spent" if trials else "no change of a fork takes this cause away"
-    return Proof(UNTESTED, f"not tested: {reason}")
+    return Proof(UNTESTED, f"not tested: {'the budget of forks was spent' if trials else untestable}")
 
 
 def _uncontrolled(proof: Proof, control: Retracing) -> Proof:

@@ -47,6 +47,7 @@ class Cause:
     """A cause of a failure."""
 
     kind: ClassVar[str]
+    untestable: ClassVar[str] = "no change of a fork takes this cause away"  # why there may be no trials
     steps: tuple[int, ...]  # sorted steps of the records that show the cause
 
     @classmethod

@@ -218,7 +218,7 @@ class HandState(Cause):
         if self.precondition == "held":
             yield from trials.in_hand(case, self.body, self.arm)
         else:
-            yield from trials.away(case, self.body)
+            yield from trials.freed(case, self.body)
 
     def _words(self) -> Iterator[str]:
         step = f"at step {self.steps[-1]}"

@@ -190,7 +190,7 @@ def _effect(case: FailureCase, precondition: str, subject: str, arm: str, failed
     if precondition == "held":
         yield from trials.in_hand(case, subject, arm)
     elif precondition in ("hand-free", "clear"):
-        yield from trials.away(case, subject)
+        yield from (trials.freed if precondition == "hand-free" else trials.away)(case, subject)
     elif precondition == "joint-moved":
         (body, joint), distance = _accessed_joint(case, given), given.get("distance")
         if body and isinstance(distance, int | float):

@@ -8,7 +8,7 @@ it was at rest let it move.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
@@ -84,7 +84,8 @@ class Physics(Cause):
         for change in self.lets:
             yield from trials.put_back(case, change)
         if self.moved_at < case.began:
-            yield from trials.restored(case, [self.body], self.since, case.began)
+            for trial in trials.restored(case, [self.body], self.since, case.began):
+                yield replace(trial, decisive=not self.lets)  # a change before may have tilted it already
 
     def _words(self) -> Iterator[str]:
         size = f"by {phrases.length(self.fall if self.how == 'fell' else self.distance)}"

@@ -46,6 +46,7 @@ class Raised(Cause):
     """The plan's own code raised the failure, or has a mistake that Python or PyCRAM rejected."""
 
     kind = "raised"
+    untestable = "the plan's own code would have to change"
     type: str  # type of the exception
     line: Line  # the plan's line
     own: bool  # whether the line is a ``raise`` or ``assert``; otherwise it has a mistake
@@ -84,7 +85,9 @@ class Raised(Cause):
             elif isinstance(each, Task) and each.kind == "wait":
                 earlier = (record for record in case.log.backwards(each.seq - 1, Task) if record.task == each.task)
                 started = next(record for record in earlier if record.phase == Task.STARTED)
-                yield from trials.longer(started, argument_values(started.parameters).get("timeout"))
+                given = argument_values(started.parameters)
+                yield from trials.fulfilled(started, given)
+                yield from trials.longer(started, given.get("timeout"))
             elif isinstance(each, Task):
                 failed = next((motion for motion in case.failed.motions if motion.id == each.task), None)
                 if failed is not None:

@@ -6,12 +6,15 @@ them.
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import argument_values
+from recorder.records import Mutation, argument_values
 from replay.errors import NoSuchStep
+from replay.history.blame import commanded
 from replay.report import phrases
 from replay.report.question import QueryCall, question_of, written
 from replay.state.fold import state_at
@@ -24,11 +27,15 @@ if TYPE_CHECKING:
     from replay.explain.causes.case import CausingChange, FailureCase
     from replay.state.state import Body
 
+_MOVED: Final = 1e-6  # rad or m by which a joint counts as moved
 _FAR: Final = 30.0  # m to which an obstacle is moved away
 _ROOM: Final = 0.1  # m by which the robot is moved nearer than the arm's miss
 _LONGER: Final = 10.0  # factor of a limit
 NONE: Final = "none"
 _FLUENT: Final = "fluent:"
+_COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
+_JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # a fluent that follows a joint
+_BEYOND: Final = 0.01  # by which a number is beyond a bound, also as a share of it
 _WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls that return nothing, besides setters
 
 
@@ -76,7 +83,8 @@ def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
 
 
 def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
-    before = _body(case, change.body, (change.task.seq if change.task is not None else change.step) - 1)
+    start = (change.task.seq if change.task is not None else change.step) - 1
+    before = _body(case, change.body, start)
     name = written(change.body)
     if change.how == "removed":
         yield Trial(change.step - 1, f"{change.body} isn't removed", answers=(f"remove(body={name})=skip",))
@@ -90,27 +98,34 @@ def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
             yield _set(case, change.step, held, {f"{name}.hand": arm or NONE})
     elif change.how == "load" or before is None:
         yield from away(case, change.body, change.step)
-    elif change.joint:
-        value = before.joints[change.joint]
-        text = f"{change.joint} of {change.body} stays at {phrases.number(value)}"
-        yield _set(case, change.step, text, {f"{name}.{change.joint}": value})
     else:
-        yield _set(case, change.step, f"{change.body} is put back", {f"{name}.position": _pose(before)})
+        text = f"{change.joint} of {change.body}" if change.joint else change.mover or change.body
+        yield from restored(case, _changed_by(case, change), start, change.step, f"{text} is put back")
 
 
-def restored(case: FailureCase, names: Sequence[str], then: int, step: int) -> Iterator[Trial]:
-    """Yield the trial that puts bodies after a step to their poses at an earlier step."""
-    bodies = [body for name in names if (body := _body(case, name, then)) is not None]
-    if bodies:
-        where = f"{phrases.names([body.name for body in bodies])} {'is' if len(bodies) == 1 else 'are'}"
-        values: dict[str, object] = {f"{written(body.name)}.position": _pose(body) for body in bodies}
-        joints: dict[str, object] = {
-            f"{written(body.name)}.{joint}": value
-            for body in bodies
-            for joint, value in body.joints.items()
-            if (now := _body(case, body.name, step)) is not None and now.joints.get(joint) != value
-        }
-        yield _set(case, step, f"{where} as at step {then}", values | joints)
+def restored(case: FailureCase, names: Sequence[str], then: int, step: int, words: str = "") -> Iterator[Trial]:
+    """Yield the trial that puts bodies and their joints after a step to their state at an earlier step."""
+    poses: dict[str, object] = {}
+    joints: dict[str, object] = {}
+    for name in names:
+        body, now = _body(case, name, then), _body(case, name, step)
+        if body is None or now is None:
+            continue
+        if (body.position, body.orientation) != (now.position, now.orientation) or not words:
+            poses[f"{written(name)}.position"] = (*body.position, *body.orientation)
+        changed = (joint for joint, value in body.joints.items() if abs(now.joints.get(joint, value) - value) > _MOVED)
+        joints |= {f"{written(name)}.{joint}": body.joints[joint] for joint in changed}
+    if poses or joints:
+        where = f"{phrases.names(names)} {'is' if len(names) == 1 else 'are'} as at step {then}"
+        yield _set(case, step, words or where, joints | poses)  # what joints carry along is put back after them
+
+
+def _changed_by(case: FailureCase, change: CausingChange) -> list[str]:
+    """Return the bodies that a change moved; the commanded body comes first."""
+    record = case.log[change.step]
+    moved = [each.body for each in record.effect.bodies] if isinstance(record, Mutation) else []
+    owner = commanded(record) if isinstance(record, Mutation) else ""
+    return list(dict.fromkeys([*([owner] if owner else []), change.body, *moved]))
 
 
 def placed(case: FailureCase, body: str, position: Sequence[float], step: int | None = None) -> Iterator[Trial]:
@@ -128,6 +143,14 @@ def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Tria
     if case.world.carrier(body) is not None:
         values = {f"{written(body)}.hand": NONE} | values
     yield _set(case, _before(case) if step is None else step, f"{body} is far away", values)
+
+
+def freed(case: FailureCase, body: str) -> Iterator[Trial]:
+    """Yield the trial in which nothing holds a body; if the motion isn't about the body, it is far away."""
+    if body in case.subjects:
+        yield _set(case, _before(case), f"nothing holds {body}", {f"{written(body)}.hand": NONE})
+    else:
+        yield from away(case, body)
 
 
 def in_hand(case: FailureCase, body: str, arm: str) -> Iterator[Trial]:
@@ -195,15 +218,36 @@ def longer(started: Task, seconds: object) -> Iterator[Trial]:
     """Yield the trial with a longer limit of a timeout or wait."""
     if isinstance(seconds, int | float) and seconds > 0:
         answer = f"timeout(seconds={seconds!r})={seconds * _LONGER!r}"
-        yield Trial(started.seq - 1, f"the limit is {seconds * _LONGER:g} s", answers=(answer,))
+        yield Trial(started.seq - 1, decisive=False, words=f"the limit is {seconds * _LONGER:g} s", answers=(answer,))
 
 
-def fulfilled(wait: Node, values: Mapping[str, object]) -> Iterator[Trial]:
-    """Yield the trial in which the false fluents of a wait become true."""
-    names = [name for name, value in values.items() if value is False]
-    if names:
-        settings = tuple(f"{_FLUENT}{name}=true" for name in names)
-        yield Trial(wait.started.seq, f"{phrases.names(names)} becomes true", settings)
+def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
+    """Yield the trial in which the condition of a wait becomes true: a single fluent, perhaps compared with a number.
+
+    Args:
+        started: the record of the wait's start; its name is the condition.
+        values: the fluents in the condition.
+    """
+    compared = _COMPARED.fullmatch(started.name)
+    leaf = compared[1] if compared else started.name
+    if leaf not in values:
+        return
+    wanted: object = True
+    if compared:
+        try:
+            wanted = ast.literal_eval(compared[3])
+        except (ValueError, SyntaxError):
+            return
+        if isinstance(wanted, int | float) and compared[2] != "==":
+            wanted += (1 if compared[2].startswith(">") else -1) * max(_BEYOND, _BEYOND * abs(wanted))
+    joint = _JOINT.fullmatch(leaf)
+    target = f"{written(joint[2])}.{joint[1]}" if joint else f"{_FLUENT}{leaf}"
+    yield Trial(
+        started.seq,
+        f"{started.name} holds",
+        (f"{target}={json.dumps(wanted)}",),
+        world="" if not joint else started.world,
+    )
 
 
 def skipped(refusal: Refusal) -> Iterator[Trial]:
@@ -236,10 +280,6 @@ def _set(case: FailureCase, step: int, words: str, values: Mapping[str, object])
 def _before(case: FailureCase) -> int:
     """Return the step at which the failed motion began; without a motion, the step before the failure."""
     return case.began if case.motion is not None else case.began - 1
-
-
-def _pose(body: Body) -> tuple[float, ...]:
-    return (*body.position, *body.orientation)
 
 
 def _body(case: FailureCase, name: str, step: int) -> Body | None:

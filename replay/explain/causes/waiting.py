@@ -173,7 +173,7 @@ class Timeout(Cause):
         yield from trials.longer(limited.started, self.seconds)
         for each in self.pending:
             if each.task.kind == "wait":
-                yield from trials.fulfilled(each.task, each.values)
+                yield from trials.fulfilled(each.task.started, each.values)
 
     def _words(self) -> Iterator[str]:
         simulated = " of simulated time" if self.clock == _SIMULATED_TIME else ""
