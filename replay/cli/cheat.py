@@ -94,6 +94,10 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap", "a debugger that also steps back"),
             ("run.mcap task:pick-up@start", "a debugger at the start of a task"),
         ),
+        "fix": (
+            ("run.mcap", "the smallest edit with which the plan succeeds"),
+            ("run.mcap --holds 'at end milk.z > 1' --apply", "the same, with a goal; write it"),
+        ),
         "minimise": (
             ("run.mcap", "a smaller plan with the same failure"),
             ("run.mcap -o small.py --budget 50", "the same, in at most 50 runs"),

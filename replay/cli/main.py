@@ -48,6 +48,7 @@ VERBS: Final = {
     "retrace": "run the plan again, and report the first difference from the recording",
     "fork": "run the plan again up to a step, then continue with another plan, world, answer or seed",
     "debug": "open a prompt at a step, in the plan's frame, and step forwards and back",
+    "fix": "find the smallest edit with which the whole plan succeeds",
     "minimise": "find a smaller plan and scene with the same failure",
     "test": "write a pytest that fails as the run did, and passes when the plan is mended",
     "resume": "continue a plan whose process was killed",

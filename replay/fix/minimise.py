@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
 from replay.errors import ReplayError
-from replay.fix.trials import alike
+from replay.fix.trials import Version, alike
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -169,7 +169,7 @@ def _first_alike(trials: Trials, texts: Sequence[str]) -> tuple[int, str, int] |
     tidied = {index: _tidied(text) for index, text in enumerate(texts)}
     tried = [index for index, text in tidied.items() if text not in trials.failed]
     ends: dict[int, int] = {}
-    with closing(trials.all([tidied[index] for index in tried])) as results:
+    with closing(trials.all([Version(tidied[index]) for index in tried])) as results:
         for at, trial in results:
             if alike(trial.ending, trials.reference):
                 ends[tried[at]] = len(trial.ending.bodies)

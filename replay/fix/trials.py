@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
+import random
 import re
 import sys
 import tempfile
 from collections import deque
-from contextlib import ExitStack, closing, suppress
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +19,8 @@ from typing import TYPE_CHECKING, Any, Final, Self
 from pycram import running
 from pycram.exploration import Ending, EndingSink
 from pycram.models import store
-from pycram.projection.child import GRACE, ChildPool, run_from_start, usable_cores
+from pycram.projection.child import GRACE, Child, ChildPool, run_from_start, usable_cores
+from pycram.world.object import Object
 from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
@@ -30,12 +33,13 @@ from replay.retrace.guided_run import run_program, spec_of
 from replay.retrace.plan_process import CantRetrace, PlanProcess, lay
 
 if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Mapping, Sequence
+    from collections.abc import Generator, Iterable, Iterator, Sequence
 
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
 
 LIMIT: Final = 10.0  # a trial may take this many times as long as the recorded run,
+_DISPLACED: Final = 0.01  # m
 LEAST: Final = 20.0  # but at least this many seconds of wall-clock time
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 #: Audit events of Python that reach other processes and machines.
@@ -59,6 +63,16 @@ class PlanHasEffects(ReplayError):
             f"the plan reaches outside of its folder: {what}; each trial would do so: allow it with --allow-effects"
         )
         self.what = what
+
+
+@dataclass(frozen=True, slots=True)
+class Version:
+    """A version of a plan, and the conditions of its run that differ from the recorded ones."""
+
+    text: str  # the source of the plan's main file
+    file: Path | None = None  # its recording
+    seed: int | None = None
+    elsewhere: int = 0  # draws a displacement of 1 cm of each loose object; 0: none is displaced
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,36 +128,35 @@ class Trials:
             raise ReplayError(f"the plan doesn't end as recorded: now {now}; was {recorded.ending.failure}")
         return self.reference
 
-    def one(self, text: str, file: Path | None = None, **settings: Any) -> Trial:
-        """Run one version; ``settings`` replace fields of the recorded :class:`~pycram.running.RunSpec`."""
-        ((_, trial),) = self.all([text], file, **settings)
+    def one(self, text: str, file: Path | None = None) -> Trial:
+        """Run one version, and record it if a file is given."""
+        ((_, trial),) = self.all([Version(text, file)])
         return trial
 
-    def all(
-        self, texts: Iterable[str], file: Path | None = None, **settings: Any
-    ) -> Generator[tuple[int, Trial], None, None]:
+    def all(self, versions: Iterable[Version]) -> Generator[tuple[int, Trial], None, None]:
         """Run versions in parallel; yield index and trial when a run ends. Closing the generator kills the others."""
-        pool: ChildPool[tuple[int, str]] = ChildPool(usable_cores(), self._limit, GRACE)
+        pool: ChildPool[tuple[int, Version]] = ChildPool(usable_cores(), self._limit, GRACE)
 
-        def start(job: tuple[int, str]) -> Any:
+        def start(job: tuple[int, Version]) -> Child:
             self.runs += 1
             place = self._folder / str(self.runs) / self.program.parent.name
-            lay({Path(self.program.name): job[1].encode()}, self.program.parent, place)
+            lay({Path(self.program.name): job[1].text.encode()}, self.program.parent, place)
             plan = place / self.program.name
-            return run_from_start(partial(self._answer, plan, file, settings))
+            return run_from_start(partial(self._answer, plan, job[1]))
 
-        with closing(pool.run(deque(enumerate(texts)), start)) as results:
-            for (index, _), result in results:
+        with closing(pool.run(deque(enumerate(versions)), start)) as results:
+            for (index, version), result in results:
                 answer = json.loads(result.answer) if result.answer else {}
                 if answer.get("outside"):
                     raise PlanHasEffects(answer["outside"])
                 ending = Ending(**answer["ending"]) if answer else Ending("died", f"its process {result.how}")
                 if result.late:
                     ending = Ending("time limit", f"it was still running after {self._limit:.0f} s")
-                yield index, Trial(ending, result.seconds, file)
+                yield index, Trial(ending, result.seconds, version.file)
 
-    def _answer(self, plan: Path, file: Path | None, settings: Mapping[str, Any]) -> bytes:
+    def _answer(self, plan: Path, version: Version) -> bytes:
         """Run a plan in this child process; return its ending as JSON."""
+        file = version.file
         sinks: list[EndingSink] = []
         outside: list[str] = []
         folder = None if file is None else file.parent
@@ -163,16 +176,17 @@ class Trials:
         with suppress(OSError):
             os.chdir(self._began.directory)
         arguments = list(self._began.arguments)
-        with redirected(sink_of):
+        spec = spec_of(self.log, plan, arguments)
+        if version.seed is not None:
+            spec = replace(spec, seed=version.seed)
+        with redirected(sink_of), _loose_objects_elsewhere(version.elsewhere):
             if self._began.by_program:
                 sys.argv = [self._began.called_as or str(plan), *arguments]
                 sys.path.insert(0, str(plan.parent))
                 with suppress(BaseException):  # the recording has it
                     run_program(str(plan))
             else:
-                running.run(
-                    replace(spec_of(self.log, plan, arguments), **settings), file or Path(os.devnull), overwrite=True
-                )
+                running.run(spec, file or Path(os.devnull), overwrite=True)
         ending = sinks[0].ending if sinks else Ending("died", "it couldn't be recorded")
         return json.dumps({"ending": asdict(ending), "outside": outside[0] if outside else ""}).encode()
 
@@ -204,6 +218,36 @@ def _watch_effects(allowed: Sequence[Path], outside: list[str]) -> None:
             raise OutsideEffect(outside[0])
 
     sys.addaudithook(audit)
+
+
+@contextmanager
+def _loose_objects_elsewhere(draw: int) -> Iterator[None]:
+    """Load objects that aren't robots or furniture 1 cm elsewhere on the ground plane, in this process."""
+    if not draw:
+        yield
+        return
+    dice, load = random.Random(draw), Object.__init__
+
+    def moved(
+        self: Object,
+        name: str,
+        type: str,  # noqa: A002  the parameter's name
+        path: str,
+        position: Sequence[float] = (0, 0, 0),
+        *rest: Any,
+        **more: Any,
+    ) -> None:
+        if type not in ("robot", "environment"):
+            angle = dice.uniform(-math.pi, math.pi)
+            x, y, z = position
+            position = [x + _DISPLACED * math.cos(angle), y + _DISPLACED * math.sin(angle), z]
+        load(self, name, type, path, position, *rest, **more)
+
+    Object.__init__ = moved  # type: ignore[method-assign,assignment]
+    try:
+        yield
+    finally:
+        Object.__init__ = load  # type: ignore[method-assign]
 
 
 def alike(one: Ending, other: Ending) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 from replay.history.source import Line
@@ -80,8 +81,12 @@ class Origins:
     guesses: tuple[Guess, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
 
-    def lines(self) -> Iterator[str]:
-        """Yield the plan's lines that made the values, the likeliest first, and the guesses."""
+    def lines_of(self, name: str) -> list[int]:
+        """Return the numbers of the lines of a file that made the values, the likeliest first."""
+        return [line for file, line in self._ranked()[0] if PurePath(file).name == name]
+
+    def _ranked(self) -> tuple[list[tuple[str, int]], dict[tuple[str, int], list[Origin]]]:
+        """Return the places of lines, the likeliest first, and the facts about each."""
         ranks: dict[tuple[str, int], float] = {}
         facts: dict[tuple[str, int], list[Origin]] = defaultdict(list)
         guessed = {each.place for each in self.guesses}
@@ -91,7 +96,12 @@ class Origins:
                 place = each.place
                 facts[place].append(each)
                 ranks[place] = min(ranks.get(place, rank), rank - _SUSPECT * (place in guessed))
-        for place in sorted(ranks, key=lambda place: ranks[place])[:_MAX_ROWS]:
+        return sorted(ranks, key=lambda place: ranks[place]), facts
+
+    def lines(self) -> Iterator[str]:
+        """Yield the plan's lines that made the values, the likeliest first, and the guesses."""
+        ranked, facts = self._ranked()
+        for place in ranked[:_MAX_ROWS]:
             values = dict.fromkeys(filter(None, map(_said, facts[place])))
             comment = f"  # {phrases.short('; '.join(values))}" if values else ""
             yield f"{phrases.place(Line(*place))}  {facts[place][0].text}{comment}"

@@ -1,0 +1,115 @@
+"""``fix``: the smallest edit of a plan with which its whole run succeeds."""
+
+from __future__ import annotations
+
+import difflib
+import shutil
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from replay.cli.console import print_message, print_result
+from replay.cli.main import FAILED, FINE
+from replay.cli.minimise import add_trials
+from replay.cli.retrace import AGAIN
+from replay.errors import ReplayError
+from replay.report import phrases
+from replay.report.page import write
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from replay.fix.search import Found
+    from replay.fix.trials import Trials
+    from replay.recording import Recording
+
+_BUDGET: Final = 80
+_MAX_OTHERS: Final = 3  # largest number of candidates with other failures that are listed
+
+
+def add(parser: argparse.ArgumentParser) -> None:
+    """Add the properties, the limits of the search, and what is written."""
+    parser.epilog = "Exit code 0: a repair was found. 1: none was found. For damaged files, see repair."
+    parser.add_argument(
+        "--holds", metavar="PROPERTY", action="append", default=[], help="a repaired run must have this property"
+    )
+    parser.add_argument("--apply", action="store_true", help="write the best repair into the plan; PLAN.orig is kept")
+    parser.add_argument("--keep", metavar="DIR", default=".", help="folder for the recordings of repairs (default: .)")
+    add_trials(parser, _BUDGET)
+
+
+def run(log: Recording, options: argparse.Namespace) -> int:
+    """Search repairs, and print them; Ctrl-C ends the search and prints the repairs until then."""
+    from replay.fix.search import CHECKS, Found, search  # noqa: PLC0415  needs the executor
+    from replay.fix.trials import Trials  # noqa: PLC0415  as above
+
+    folder = Path(options.keep)
+    if not folder.is_dir():
+        raise ReplayError(f"{folder}: no such folder; make it first")
+    found = Found("")
+    with Trials(log, allow_effects=options.allow_effects) as trials:
+        print_message(f"{trials.program.name} runs again, up to about {options.budget} times; {AGAIN}")
+        try:
+            search(trials, log, folder, found, holds=options.holds, budget=options.budget)
+        except KeyboardInterrupt:
+            print_message("interrupted; these are the results until then")
+        if options.apply and found.repairs:
+            _apply(trials, found)
+        print_result(lambda: _data(trials, found), _lines(trials, found, CHECKS), as_json=options.json)
+    return FINE if found.repairs else FAILED
+
+
+def _apply(trials: Trials, found: Found) -> None:
+    plan = trials.program
+    if not plan.is_file() or plan.read_text(encoding="utf-8") != trials.text:
+        raise ReplayError(f"{plan}: it differs from the recorded source, so nothing was written")
+    kept = plan.with_name(f"{plan.name}.orig")
+    shutil.copy2(plan, kept)
+    write(str(plan), found.repairs[0].edit.text.encode())
+    print_message(f"{plan} is repaired; the old plan is {kept}")
+
+
+def _data(trials: Trials, found: Found) -> dict[str, object]:
+    repairs = [
+        {
+            "line": each.edit.line,
+            "edit": each.edit.what,
+            "diff": "\n".join(_difference(trials, each.edit.text)),
+            "recording": str(each.recording),
+            "seeds": each.seeds,
+            "elsewhere": each.elsewhere,
+            "mark": each.mark,
+        }
+        for each in found.repairs
+    ]
+    return asdict(found) | {"repairs": repairs}
+
+
+def _lines(trials: Trials, found: Found, checks: tuple[int, int]) -> Iterator[str]:
+    """Yield the repairs as text, the best first."""
+    asked = f"asked: {found.asked}" if found.asked else "nothing was tried"
+    count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"
+    if not found.repairs:
+        yield f"no repair found; tried {count}"
+        yield asked
+        for what, failure in [*found.others.items()][:_MAX_OTHERS]:
+            yield f"  {what}: {phrases.one_line(failure)}"
+        return
+    for number, each in enumerate(found.repairs):
+        yield from ([""] if number else [])
+        yield f"{'possible repair' if each.mark else 'repair'}: {each.edit.what}" + (
+            f" ({each.mark})" if each.mark else ""
+        )
+        yield from _difference(trials, each.edit.text)
+        yield f"  its run: {each.recording}"
+        yield f"  it also succeeds under {each.seeds} of {checks[0]} other seeds,"
+        yield f"  and in {each.elsewhere} of {checks[1]} runs with loose objects 1 cm elsewhere"
+    yield ""
+    yield f"{asked}; tried {count}"
+
+
+def _difference(trials: Trials, text: str) -> Iterator[str]:
+    name = trials.program.name
+    before, after = trials.text.splitlines(), text.splitlines()
+    return difflib.unified_diff(before, after, f"a/{name}", f"b/{name}", lineterm="", n=2)

@@ -1,0 +1,228 @@
+"""Small edits of a plan, each at one place: candidates for a repair.
+
+Expressions get other values of their own kind: other units, signs, neighbours, operators, and names that the plan uses
+in the same role. Statements change places, and waits are put in. No statement is left out,
+and assertions stay: a repair can't succeed by dropping the plan's goal.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+from collections import defaultdict, deque
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+_FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # cm, mm, degrees, and slips of the decimal point
+_OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
+    ast.Add: (ast.Sub,),
+    ast.Sub: (ast.Add,),
+    ast.Mult: (ast.Div,),
+    ast.Div: (ast.Mult,),
+    ast.FloorDiv: (ast.Div,),
+    ast.And: (ast.Or,),
+    ast.Or: (ast.And,),
+    ast.Lt: (ast.Gt, ast.LtE),
+    ast.Gt: (ast.Lt, ast.GtE),
+    ast.LtE: (ast.GtE, ast.Lt),
+    ast.GtE: (ast.LtE, ast.Gt),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+_FAR: Final = 2.0  # cost of an edit that changes what the plan means more than a slip would
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Edit:
+    """An edited plan."""
+
+    cost: float  # lower is more likely
+    line: int  # number of the edited line
+    what: str  # the edit, in words
+    text: str  # the whole edited source
+
+
+class Editor:
+    """Edits one source file."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self._lines = text.encode().splitlines(keepends=True)
+        self._tree = ast.parse(text)
+        self._strings: dict[str, set[str]] = defaultdict(set)  # texts by their role
+        self._names: dict[str, set[str]] = defaultdict(set)  # variables by the call that made them
+        self._goals: set[ast.AST] = set()  # what the plan asserts, which stays as it is
+        for node in ast.walk(self._tree):
+            if isinstance(node, ast.Assert | ast.Raise):
+                self._goals |= {*ast.walk(node)}
+            if isinstance(node, ast.If) and any(isinstance(each, ast.Raise) for each in (*node.body, *node.orelse)):
+                self._goals |= {node, *ast.walk(node.test)}
+            for role, value in _roles(node):
+                if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                    self._strings[role].add(value.value)
+                if isinstance(value, ast.Name):
+                    self._names[role].add(value.id)
+            if isinstance(node, ast.withitem) and isinstance(node.context_expr, ast.Call):
+                self._names[ast.unparse(node.context_expr.func)] |= _stored(node)
+            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
+                self._names[ast.unparse(node.value.func)] |= _stored(node)
+
+    def edits(self, line: int, alternatives: Iterable[Iterable[str]] = ()) -> Iterator[Edit]:
+        """Yield the edits of a line; ``alternatives`` are sets of texts that can replace each other, such as arms."""
+        sets = [set(each) for each in alternatives]
+        for node in ast.walk(self._tree):
+            if getattr(node, "lineno", None) != line or node in self._goals:
+                continue
+            for new, what, cost in (*self._values(node, sets), *_structures(node)):
+                yield self._edit(node, new, what, cost)
+            if isinstance(node, ast.stmt):
+                yield from self._moves(node)
+
+    def definitions(self, lines: Iterable[int]) -> Iterator[int]:
+        """Yield the lines that define the names on some lines, then the lines that define the names on those lines."""
+        stored: dict[str, set[int]] = defaultdict(set)
+        used: dict[int, set[str]] = defaultdict(set)
+        for node in ast.walk(self._tree):
+            if isinstance(node, ast.FunctionDef):
+                stored[node.name] |= {each.lineno for each in ast.walk(node) if isinstance(each, ast.Return)}
+            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                stored[node.id].add(node.lineno)
+            elif isinstance(node, ast.Name):
+                used[node.lineno].add(node.id)
+        waiting = deque(lines)
+        seen = set(waiting)
+        while waiting:
+            found = {line for name in used[waiting.popleft()] for line in stored[name]} - seen
+            seen |= found
+            waiting += sorted(found, reverse=True)
+            yield from sorted(found, reverse=True)
+
+    def insertions(self, line: int) -> Iterator[Edit]:
+        """Yield the plan with a wait before a line."""
+        lines = [each.decode() for each in self._lines]
+        indent = lines[line - 1][: len(lines[line - 1]) - len(lines[line - 1].lstrip())]
+        for world in sorted(self._names["BulletWorld"])[:1]:
+            for call in ("settle()", "simulate(1)"):
+                text = "".join([*lines[: line - 1], f"{indent}{world}.{call}\n", *lines[line - 1 :]])
+                yield Edit(_FAR, line, f"{world}.{call} before line {line}", text)
+
+    def _values(self, node: ast.AST, sets: Sequence[set[str]]) -> Iterator[tuple[str, str, float]]:
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
+            value = node.value
+            for number, factor in enumerate(_FACTORS if value else ()):
+                yield _number(value * factor), f"{value} times {factor:.3g}", 0.5 + 0.1 * number
+            yield f"{-value!r}", f"the sign of {value}", 0.7
+            if isinstance(value, int):
+                for other in (value - 1, value + 1):
+                    yield repr(other), f"{other} instead of {value}", 0.6
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            fitting = set[str]().union(*(each for each in (*sets, *self._strings.values()) if node.value in each))
+            for text in sorted(fitting - {node.value}):
+                yield repr(text), f"{text!r} instead of {node.value!r}", 0.6
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            fitting = set[str]().union(*(each for each in self._names.values() if node.id in each))
+            for name in sorted(fitting - {node.id}):
+                yield name, f"{name} instead of {node.id}", 0.8
+
+    def _moves(self, statement: ast.stmt) -> Iterator[Edit]:
+        """Yield the plan with a statement moved behind or before others of its block."""
+        for block in _blocks(self._tree):
+            if statement not in block or isinstance(statement, ast.Import | ast.ImportFrom | ast.FunctionDef):
+                continue
+            at = block.index(statement)
+            for to in (at + 1, at - 1, at + 2, at - 2):
+                if 0 <= to < len(block):
+                    order = [each for each in block if each is not statement]
+                    order.insert(to, statement)
+                    yield self._reordered(
+                        block,
+                        order,
+                        statement,
+                        f"after line {block[to].lineno}" if to > at else f"before line {block[to].lineno}",
+                    )
+
+    def _reordered(self, block: Sequence[ast.stmt], order: Sequence[ast.stmt], moved: ast.stmt, where: str) -> Edit:
+        lines = [each.decode() for each in self._lines]
+        parts = {id(each): lines[each.lineno - 1 : each.end_lineno] for each in block}
+        gaps = [lines[a.end_lineno or a.lineno : b.lineno - 1] for a, b in pairwise(block)]
+        new = [line for each, gap in zip(order, [*gaps, []], strict=True) for line in (*parts[id(each)], *gap)]
+        start, end = block[0].lineno - 1, block[-1].end_lineno or block[-1].lineno
+        return Edit(1.2, moved.lineno, f"line {moved.lineno} {where}", "".join([*lines[:start], *new, *lines[end:]]))
+
+    def _edit(self, node: ast.AST, new: str, what: str, cost: float) -> Edit:
+        start, end = self._offset(node.lineno, node.col_offset), self._offset(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
+        source = b"".join(self._lines)
+        return Edit(cost, node.lineno, what, (source[:start] + new.encode() + source[end:]).decode())  # type: ignore[attr-defined]
+
+    def _offset(self, line: int, column: int) -> int:
+        return sum(map(len, self._lines[: line - 1])) + column
+
+
+def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:
+    """Yield other forms of an expression: operators, order of items, negation, and blocks."""
+    copy = ast.parse(ast.unparse(node), mode="eval").body if isinstance(node, ast.expr) else None
+    if isinstance(copy, ast.BinOp | ast.BoolOp):
+        for kind in _OPPOSITE.get(type(copy.op), ()):
+            copy.op = kind()  # type: ignore[assignment]
+            yield f"({ast.unparse(copy)})", f"{ast.unparse(node)} with another operator", 1.0
+    elif isinstance(copy, ast.Compare) and len(copy.ops) == 1:
+        for kind in _OPPOSITE.get(type(copy.ops[0]), ()):
+            copy.ops = [kind()]  # type: ignore[list-item]
+            yield ast.unparse(copy), f"{ast.unparse(copy)} instead of {ast.unparse(node)}", 0.8
+    elif isinstance(copy, ast.List | ast.Tuple) and 2 <= len(copy.elts) <= 4 and isinstance(copy.ctx, ast.Load):
+        items = copy.elts
+        orders = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
+        orders += [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
+        for number, order in enumerate(orders):
+            copy.elts = order
+            text = ast.unparse(copy)
+            yield text, f"{text} instead of {ast.unparse(node)}", 0.6 if len(items) == 4 and number < 2 else 1.0
+    elif isinstance(copy, ast.UnaryOp) and isinstance(copy.op, ast.Not):
+        yield f"({ast.unparse(copy.operand)})", f"without not: {ast.unparse(node)}", 0.8
+    elif isinstance(node, ast.Name) and node.id == "par" and isinstance(node.ctx, ast.Load):
+        yield "seq", "seq instead of par", 0.8
+    elif isinstance(copy, ast.Call) and any(keyword.arg == "orientation" for keyword in copy.keywords):
+        copy.keywords = [keyword for keyword in copy.keywords if keyword.arg != "orientation"]
+        yield ast.unparse(copy), "without orientation", _FAR
+
+
+def _roles(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    """Yield expressions with their roles: the keyword or the place of an argument, the key or place in a container."""
+    if isinstance(node, ast.Call):
+        function = ast.unparse(node.func)
+        yield from ((keyword.arg, keyword.value) for keyword in node.keywords if keyword.arg)
+        yield from ((f"{function} {at}", value) for at, value in enumerate(node.args))
+    elif isinstance(node, ast.Dict):
+        yield from (
+            (f"{{}} {key.value!r}", value)
+            for key, value in zip(node.keys, node.values, strict=True)
+            if isinstance(key, ast.Constant)
+        )
+        yield from ((f"keys of line {node.lineno}", key) for key in node.keys if key is not None)
+    elif isinstance(node, ast.List | ast.Tuple):
+        yield from ((f"items of line {node.lineno}", value) for value in node.elts)
+
+
+def _stored(node: ast.AST) -> set[str]:
+    """Return the variables to which a node assigns."""
+    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
+
+
+def _blocks(tree: ast.AST) -> Iterator[list[ast.stmt]]:
+    for node in ast.walk(tree):
+        for name in ("body", "orelse", "finalbody"):
+            block = getattr(node, name, None)
+            if isinstance(block, list) and block:
+                yield block
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}"

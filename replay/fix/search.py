@@ -1,0 +1,196 @@
+"""Searches a repair: the smallest edit with which the whole plan succeeds and its properties hold.
+
+Each candidate is a whole run of an edited plan. Edits of the lines that made the values of the failure come first
+(:mod:`replay.origins`). A repair runs a second time to be recorded, then under other seeds, and with objects elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+from contextlib import closing, suppress
+from dataclasses import dataclass, field, replace
+from itertools import islice
+from typing import TYPE_CHECKING, Final
+
+from pycram.projection.child import usable_cores
+from recorder.properties import BadProperty
+from recorder.records import Check
+from recorder.tasks import State
+from replay.errors import ReplayError
+from replay.fix.edits import Edit, Editor
+from replay.fix.trials import Version, alike
+from replay.history.source import PlanSource
+from replay.origins.origins import origins
+from replay.recording import Recording
+from replay.retrace.plan_process import CantRetrace
+from replay.state.fold import last_open_step
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from recorder.tasks import Node
+    from replay.explain.check import CheckedProperty
+    from replay.explain.why import Why
+    from replay.fix.trials import Trials
+
+BUDGET: Final = 80
+CHECKS: Final = (5, 3)  # numbers of runs of a repair under other seeds, and with loose objects elsewhere
+_AWAY: Final = 0.1  # m; an object that a plan placed may end this far from its target
+_MAX_LINES: Final = 12  # largest number of lines that are edited
+_LATER: Final = 0.3  # cost for each line that is likelier
+_GOALS: Final = ("place", "transporting", "placing")
+
+
+@dataclass(frozen=True, slots=True)
+class Repair:
+    """An edited plan that succeeded."""
+
+    edit: Edit
+    recording: Path  # the recording of its run
+    seeds: int  # number of runs under other seeds that succeeded (:data:`CHECKS`)
+    elsewhere: int  # number of runs with loose objects 1 cm elsewhere that succeeded (:data:`CHECKS`)
+    mark: str  # why it may not be what its author wants; "" if nothing speaks against it
+
+
+@dataclass(slots=True)
+class Found:
+    """The result of a search."""
+
+    asked: str  # what was asked of a repair, in words
+    repairs: list[Repair] = field(default_factory=list)  # the best first
+    tried: int = 0  # number of candidates
+    runs: int = 0  # number of whole runs, with those that check repairs
+    others: dict[str, str] = field(default_factory=dict)  # failures of candidates that failed otherwise, by the edit
+
+
+def search(
+    trials: Trials, log: Recording, folder: Path, found: Found, *, holds: Sequence[str] = (), budget: int = BUDGET
+) -> None:
+    """Search repairs of a failed plan; results are added to ``found``, so that they stay after an interrupt.
+
+    Args:
+        trials: the plan.
+        log: its recording.
+        folder: folder for recordings of repairs.
+        found: the result.
+        holds: properties that must hold in a repaired run.
+        budget: largest number of whole runs.
+
+    Raises:
+        ReplayError: the plan succeeded and its properties hold, or it doesn't end as recorded.
+    """
+    trials.control()
+    why = log.why()
+    watched = (each.property for each in log.records(Check) if each.phase == Check.WATCHED)
+    properties = [*dict.fromkeys((*holds, *watched))]
+    checked = log.check(*properties)
+    if trials.reference.kind == "succeeded" and all(checked):
+        raise ReplayError("the plan succeeded; say what should have held: --holds 'always milk.z > 0.5'")
+    failed = why.task.motion if why.task is not None else None
+    found.asked = ", ".join(
+        [
+            "the plan succeeds",
+            *(f"{each} holds" for each in properties),
+            *([f"{failed.name} is done"] if failed is not None else []),
+            "what it places stays at its target",
+        ]
+    )
+    candidates = _candidates(trials, log, why, checked)
+    while trials.runs < budget and all(each.mark for each in found.repairs):
+        wave = [*islice(candidates, usable_cores())]
+        if not wave:
+            break
+        with closing(trials.all([Version(each.text) for each in wave])) as results:
+            ended = sorted((at, trial.ending) for at, trial in results)
+        found.tried += len(wave)
+        found.runs = trials.runs
+        for at, ending in ended:
+            edit = wave[at]
+            if ending.kind == "succeeded":
+                file = folder / f"{log.path.stem}.fix-{len(found.repairs) + 1}.mcap"
+                if alike(trials.one(edit.text, file).ending, ending) and _reaches_goal(file, properties):
+                    found.repairs.append(_checked(trials, edit, file, failed))
+                else:
+                    file.unlink(missing_ok=True)
+            elif not alike(ending, trials.reference):
+                found.others[edit.what] = ending.failure
+        found.runs = trials.runs
+        found.repairs.sort(key=lambda each: (bool(each.mark), each.edit.cost))
+
+
+def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty]) -> Iterator[Edit]:
+    """Yield edits of the plan, the likeliest first: lines near the values' origins, then small edits."""
+    editor = Editor(trials.text)
+    alternatives = []
+    if why.world is not None:
+        alternatives = [list(why.world.bodies), ["left", "right"]]
+    edits: list[Edit] = []
+    lines = _lines(trials, log, why, checked, editor)
+    for rank, line in enumerate(lines):
+        edits += [replace(edit, cost=edit.cost + _LATER * rank) for edit in editor.edits(line, alternatives)]
+    if lines:
+        edits += editor.insertions(lines[0])
+    seen: set[str] = set()
+    for edit in sorted(edits):
+        if edit.text not in seen and _is_python(edit.text):
+            seen.add(edit.text)
+            yield edit
+
+
+def _lines(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty], editor: Editor) -> list[int]:
+    """Return numbers of lines of the plan's main file, the likeliest first."""
+    name = trials.program.name
+    ranked: list[int] = []
+    with suppress(CantRetrace):
+        ranked = [] if why.failure is None else origins(log, why, recorded_source=True).lines_of(name)
+    source = PlanSource(log)
+    stacks = [source.call_stack(each.record) for each in checked if not each and each.record is not None]
+    called = [
+        line.number for stack in (why.call_stack, *stacks) for line in reversed(stack) if line.file.endswith(name)
+    ]
+    return [*dict.fromkeys((*ranked, *called, *editor.definitions(called)))][:_MAX_LINES]
+
+
+def _is_python(text: str) -> bool:
+    try:
+        compile(text, "plan", "exec")
+    except (SyntaxError, ValueError):
+        return False
+    return True
+
+
+def _reaches_goal(file: Path, properties: Sequence[str]) -> bool:
+    """Return whether properties hold in a run, and whether objects stay where the run placed them."""
+    with Recording(file) as log:
+        placed: dict[str, Sequence[float]] = {}
+        for node in log.tree().find(status=State.SUCCEEDED):
+            target, thing = node.parameters.get("target"), node.parameters.get("object")
+            if node.name in _GOALS and isinstance(target, list) and isinstance(thing, dict):
+                placed[str(thing.get("object"))] = [float(str(value)) for value in target]
+        world = log.state_at(last_open_step(log, log.final_step())).worlds
+        bodies = {name: body for each in world.values() for name, body in each.bodies.items()}
+        stays = all(
+            math.dist(bodies[name].position, target) < _AWAY for name, target in placed.items() if name in bodies
+        )
+        try:
+            return stays and all(log.check(*properties))
+        except BadProperty:  # the edit renamed or removed an object
+            return False
+
+
+def _checked(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> Repair:
+    """Run a repair under other seeds, and with loose objects elsewhere."""
+    versions = [Version(edit.text, seed=seed) for seed in range(1, CHECKS[0] + 1)]
+    versions += [Version(edit.text, elsewhere=draw) for draw in range(1, CHECKS[1] + 1)]
+    good = [0, 0]
+    with closing(trials.all(versions)) as results:
+        for index, trial in results:
+            good[index >= CHECKS[0]] += trial.ending.kind == "succeeded"
+    mark = ""
+    with Recording(file) as log:
+        if failed is not None and not log.tree().find(kind=failed.kind, name=failed.name, status=State.SUCCEEDED):
+            mark = f"{failed.name}, which had failed, isn't done any more"
+    if not mark and not all(good):
+        mark = "it succeeds with its own seed only" if not good[0] else "it fails with objects 1 cm elsewhere"
+    return Repair(edit, file, good[0], good[1], mark)
