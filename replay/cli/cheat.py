@@ -95,8 +95,8 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap task:pick-up@start", "a debugger at the start of a task"),
         ),
         "fix": (
-            ("run.mcap", "the smallest edit with which the plan succeeds"),
-            ("run.mcap --holds 'at end milk.z > 1' --apply", "the same, with a goal; write it"),
+            ("run.mcap", "the smallest edit that makes it succeed"),
+            ("run.mcap --apply", "the same, and write it into the plan"),
         ),
         "minimise": (
             ("run.mcap", "a smaller plan with the same failure"),
