@@ -139,7 +139,7 @@ CALLS: dict[str, tuple[Callable[[BulletWorld], object], type[Exception], str]] =
     "joints by name": (
         lambda w: perform(**{"type": "move-arm-joints", "left-arm": {"l_elbow_flex_joint": -1.5}}),
         DesignatorError,
-        '"park", or a list of the values of all its joints',
+        '"park", or a list with a value for each joint of the arm',
     ),
 }
 
