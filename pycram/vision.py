@@ -254,8 +254,6 @@ def rasterize(
     Args:
         triangles: (n, 3, 3) corners in the camera's frame, m.
         size: width and height in pixels.
-        near: m, nearest visible distance.
-        far: m, farthest visible distance.
 
     Returns:
         (height, width) depth along z in m, inf without a triangle; (height, width) index of the triangle, -1 for none.

@@ -172,9 +172,7 @@ def project_all(
         memory: Megabytes of additional memory for each candidate; None for no limit.
 
     Raises:
-        NotProjectable: See :func:`project`.
-        BadArgument: A candidate isn't callable, or an argument is wrong.
-        LockHeld: The caller holds a lock.
+        BadArgument: A candidate isn't callable, or an argument is wrong. Other errors are those of :func:`project`.
     """
     if until not in ("first", "all"):
         raise BadArgument("until", until, '"first" or "all"')

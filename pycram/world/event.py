@@ -49,7 +49,7 @@ class Event:
             name: Name of the event in recordings, such as "attachment".
             sender: Name of the sending world or object in recordings.
             envelope: Returns the world's name and the number of simulated steps; None without a world.
-            parameters: Names of positional arguments in recordings; further arguments have their index.
+            parameters: Names of positional arguments in recordings.
         """
         self.name = name
         self.sender = sender
@@ -144,8 +144,7 @@ class Event:
         """Record the event, then call the handlers with these arguments.
 
         Raises:
-            RecordingError: The event can't be recorded, so no handler is called.
-            Exception: The first error of a handler, raised after all handlers were called.
+            RecordingError: The event can't be recorded; no handler is called.
         """
         self.prepare(*args, **kwargs)()
 

@@ -307,10 +307,7 @@ class Object(ReadOnlyAttributes):
         return self.get_position_and_orientation()[0]
 
     def get_pose(self) -> list[float]:
-        """Return the position [x, y, z] in m, without the orientation (thesis, table 4.2).
-
-        :meth:`get_position_and_orientation` returns both.
-        """
+        """Return the position [x, y, z] in m; the orientation isn't part of it (thesis, table 4.2)."""
         return self.get_position()
 
     def get_orientation(self) -> list[float]:

@@ -235,18 +235,14 @@ class _Choice:
     def _check(self, touches: Iterator[Touch], depths: dict[Object, float], cost: Cost, enough: Cost) -> Cost:
         """Check the next touches of a posture until its cost exceeds ``enough``, and return the cost.
 
-        Args:
-            touches: an iterator, which continues where the last check stopped.
-            depths: depths in m by object; the new touches are added.
-            cost: cost of the known touches.
-            enough: a cost above which other postures are checked first.
+        The depths in m by object, and the ``cost``, are those of earlier touches; ``depths`` gets the new touches.
         """
         for (_, _, body, _), points in touches:
             depth = max(-point.distance for point in points)
             if depth > depths.get(body, 0.0):
                 depths[body] = depth
                 counted = {other: deep for other, deep in depths.items() if other is not self._target}
-                furniture = sum(other.fixed for other in counted)  # it counts more, because it can't be moved
+                furniture = sum(other.fixed for other in counted)  # furniture counts more, because it can't be moved
                 movable = len(counted) - furniture
                 cost = self._target in depths, furniture, movable, sum(sorted(counted.values()))
                 if cost > enough:

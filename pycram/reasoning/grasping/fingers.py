@@ -41,7 +41,9 @@ _MANY: Final = 3  # minimum number of moving parts that close one by one; two ja
 _ALONE: Final = 64  # steps between open and closed for a part that closes alone
 _REACH: Final = 0.005  # m of opposite fingers together, by which the hand and the object give way
 _ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
-_AROUND: Final = 0.4  # as above for fingers around a center; two of three touch a carton's edges at 60 degrees
+_AROUND: Final = (
+    0.4  # the same component for fingers around a center; two of three touch a carton's edges at 60 degrees
+)
 _CACHED: Final = 32
 _SWEPT: Final = 8  # steps between open and closed; within a step, fingers stay within the margins of their boxes
 
@@ -181,7 +183,9 @@ def close_around(
             else:
                 free = share
         positions = gripper.at(stuck)
-        for own, joints in parts if len(parts) >= _MANY else ():  # each of many fingers continues until it touches
+        for own, joints in (
+            parts if len(parts) >= _MANY else ()
+        ):  # each of many fingers continues until it touches the object
             shares = (stuck - step / _ALONE for step in range(math.ceil(stuck * _ALONE)))
             end = gripper.at(next((share for share in shares if touches(share, own, joints)), 0.0))
             positions |= {joint: end[joint] for joint in joints}
@@ -259,11 +263,7 @@ def _near(
 ) -> dict[Part, LoadedBody]:
     """Return the copies of objects that fingers may touch between open and closed.
 
-    Args:
-        clone: the clone with the copies.
-        palm: pose of the gripper's palm in the world.
-        there: the robot's joint positions by name.
-        bodies: the objects to check.
+    The gripper's palm is at a pose in the world, and ``there`` has the robot's joint positions by name.
     """
     path = robot.model.path
     others = tuple((name, there[name]) for name in _between(path, gripper) if name in there)

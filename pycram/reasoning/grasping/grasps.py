@@ -89,7 +89,6 @@ def candidates(
 
     Args:
         robot: the robot, whose heading defines the front.
-        arm: the arm with the gripper.
         names: the allowed sides; None for all sides.
         off_center: whether to return only grasps of a long object from the top, between its middle and its ends, and
             grasps that lean with a slightly leaning object.
@@ -288,7 +287,10 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
         x, y, z = caster.center
         if name != "top":
             z = max(z, caster.low[2] + gripper.underside)
-        frame = (x, y, z), geometry.product(turn, geometry.from_rpy(0.0, 0.0, -math.pi / 2))  # y points into the object
+        frame = (
+            (x, y, z),
+            geometry.product(turn, geometry.from_rpy(0.0, 0.0, -math.pi / 2)),
+        )  # the y axis points into the object
         scan = Scan(frame, -radius, radius)
         points = [caster.extents([scan], 3, (across,))[0, :, 0] for across in (-radius, 0.0, radius)]
         uneven = float(np.ptp(points))
@@ -339,7 +341,6 @@ def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Qu
     """Return the orientation of the tool in the world for a grasp.
 
     Args:
-        grasp: "front", "top", "left" or "right".
         robot: the robot, whose heading defines the front.
 
     Raises:

@@ -173,7 +173,7 @@ class DeadEnd:
     """Why there is no path of an arm."""
 
     value: float  # position of the handle's joint that the arm doesn't reach
-    reached: float | None  # the last position that the arm reaches; None if it reaches none
+    reached: float | None  # the last position that the arm reaches; None if the arm reaches no position
     position: Vector  # position of the tool at ``value``, in the world, m
     orientation: Quaternion  # orientation of the tool from the front at ``value``, xyzw
     distance: float | None = None  # m between the tool and its goal in the nearest posture; None if the arm reaches it
@@ -367,7 +367,7 @@ class _Search:
         tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
         targets = [(*tool, self._lifted) for tool in tools]
         found = self._solver.closed_form(targets)
-        if not any(found) and not (self._quick and self._solver.in_closed_form):  # there may be other postures
+        if not any(found) and not (self._quick and self._solver.in_closed_form):  # a search may find other postures
             found = self._solver.search(targets, quick=True)
         count = len(angles)
         return [
@@ -551,7 +551,9 @@ def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[fl
     position, heading = robot.get_position_and_orientation()
     now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
     steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]
-    nearby = sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at))[1:]  # without the present place
+    nearby = sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at))[
+        1:
+    ]  # the first offset is the present place
     bases: list[Pose] = [(geometry.transform(now, (x, y, 0.0)), now[1]) for x, y in nearby]
     tried = 0
     for base in _promising(robot, arm, handle, values, bases):

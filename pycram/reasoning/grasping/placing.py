@@ -41,9 +41,9 @@ _LIFTS: Final = (0.005, 0.01, 0.015)  # m, heights from which an object may be d
 _MAX_LIFTED: Final = 4  # maximum number of poses from which an object may be dropped
 _FROM_BELOW: Final = 0.5  # minimum upward component of a unit vector of a hand that comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
-_YAWS: Final = 12  # number of orientations about the vertical that are tried; as many between them follow
-_MOVED: Final = (0.01, math.radians(5))  # m and rad, maximum motion of an object that stays
-_LYING: Final = math.sin(math.radians(10))  # maximum upward part of the z axis of an object that lies on a side
+_YAWS: Final = 12  # number of tried orientations about the vertical; later the orientations between them are tried
+_MOVED: Final = (0.01, math.radians(5))  # m and rad, largest motion of an object that stays
+_LYING: Final = math.sin(math.radians(10))  # maximum upward component of the z axis of an object that lies on a side
 
 
 def resting_position(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
@@ -248,10 +248,7 @@ def placements(
 
 
 def lying(robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> Quaternion | None:
-    """Return an orientation in which an arm can put down an object on a side, as it took it, so that it stays there.
-
-    It is None if there is no such orientation.
-    """
+    """Return an orientation in which an arm can lay an object on a side, and in which it stays; None without one."""
     held = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
     tool_T_body = geometry.product(geometry.conjugate(held), body.get_orientation())
     for name in grasps.GRASPS:
@@ -264,7 +261,7 @@ def lying(robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> Qua
 
 
 def _stays(body: Object, pose: Pose) -> bool:
-    """Return whether an object stays where a hand releases it, for 1 s, among the objects that no hand holds."""
+    """Return whether an object stays for 1 s at the pose where a hand releases it; held objects are left out."""
     world = body.world
     others = [other for other in world.objects if not (other.is_robot or other is body or other.carrier)]
     clone = clone_of(world, "physics")

@@ -62,16 +62,7 @@ class ClosedForm:
     def of(
         cls, origins: Array, axes: Array, tool: Array, lower: Array, upper: Array, bounded: Flags
     ) -> ClosedForm | None:
-        """Return the closed form for an arm's geometry with all joints at zero; None if its axes don't meet.
-
-        Args:
-            origins: (n, 3) a point of each axis.
-            axes: (n, 3) unit vectors of the axes.
-            tool: (4, 4) pose of the tool.
-            lower: lower limits, rad.
-            upper: upper limits, rad.
-            bounded: whether each joint has limits.
-        """
+        """Return the closed form for an arm's geometry, as in the fields; None if its axes don't meet."""
         if len(axes) != 7:
             return None
         shoulder = _meeting(origins[1], axes[1], origins[2], axes[2])
@@ -83,7 +74,9 @@ class ClosedForm:
         q4 = np.linspace(lower[3], upper[3], _SAMPLES)
         bent = turned(axes[3], q4, (wrist - origins[3])[:, None])
         spans = np.linalg.norm(bent + (origins[3] - shoulder)[:, None], axis=0)
-        slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # change between two samples
+        slack = (
+            _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2
+        )  # change of the distance between two samples
         span = float(spans.min()) - slack, float(spans.max()) + slack
         q1 = np.linspace(lower[0], upper[0], _SAMPLES)
         shoulders = (turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
@@ -123,16 +116,7 @@ class ClosedForm:
         return self._by_target(len(positions), *self._at_poses(positions, turns, self._samples(0, _SAMPLES, home)))
 
     def solutions(self, positions: Array, turns: Array, home: Array) -> list[Array]:
-        """Return the postures of :meth:`postures` without strain, in a fraction of the time.
-
-        Args:
-            positions: (m, 3) positions of the tool in the base link, m.
-            turns: (m, 3, 3) orientations of the tool.
-            home: (7,) a posture, whose joint positions are samples, too.
-
-        Returns:
-            Postures (n, 7) for each target.
-        """
+        """Return the postures (n, 7) of :meth:`postures` without strain for each target, in a fraction of the time."""
         rotations, wrists, q1 = self._wrists(positions, turns, self._samples(0, _SAMPLES, home))
         rows = q1.shape[1]
         q1, goals = q1.ravel(), np.repeat(wrists.T, rows, axis=1)
@@ -181,11 +165,8 @@ class ClosedForm:
     def miss(self, positions: Array, turns: Array | None) -> Array:
         """Return a lower bound (m,) of the distance in m between the tool and targets; 0 if nothing is known.
 
-        For targets with an orientation, the bound is for the wrist with the exact orientation.
-
-        Args:
-            positions: (m, 3) positions of the tool in the base link, m.
-            turns: (m, 3, 3) orientations of the tool; None for any orientation.
+        For targets with an orientation, the bound is for the wrist with the exact orientation. :meth:`postures`
+        describes the arguments.
         """
         hand = self.wrist - self.tool[:3, 3]
         goals = positions if turns is None else positions + turns @ (self.tool[:3, :3].T @ hand)
@@ -438,7 +419,7 @@ def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
 
     Args:
         hinge: the hinge of the axis and both points.
-        distance: between both points, (n,), m.
+        distance: (n,) distances between both points, m.
 
     Returns:
         Angles (2, n) of both solutions, and their strain (n,).

@@ -449,7 +449,6 @@ class Solver:
         Args:
             targets: positions, orientations and poses of the base in the world; all have an orientation, or none.
             thorough: whether to search for several postures.
-            quick: whether to search for a short time; a miss then proves nothing.
             seed: the first starting posture; None for the present posture.
             threshold: m, largest distance between the tool and a reached target.
 

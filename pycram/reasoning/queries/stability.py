@@ -207,12 +207,12 @@ def _simulate(
 
 
 class _Sleepers:
-    """The bodies of a clone that sleep, because they are at rest and stand firmly.
+    """The sleeping bodies of a clone, which are at rest and stand firmly.
 
     Args:
         standing: bodies that may sleep; they have no joints and no attachments.
         fixed: furniture on which the bodies may stand.
-        steady: returns whether each of the bodies, which carry no other bodies, stands firmly.
+        steady: yields whether each of the given bodies stands firmly.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class _Sleepers:
         self._engine, self._steady = engine, steady
         self._standing = {body.id: body for body in standing}
         self._fixed = fixed
-        self.asleep: set[int] = set()  # ids
+        self.asleep: set[int] = set()  # ids of the sleeping bodies
 
     def update(self, moving: Iterable[LoadedBody]) -> None:
         """Put each group of touching bodies to sleep if no body of the group is moving or unsteady."""
@@ -242,7 +242,7 @@ class _Sleepers:
         self.asleep.update(body.id for body in rested)
 
     def wake(self) -> None:
-        """Wake all bodies. The engine notices in its next step, which later queries mustn't depend on."""
+        """Wake all bodies. They wake in the engine's next step, so this step is made here, before later queries."""
         for body in (*self._standing.values(), *self._fixed):
             self._engine.sleep(body, asleep=False)
         self._engine.step(1)
