@@ -44,7 +44,7 @@ class UnknownParameter(UsageError):
     """A run sets a parameter that the plan doesn't declare."""
 
     def __init__(self, plan: str, name: str, declared: list[str]) -> None:
-        none = "it declares no parameters; declare them with pycram.parameters(name=default)"
+        none = "the plan declares no parameters; declare them with pycram.parameters(name=default)"
         hint = suggestion(name, declared) if declared else none
         super().__init__(f"{plan} has no parameter {name!r}; {hint}")
         self.name = name  # name of the parameter

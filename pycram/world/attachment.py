@@ -132,7 +132,7 @@ def detach(side: Object, other: Object) -> None:
     with side.world.transactions.begin(command) as transaction:
         attachment = next((held for held in side.attachments.values() if held.other(side) is other), None)
         if attachment is None:
-            raise AttachmentError(side.name, other.name, "they are not attached to each other")
+            raise AttachmentError(side.name, other.name, "the objects are not attached to each other")
         command.detach_body.carrier, command.detach_body.body = attachment.carrier.name, attachment.body.name
         end(attachment, transaction)
 

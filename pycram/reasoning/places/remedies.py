@@ -61,9 +61,9 @@ class Reasons:
 def _words(reason: Rejection) -> str:
     if isinstance(reason, OutOfReach):
         return (
-            "it is out of reach"
+            "the target is out of reach"
             if reason.distance is None
-            else f"it is out of reach by {_centimetres(reason)} cm or more"
+            else f"the target is out of reach by {_centimetres(reason)} cm or more"
         )
     return rejection_text(type(reason).__name__, reason.data())
 
@@ -74,7 +74,7 @@ def _remedy(reason: Rejection, objects: Sequence[Object], *, drives: bool) -> st
     if isinstance(reason, Unseen):
         return aside(reason.hidden_by, objects)
     if isinstance(reason, OutOfReach) and reason.distance and not drives:
-        return f"the base is fixed: bring it at least {_centimetres(reason)} cm closer"
+        return f"the base is fixed: bring the target at least {_centimetres(reason)} cm closer"
     if isinstance(reason, NoRoom) and reason.reason == TAKEN:
         return "take objects off the surface, or name another surface"
     return ""

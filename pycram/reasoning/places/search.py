@@ -187,7 +187,7 @@ def drives(robot: Object) -> bool:
 def check_drives(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
     """Raise NotDrivable if a robot's base is fixed."""
     if not drives(robot):
-        raise NotDrivable(target, orientation, "its base is fixed")
+        raise NotDrivable(target, orientation, "the robot's base is fixed")
 
 
 def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion) -> None:
@@ -196,7 +196,7 @@ def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion
     height = target[2] - position[2]
     if abs(height) > _UNEVEN:
         side = "above" if height > 0 else "below"
-        raise NotDrivable(target, orientation, f"its wheels would be {abs(height):.2f} m {side} the ground")
+        raise NotDrivable(target, orientation, f"the wheels would be {abs(height):.2f} m {side} the ground")
     lean = geometry.lean(orientation, heading)
     if lean > _TILT:
-        raise NotDrivable(target, orientation, f"it would lean over by {math.degrees(lean):.0f} degrees")
+        raise NotDrivable(target, orientation, f"the robot would lean over by {math.degrees(lean):.0f} degrees")

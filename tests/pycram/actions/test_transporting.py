@@ -245,7 +245,7 @@ def test_a_bolted_arm_brings_things_to_the_other_side_of_its_table(table: Bullet
 
 
 def test_a_bolted_arm_doesn_t_drive_and_has_no_second_hand(table: BulletWorld) -> None:
-    with pytest.raises(NotDrivable, match=r"\[1.000, 0.000, 0.000\]: its base is fixed"):
+    with pytest.raises(NotDrivable, match=r"\[1.000, 0.000, 0.000\]: the robot's base is fixed"):
         perform(ActionDesignator(type="navigating", target=[1, 0, 0]))
     know(table)
     perform(ActionDesignator(type="picking-up", object="milk"))

@@ -146,7 +146,7 @@ def test_a_robot_without_camera_does_not_look_or_detect() -> None:
 
 def test_a_fixed_base_does_not_drive() -> None:
     made = robot(PR2.replace('base_link = "base_footprint"', 'base_link = "base_footprint"\ndrives = false'))
-    with pytest.raises(NotDrivable, match="its base is fixed") as raised:
+    with pytest.raises(NotDrivable, match="the robot's base is fixed") as raised:
         perform(type="moving", target=[0.5, 0, 0])
     assert raised.value.position == [0.5, 0, 0]
     assert made.get_position() == [0, 0, 0]

@@ -96,11 +96,11 @@ def test_impossible_goals_of_a_base_are_refused_before_a_search(
         base_motion(robot, AHEAD, UPRIGHT)
     assert failure.value.position == AHEAD
     assert failure.value.pairs[0].depth > 0.1
-    with pytest.raises(NotDrivable, match=r"its wheels would be 0.50 m above the ground"):
+    with pytest.raises(NotDrivable, match=r"the wheels would be 0.50 m above the ground"):
         base_motion(robot, [1, 1, 0.5], UPRIGHT)
-    with pytest.raises(NotDrivable, match=r"its wheels would be 0.10 m below the ground"):
+    with pytest.raises(NotDrivable, match=r"the wheels would be 0.10 m below the ground"):
         base_motion(robot, [1, 1, -0.1], UPRIGHT)
-    with pytest.raises(NotDrivable, match="it would lean over by 29 degrees"):
+    with pytest.raises(NotDrivable, match="the robot would lean over by 29 degrees"):
         base_motion(robot, [1, 1, 0], geometry.from_rpy(0.5, 0, 0))
     checks = [json.loads(each.json) for query in sink.of(records.Query) for each in query.evidence]
     assert not checks
@@ -108,7 +108,7 @@ def test_impossible_goals_of_a_base_are_refused_before_a_search(
 
 def test_a_fixed_base_does_not_move(world: BulletWorld) -> None:
     arm = Object("ur5", "robot", "ur5.urdf")
-    with pytest.raises(NotDrivable, match="its base is fixed"):
+    with pytest.raises(NotDrivable, match="the robot's base is fixed"):
         base_motion(arm, AHEAD, UPRIGHT)
 
 

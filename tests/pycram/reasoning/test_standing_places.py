@@ -210,7 +210,9 @@ def test_a_robot_that_cannot_drive_has_its_present_place() -> None:
         with pytest.raises(NoPlace, match="ur5 to reach far") as refused:
             next(standing_places(robot, reach=[far]))
         assert refused.value.last == "reach far"
-        assert re.search(r"out of reach by (\d+) cm or more; .* bring it at least \1 cm closer$", str(refused.value))
+        assert re.search(
+            r"out of reach by (\d+) cm or more; .* bring the target at least \1 cm closer$", str(refused.value)
+        )
         with pytest.raises(MissingPart, match="camera"):
             standing_places(robot, see=near)
         with pytest.raises(UnknownName, match="ur5"):
