@@ -31,6 +31,10 @@ if TYPE_CHECKING:
 _FIRST, _LAST = 2, 5  # number of first and last attempts that are listed
 _MAX_ROWS: Final = 3  # largest number of rows of local variables
 _WIDTH: Final = 100  # largest number of characters of a row of variables
+_NO_CAUSE: Final = (
+    "no cause is on record; these were looked for: failures and refusals before it, moved and removed objects, "
+    "wrong beliefs, full or empty hands, obstacles, distances, deadlines, other worlds and gravity"
+)
 _MAX_LINES: Final = 12  # largest number of lines of a difference
 _NEARER: Final = 0.35  # the suggested ``ask --move`` moves the object to this distance in m from the robot
 
@@ -159,7 +163,7 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
     if why.failure is None:
         yield from section("Why", causes)
         return
-    yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes)
+    yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
     yield from section("Where in the plan", _where(why))
     threads = (
         f"also failed: thread {record.thread}, at step {record.seq}: {phrases.failure(record.failure)}"

@@ -27,7 +27,16 @@ if TYPE_CHECKING:
 
 _MAX_CAUSES: Final = 3  # largest number of causes whose calls are explained
 #: Kinds of causes that say what went wrong before the failed call, rather than how things were.
-_DECIDING: Final = ("swallowed-failure", "refused", "physics", "no-longer-true", "removed", "timeout")
+_DECIDING: Final = (
+    "other-world",
+    "gravity",
+    "swallowed-failure",
+    "refused",
+    "physics",
+    "no-longer-true",
+    "removed",
+    "timeout",
+)
 _SHOWN: Final = 2000
 
 

@@ -12,12 +12,15 @@ from replay.explain.causes.out_of_reach import NoCandidate, ObstructingBody, Unr
 from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import Raised
 from replay.explain.causes.waiting import Interruption, Timeout
+from replay.explain.causes.worlds import NoGravity, OtherWorld
 
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
 
 #: All kinds; the kinds that explain most come first.
 KINDS: Final[tuple[type[Cause], ...]] = (
+    OtherWorld,
+    NoGravity,
     Swallowed,
     RefusedRequest,
     Physics,

@@ -296,6 +296,11 @@ class FailureCase:
             return None
         return self.change(last.record, last.body, last.how, joint=last.joint, size=(last.distance, last.angle))
 
+    def loaded(self, body: str) -> CausingChange | None:
+        """Return the loading of a body that hasn't moved since; None if another change came last."""
+        last = self.blame(body)
+        return None if last is None or last.how != "load" else self.change(last.record, body, "load")
+
     def change(
         self,
         record: Mutation | Keyframe,

@@ -198,9 +198,10 @@ class HandState(Cause):
         for lack in lacking(case):
             if lack.precondition not in ("held", "hand-free") or (lack.precondition == "hand-free" and case.pairs):
                 continue
-            change = _last_grip(case, lack.subject, attached=lack.precondition == "hand-free")
+            holder = case.holder(lack.subject)
+            change = _last_grip(case, lack.subject, attached=bool(holder) or lack.precondition == "hand-free")
             steps = (*([change.step] if change is not None else []), case.step)
-            yield HandState(steps, lack.precondition, lack.subject, arm, case.holder(lack.subject), change)
+            yield HandState(steps, lack.precondition, lack.subject, arm, holder, change)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether the object was removed, or an earlier failure or refusal explains the state."""
@@ -228,6 +229,7 @@ class HandState(Cause):
             return
         if self.holder:
             end = f": the {self.holder} gripper did" if " " not in self.holder else f": {self.holder} did"
+            end += since(self.change, "taken")
         else:
             end = since(self.change, "released") if self.change is not None else ": no hand had taken it"
         yield f"the {self.arm} gripper didn't hold {self.body} {step}{end}"

@@ -72,7 +72,8 @@ class ObstructingBody(Cause):
     def _words(self) -> Iterator[str]:
         what = link_text(self.body, self.link)
         whose = f" of {self.mover}" if self.mover else " of the camera's view"
-        yield f"{what} was in the way{whose}{since(self.change)}"
+        verb = "loaded" if self.change is not None and self.change.how == "load" else ""
+        yield f"{what} was in the way{whose}{since(self.change, verb)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +180,7 @@ def _pairs(recorded: Plain) -> Iterator[str]:
 def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> ObstructingBody:
     change: CausingChange | None = None
     if case.free_body(body) is not None:
-        change = case.changed(body)
+        change = case.changed(body) or case.loaded(body)
     else:
         for joint in case.joints_to(body, link):
             change = change or case.changed(f"{body}.{joint}")

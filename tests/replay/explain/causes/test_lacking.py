@@ -216,3 +216,40 @@ def test_out_of_reach_tells_that_the_torso_was_moved(explained: Callable[..., Wh
     assert [(each.joint, each.line.number) for each in far.changes] == [
         ("torso_lift_joint", line_of(tmp_path, "set_joint_position"))
     ]
+
+
+def test_an_object_of_another_world_leads_to_its_loading(explained: Callable[..., Why], tmp_path: Path) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        spare = BulletWorld(name="spare")
+        cup = Object("cup", "cup", "cup.stl", [0.6, 0, 0.1], world=spare)
+        BulletWorld.current_bullet_world = world
+        perform(type="detecting", object_type="cup")
+    """)
+    other = next(each for each in why.causes if isinstance(each, kinds.OtherWorld))
+    assert (other.body, other.world, other.needed) == ("cup", "spare", "lab")
+    assert other.change.line.number == line_of(tmp_path, "cup = Object")
+    assert other.opened.line.number == line_of(tmp_path, "spare =")
+
+
+def test_a_gravity_that_pulls_upwards_explains_what_moves(explained: Callable[..., Why], tmp_path: Path) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        world.set_gravity([0, 0, 9.8])
+        world.simulate(0.1)
+        perform(type="pick-up", object=milk, arm="left")
+    """)
+    assert why.causes[0].kind == "gravity"
+    assert why.causes[0].change.line.number == line_of(tmp_path, "[0, 0, 9.8]")
+
+
+def test_the_other_hand_has_it_since_a_step(explained: Callable[..., Why], tmp_path: Path) -> None:
+    why = explained(f"""
+        {WITH_PR2}
+        robot.attach(milk, "r_gripper_tool_frame")
+        perform(type="place", object=milk, target=[0.6, 0, 0], arm="left")
+    """)
+    (hand,) = why.causes
+    assert hand.holder == "right"
+    assert hand.change.line.number == line_of(tmp_path, "robot.attach")
+    assert "the right gripper did, taken at step" in str([*hand.lines()])

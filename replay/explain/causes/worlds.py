@@ -1,0 +1,82 @@
+"""The object is in another world, or the world's gravity doesn't pull things down."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from recorder.records import Mutation
+from replay.explain.causes.case import Cause, CausingChange, FailureCase, bodies_in, since
+from replay.report import phrases
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+#: Messages about things that move, hang or lack support.
+_OF_GRAVITY: Final = re.compile(r"\bmoves at|\bhangs?\b|\bin the air\b|\bsupport|\brest\b|\bfall")
+
+
+@dataclass(frozen=True, slots=True)
+class OtherWorld(Cause):
+    """An object of the failure is only in another world."""
+
+    kind = "other-world"
+    body: str
+    world: str  # the object's world
+    needed: str  # the world of the failure
+    change: CausingChange | None  # the object's loading; None if it was loaded before the recording
+    opened: CausingChange | None  # the opening of its world
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[OtherWorld]:
+        """Yield the objects that the failure names, or of the type that it seeks, if they are only in another world."""
+        if case.world is None:
+            return
+        needed, wanted = case.world, case.data.get("object_type")
+        here = {body.type for body in needed.bodies.values()}
+        used = {name for name, world in bodies_in(list(case.given.values())) if world != needed.name}
+        named = {case.data.get("name"), *re.findall(r"[\w-]+(?:\.[\w-]+)*", case.failure.message)}
+        for other in case.state.worlds.values():
+            for body in other.bodies.values() if other.open and other.name != needed.name else ():
+                sought = body.type == wanted and wanted not in here
+                if body.name in used or ((body.name in named or sought) and body.name not in needed.bodies):
+                    load = _last(case, other.name, "load_body", body.name)
+                    opened = _last(case, other.name, "open_world")
+                    steps = sorted({*(each.step for each in (load, opened) if each is not None), case.step})
+                    yield OtherWorld(tuple(steps), body.name, other.name, needed.name, load, opened)
+
+    def _words(self) -> Iterator[str]:
+        loaded = since(self.change, "loaded")
+        yield f"{self.body} is in {self.world}{loaded}; it isn't in {self.needed}"
+        if self.opened is not None:
+            yield f"step {self.opened.step}: {self.world} was opened{self.opened.originator}"
+
+
+@dataclass(frozen=True, slots=True)
+class NoGravity(Cause):
+    """Gravity is zero or points upwards, and the failure is about things that move, hang or lack support."""
+
+    kind = "gravity"
+    gravity: tuple[float, ...]  # in m/s^2
+    change: CausingChange | None  # the change that set it; None if the plan never set it
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[NoGravity]:
+        """Yield an unusual gravity of the failure's world."""
+        if case.world is not None and case.world.gravity[2] >= 0 and _OF_GRAVITY.search(case.failure.message):
+            change = _last(case, case.world.name, "set_gravity")
+            steps = (change.step, case.step) if change is not None else (case.step,)
+            yield NoGravity(steps, tuple(case.world.gravity), change)
+
+    def _words(self) -> Iterator[str]:
+        how = since(self.change) if self.change is not None else ": the plan never set it"
+        yield f"gravity is {phrases.vector(self.gravity)} m/s^2{how}"
+
+
+def _last(case: FailureCase, world: str, command: str, body: str = "") -> CausingChange | None:
+    """Return the last command of a kind in a world, about a body or the world itself."""
+    for record in case.log.backwards(case.step, Mutation):
+        if (record.world, record.WhichOneof("command")) == (world, command) and body in ("", record.load_body.body):
+            return case.change(record, body or world, "gravity" if command == "set_gravity" else "load")
+    return None
