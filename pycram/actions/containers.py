@@ -138,12 +138,7 @@ def making_room(body: Object) -> list[ActionDesignator]:
 
 
 def _access_of(container: Access | Object, joint: str | None, handle: str | None) -> Access:
-    """Return the drawer or door that the slots describe.
-
-    Raises:
-        BadArgument: The slots are ambiguous.
-        UnknownName: The joint or the link of the handle doesn't exist.
-    """
+    """Return the drawer or door that the slots describe; raise BadArgument for ambiguous slots."""
     if isinstance(container, Access):
         return container
     body = container
@@ -176,14 +171,9 @@ def _handle_choices(
     """Yield arms and places from which a handle can be held on its whole way.
 
     Args:
-        arm: Name of the arm; None for any arm.
         values: Target positions of the joint, rad or m, the best first.
         place: Place of the robot, m; None to search places.
         orientation: Orientation of the robot's base at that place; by default its present orientation.
-
-    Raises:
-        AccessFailed: No arm is free.
-        NoPlace: There is no place for any target position.
     """
     robot = BulletWorld.current_robot()
     arms = _free_arms(robot, access, arm)

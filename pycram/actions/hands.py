@@ -233,12 +233,7 @@ def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Ma
 
 
 def check_target(body: Object, target: Any) -> None:
-    """Check, before anything moves, that a target has room for an object.
-
-    Raises:
-        NoPlace: The surfaces are too small, too full or closed, or constraints exclude each other.
-        PlaceFailed: The place has no support, or is occupied.
-    """
+    """Check, before anything moves, that a target has room for an object; else raise NoPlace or PlaceFailed."""
     closed = _closed_at(target)
     place: Mapping[str, Any] = {}
     try:

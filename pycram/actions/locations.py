@@ -209,12 +209,7 @@ def _checked(designator: LocationDesignator) -> dict[str, Any]:
 
 
 def resolve(designator: LocationDesignator) -> Iterator[Solution]:
-    """Yield the places that a designator describes, the best first.
-
-    Raises:
-        DesignatorError: A slot is missing, unknown or wrong, or two slots exclude each other.
-        NoPlace: No place was found. The failure counts the places that each constraint excluded.
-    """
+    """Yield the places that a designator describes, the best first; raise NoPlace without a place."""
     slots = _checked(designator)
     if "position" in slots:
         yield {"position": slots["position"], "orientation": slots.get("orientation"), "arms": ()}

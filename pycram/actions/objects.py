@@ -59,12 +59,7 @@ class ObjectDesignator(ResolvedDesignator):
 
 
 def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
-    """Yield the beliefs about the objects of a designator, the latest belief first.
-
-    Raises:
-        DesignatorError: The world has no such object.
-        PerceptionError: The robot has no belief about such an object.
-    """
+    """Yield the beliefs about the objects of a designator, the latest first; raise PerceptionError without a belief."""
     candidates = _candidates(designator)
     known = [belief for belief in beliefs() if belief.object in candidates]
     if not known:

@@ -63,11 +63,7 @@ def has_camera() -> bool:
 
 
 def detected(bodies: Sequence[Object]) -> Object:
-    """Return the object that the robot's camera sees best in its present direction.
-
-    Raises:
-        PerceptionError: The camera sees none of the objects.
-    """
+    """Return the object that the robot's camera sees best in its present direction; else raise PerceptionError."""
     kind = bodies[0].type
     sees = has_camera()
     found: Object = perform(MotionDesignator(type="detecting" if sees else "world-state-detecting", object_type=kind))

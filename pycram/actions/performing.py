@@ -104,12 +104,8 @@ def thinking(*, wanted: bool | None) -> Thinking | None:
 def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]) -> list[Outcome]:
     """Perform choices of an action in copies of this process, up to the first success; return the outcomes.
 
-    Args:
-        candidates: For each choice, the best first: the action, its solution, and the chosen slots for records.
-
-    Raises:
-        NotProjectable: The process can't be copied.
-        BaseException: The error of a choice, if it isn't a plan failure.
+    Each choice, the best first, has the action, its solution, and the chosen slots for records. An error of a choice
+    that isn't a plan failure is raised.
     """
     outcomes = project_all([partial(_Imagined(kind, solution), **choice) for kind, solution, choice in candidates])
     for outcome in outcomes:

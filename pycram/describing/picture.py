@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.models.robots.description import Arm
     from pycram.world.object import Object
     from recorder.geometry import Vector
 
@@ -57,7 +56,9 @@ def draw(body: Object, file: Path) -> None:
         corners = np.array([*itertools.chain(*surfaces.values())])
         low[:2], high[:2] = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
         high[2] = corners[:, 2].max()
-    tools = [_axes(body, arm) for arm in body.description.arms.values()] if body.description else []
+    arms = body.description.arms.values() if body.description else ()
+    poses = [arm.tool_pose(body.get_link_position_and_orientation(arm.tool_frame)) for arm in arms]
+    tools = [[pose[0], *(geometry.transform(pose, end) for end in (_AXIS * np.eye(3)).tolist())] for pose in poses]
     points = np.vstack([*itertools.product(*zip(low, high, strict=True)), *itertools.chain(*tools)])
     camera = _camera(points, (low + high) / 2, _AWAY if body.is_robot else _ABOVE)
     pixels = (_SIZE[0] * _OVERSAMPLING, _SIZE[1] * _OVERSAMPLING)
@@ -90,8 +91,3 @@ def _flat(camera: Camera, points: Sequence[Vector]) -> list[list[float]]:
     seen = camera.to_frame(np.array(points))
     flat: list[list[float]] = ((seen[:, :2] / seen[:, 2:] / [camera.right, camera.down] + 1) / 2 * _SIZE).tolist()
     return flat
-
-
-def _axes(robot: Object, arm: Arm) -> list[Vector]:
-    tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
-    return [tool[0], *(geometry.transform(tool, [_AXIS * (i == axis) for i in range(3)]) for axis in range(3))]

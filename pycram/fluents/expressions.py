@@ -431,12 +431,8 @@ class Variable(Leaf):
 def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0) -> None:
     """Set variables at the same moment, record the changes, and pulse the variables.
 
-    Args:
-        world: Name of the world that the variables follow.
-        sim_step: Number of simulated steps of that world at the change.
-
-    Raises:
-        RecordingError: The recording failed; no variable is set.
+    ``world`` is the world that the variables follow, with its number of simulated steps. If the recording fails,
+    RecordingError is raised, and no variable is set.
     """
     name = current_name()
     serialized: dict[Variable, str] = {}
@@ -457,11 +453,7 @@ def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0)
 
 
 def pulse_unchanged(expression: Expression) -> None:
-    """Pulse an expression without changing its value; the record is an assignment of the same value.
-
-    Raises:
-        RecordingError: The recording failed; nothing is pulsed.
-    """
+    """Pulse an expression without changing its value; the record is an assignment of the same value."""
     record = None
     if journal.recording():
         record = records.Fluent(name=expression.text())

@@ -437,13 +437,7 @@ class StateStream:
 def first_value(expression: Expression, timeout: float | None = None) -> Value:
     """Wait until the value of an expression is not None, at least for a moment, and return that value.
 
-    Args:
-        timeout: In seconds; None for no limit. After the timeout, the function returns None.
-
-    Raises:
-        Cancelled: The branch is cancelled.
-        WorldClosed: An object or world that the expression follows is gone.
-        Exception: Any error of a function of the network.
+    After the timeout in s, return None. Errors are as in :meth:`Fluent.wait_for`.
     """
     with StateStream(expression) as stream, nullcontext() if timeout is None else Deadline(timeout) as limit:
         values = (expression.value(state) for state in stream.states(limit))

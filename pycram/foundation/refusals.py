@@ -52,7 +52,9 @@ def refusing(
             try:
                 return function(*args, **kwargs)
             except (kinds, TypeError) as error:
-                asked_wrongly = isinstance(error, kinds) or _is_of_call(error)
+                # without a next frame, Python raised the error at the call, before the first statement
+                at_call = error.__traceback__ is not None and error.__traceback__.tb_next is None
+                asked_wrongly = isinstance(error, kinds) or at_call
                 if asked_wrongly and not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  like inspect.currentframe()
                     refused(error, name or function.__name__, _arguments(function, subject, args, kwargs))
                 raise
@@ -101,11 +103,6 @@ def mark_recorded(error: BaseException) -> None:
 def is_recorded(error: BaseException) -> bool:
     """Return whether an error has a record."""
     return _RECORDED in vars(error)
-
-
-def _is_of_call(error: BaseException) -> bool:
-    """Return whether Python raised an error before the first statement of the called function."""
-    return error.__traceback__ is not None and error.__traceback__.tb_next is None
 
 
 def _is_part(frame: FrameType | None) -> bool:

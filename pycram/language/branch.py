@@ -204,13 +204,12 @@ def _lambda_label(function: FunctionType, args: tuple[object, ...]) -> str:
         return ""
     for call in ast.walk(body):
         if isinstance(call, ast.Call):
-            call.args = [_with_value(each, values) for each in call.args]
+            call.args = [
+                ast.Name(_value_label(values[arg.id])) if isinstance(arg, ast.Name) and arg.id in values else arg
+                for arg in call.args
+            ]
     text = ast.unparse(body)
     return text if len(text) <= _MAX_LABEL else f"{text[: _MAX_LABEL - 3]}..."
-
-
-def _with_value(node: ast.expr, values: Mapping[str, object]) -> ast.expr:
-    return ast.Name(_value_label(values[node.id])) if isinstance(node, ast.Name) and node.id in values else node
 
 
 def current_block() -> Block | None:

@@ -158,11 +158,7 @@ def nothing_open() -> None:
 
 
 def await_turn() -> None:
-    """Wait until the code of the body may run; see :class:`pycram.language.block.ReadBlock`.
-
-    Raises:
-        Cancelled: The surrounding block is cancelled.
-    """
+    """Wait until the code of the body may run; see :class:`pycram.language.block.ReadBlock`."""
     host = body_context.get()
     if host is not None:
         host.await_turn()
@@ -174,9 +170,6 @@ def sequential() -> Iterator[Callable[[], None]]:
 
     Yields:
         A function to call at the end: it waits for branches that the body added to a surrounding sequence.
-
-    Raises:
-        Cancelled: The surrounding block is cancelled.
     """
     await_turn()
     raise_if_cancelled()

@@ -263,15 +263,10 @@ class Attempts:
                 yield
 
     def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
-        """Return whether another attempt follows; if not, the caller raises the error.
+        """Return whether another attempt follows; else the caller raises ``error``, or this raises the last failure.
 
-        Args:
-            error: The error that left the body of the attempt.
-            handled: The failure to handle; after ``retry`` not ``error``, but the failure that the plan was handling.
-            changed: Changed parameters for the next attempt; None without ``retry``.
-
-        Raises:
-            PlanFailure: The last failure, if no retry is left.
+        ``handled`` is the failure to handle: after ``retry``, the failure that the plan was handling. ``changed`` has
+        parameters for the next attempt; None without ``retry``.
         """
         if handled is None or (changed is None and not self._handling.handles(handled)):
             self.finish(error)

@@ -143,11 +143,7 @@ def _strip(element: ET.Element) -> None:
 
 
 def check_link(source: Path, link: ET.Element) -> None:
-    """Reject a ``<link>`` element that the engine can't use.
-
-    Raises:
-        AssetError: A shape is missing, is unknown or has an impossible size; or a number isn't finite.
-    """
+    """Raise an AssetError if a shape of a ``<link>`` is missing, unknown or impossible, or if a number isn't finite."""
     where = f"link {link.get('name', '')!r}"
     for role in ("visual", "collision"):
         for element in link.findall(role):

@@ -113,11 +113,7 @@ ENTRIES: Final[Mapping[str, Mapping[str, Callable[[str, object], Any]]]] = {
 
 @lru_cache(maxsize=_CACHED)
 def read(text: str, source: str | Path) -> Corrections:
-    """Return the corrections of a TOML text.
-
-    Raises:
-        AssetError: The text isn't TOML, or an entry is unknown or impossible.
-    """
+    """Return the corrections of a TOML text; raise an AssetError for an unknown or impossible entry."""
     tables = parse_toml(text, source)
     for key in tables:
         if key not in ENTRIES:

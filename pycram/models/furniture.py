@@ -54,11 +54,7 @@ _EMPTY: Final = frozenset({"link", "main", "surface", "area", "frame", "body", "
 
 
 def furniture_of(model: Model) -> Furniture:
-    """Return the surfaces and containers of a model, with the corrections in the TOML file next to it.
-
-    Raises:
-        AssetError: A corrected surface or container wasn't found.
-    """
+    """Return the surfaces and containers of a model, with the corrections in the TOML file next to it."""
     beside = next((file for file in model.files if file.name.endswith(SUFFIX)), None)
     return _furniture(model.path, beside.content if beside else b"", beside.name if beside else "")
 

@@ -95,14 +95,7 @@ def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
 
 
 def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, least: Least) -> Iterator[Face]:
-    """Yield the faces that pieces of one height form.
-
-    Args:
-        tops: The pieces of one height.
-        every: All pieces of the model.
-        bounds: (k, 2, 3) lowest and highest corners of all pieces, m.
-        least: Sizes of the smallest face.
-    """
+    """Yield the faces that pieces of one height form; ``bounds`` (k, 2, 3) are corners of boxes around all pieces."""
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)

@@ -48,18 +48,12 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
     kind = f"object {None if color is None else [float(part) for part in color]}"
     if scale != 1.0:
         kind = f"{kind} scale {scale!r}"
-    *meshes, (_, urdf, _) = conversion_cache.get(kind, file, lambda: [*_files(file, color, scale)], _read_besides(file))
+    parts = [file.parent / str(part["mesh"]) for part in _colored(_properties(file)) or ()]
+    beside = [_pieces(file), _table(file), *parts]
+    *meshes, (_, urdf, _) = conversion_cache.get(kind, file, lambda: [*_files(file, color, scale)], beside)
     for name, content, _ in meshes:
         store.write_mesh(name, content)
     return urdf
-
-
-def _read_besides(file: Path) -> Iterator[Path]:
-    """Yield the files next to a mesh that the conversion reads: pieces, table, and meshes that the table names."""
-    yield _pieces(file)
-    yield _table(file)
-    for part in _colored(_properties(file)) or ():
-        yield file.parent / str(part["mesh"])
 
 
 def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[tuple[str, bytes, None]]:

@@ -72,12 +72,7 @@ def single_link(path: Path, link: str) -> Path:
 
 
 def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
-    """Store a model of one link that has the collision shapes of several links.
-
-    Args:
-        name: Name of the new link.
-        links: Elements of links with equal friction and stiffness, and their poses in the frame of the new link.
-    """
+    """Store a model of one link with the collision shapes of links of equal friction, at poses in the new link."""
     root = ET.Element("robot", name=name)
     merged = ET.SubElement(root, "link", name=name)
     inertial = ET.SubElement(merged, "inertial")  # any inertia will do, because the base of a part is fixed

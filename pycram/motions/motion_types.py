@@ -72,10 +72,6 @@ def _arm_resources(given: dict[str, Value]) -> Resources:
     return Resources({f"{arm}-{part}" for arm in arms for part in ("arm", "gripper")}, {"base"})
 
 
-def _gripper_resources(given: dict[str, Value]) -> Resources:
-    return Resources({f"{arm}-gripper" for arm in _arms(given, "gripper")})
-
-
 # --- the types -------------------------------------------------------------------------------------------------------
 
 _ARM: Final = Slot("arm", slots.ARM, default=lambda _: slots.default_arm(), otherwise='The only arm, or "left"')
@@ -149,7 +145,13 @@ TYPES: Final = {
             resources=lambda _: Resources({"head"}, {"base"}),
         ),
         *(
-            MotionType(kind, (_GRIPPER,), cmd="move-gripper", resources=_gripper_resources, fixed=(("motion", goal),))
+            MotionType(
+                kind,
+                (_GRIPPER,),
+                cmd="move-gripper",
+                resources=lambda given: Resources({f"{arm}-gripper" for arm in _arms(given, "gripper")}),
+                fixed=(("motion", goal),),
+            )
             for kind, goal in (("opening-gripper", "open"), ("closing-gripper", "close"))
         ),
         MotionType("detecting", (_OBJECT_TYPE,), cmd="detecting", resources=lambda _: Resources(at_rest={WHOLE_ROBOT})),
@@ -206,9 +208,6 @@ def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
 
     For ``moving`` with an orientation, a second solution has the robot's present orientation. A solution for another
     package's module has all slots as the plan wrote them.
-
-    Raises:
-        DesignatorError: The type is unknown, or a slot is missing, unknown or wrong.
     """
     kind = designator.type
     if kind and kind not in TYPES and plugins.load(plugins.PROCESS_MODULES, kind) is not None:

@@ -170,9 +170,6 @@ def register(robot: str, environment: str, modules: Modules, *, replace: bool = 
         environment: Name of the execution environment.
         modules: Process modules by the ``cmd`` of the solutions that they execute.
         replace: Whether to remove all other modules of the robot in the environment, also PyCRAM's modules.
-
-    Raises:
-        BadArgument: The values of ``modules`` aren't process modules.
     """
     if not isinstance(modules, Mapping) or not all(
         isinstance(cmd, str) and isinstance(module, Module) and not isinstance(module, type)

@@ -186,13 +186,7 @@ class Ticket:
             self.leave()
 
     def correct(self, resources: Resources | None) -> None:
-        """Change the resources of a granted ticket before anything has moved; wait again if necessary.
-
-        Raises:
-            ResourceError: The outer motion doesn't hold all needed resources.
-            Deadlock: The motion would wait forever.
-            Cancelled: The branch was cancelled during the wait.
-        """
+        """Change the resources of a granted ticket before anything has moved; if necessary, wait as in :meth:`turn`."""
         given = self._queue.within(resources, self._motion)
         if given != self.resources:
             with self._queue.lock:

@@ -52,11 +52,7 @@ export("pycram.designator", DesignatorError)
 
 
 def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
-    """Return the slots of a description, with copies of its containers.
-
-    Raises:
-        DesignatorError: The description isn't a list of pairs or a mapping.
-    """
+    """Return the slots of a list of pairs or of a mapping, with copies of containers; else raise DesignatorError."""
     try:
         if isinstance(description, str):
             raise TypeError  # noqa: TRY301  else a string of two letters would be a pair
@@ -207,11 +203,7 @@ class SlotTable:
         return DesignatorError(problem, type=self.type, slot=slot, value=value, takes=self.describe())
 
     def checked(self, given: Mapping[str, Value]) -> dict[str, Value]:
-        """Return the checked values of slots, by the slots' names.
-
-        Raises:
-            DesignatorError: A slot is missing, unknown or wrong.
-        """
+        """Return the checked values by slots; raise DesignatorError if a slot is missing, unknown or wrong."""
         names = {slot_name(name): slot for slot in self.slots for name in (slot.name, *slot.aliases)}
         checked: dict[str, Value] = {}
         for key, value in given.items():
@@ -243,12 +235,7 @@ def given_slots(
 ) -> tuple[Type, dict[str, Value]]:
     """Return the table of a designator's type, and the other slots that aren't None; wait for futures.
 
-    Args:
-        types: The known types by name.
-        kind: Kind of the types, for messages: "action " or "".
-
-    Raises:
-        DesignatorError: The type is unknown, or a slot is given twice.
+    Raise DesignatorError for an unknown type, or for a repeated slot; ``kind`` is a word of its message ("action ").
     """
     given: dict[str, Value] = {}
     for name, value in designator.description:

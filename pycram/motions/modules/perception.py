@@ -49,7 +49,8 @@ class Detecting(SimulatedModule):
                         seen.append((float(evidence["share"]), body))
                         choice.reject(body.name, Inferior("share", evidence["share"]))
                     else:
-                        unseen = _unseen(evidence)
+                        links, hiding = evidence.get("hiding_links", {}), list(evidence["hidden_by"])
+                        unseen = Unseen(evidence["share"], hiding, evidence.get("outside", 0.0), links)
                         reasons[body.name] = f"is {unseen_text(unseen.data(), evidence.get('reason', ''))}"
                         choice.reject(body.name, unseen)
                 if not seen:
@@ -62,11 +63,6 @@ class Detecting(SimulatedModule):
 
 def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str, Plain]:
     return sightings(robot.name, source, {body.name: body.get_position_and_orientation() for body in bodies})
-
-
-def _unseen(evidence: dict[str, Any]) -> Unseen:
-    links = evidence.get("hiding_links", {})
-    return Unseen(evidence["share"], list(evidence["hidden_by"]), evidence.get("outside", 0.0), links)
 
 
 class WorldStateDetecting(SimulatedModule):
