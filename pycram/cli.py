@@ -157,6 +157,8 @@ def _values(parser: argparse.ArgumentParser, plan: Path, given: Sequence[str]) -
 
 
 def _checks(parser: argparse.ArgumentParser, options: argparse.Namespace) -> tuple[str, ...]:
+    if not options.check:
+        return ()
     from recorder.properties import BadProperty, parse_file  # noqa: PLC0415  slow to import
 
     try:
@@ -403,6 +405,8 @@ def _seconds(text: str) -> float:
 
 
 def _order(text: str) -> str:
+    if not text:  # the default
+        return text
     from pycram.foundation.failures import BadArgument  # noqa: PLC0415  heavy
     from pycram.scheduling.order import order_of  # noqa: PLC0415  heavy
 

@@ -78,7 +78,7 @@ def run(
     seed_random_numbers(spec.seed)
     try:
         with needed():
-            from pycram.monitoring import watched  # noqa: PLC0415  as below
+            watching = _watching(spec)
             from pycram.motions.process_module import set_default  # noqa: PLC0415  slow; --help doesn't need it
             from pycram.plan_parameters import arguments_of_main, giving  # noqa: PLC0415  as above
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
@@ -99,7 +99,6 @@ def run(
             durable=durable,
             parameters=parameters,
         )
-        watching = watched(spec.checks, by_run=True, only_record=spec.only_record)
         with recorded as recording, giving(parameters), watching as violations:
             try:
                 arguments_for_main = arguments_of_main(spec.plan, parameters)
@@ -168,6 +167,15 @@ def _report(error: BaseException) -> int:
     how = "failed" if isinstance(error, PlanFailure) else kind
     tell(f"\npycram: the plan {how}: {format_error(error).partition(chr(10))[0]}")
     return FAILED
+
+
+def _watching(spec: RunSpec) -> contextlib.AbstractContextManager[list[str]]:
+    """Return a context in which a run's properties are watched; it yields the messages of violations."""
+    if not spec.checks:
+        return contextlib.nullcontext([])
+    from pycram.monitoring import watched  # noqa: PLC0415  heavy
+
+    return watched(spec.checks, by_run=True, only_record=spec.only_record)
 
 
 def tell(text: str) -> None:
