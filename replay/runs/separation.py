@@ -1,16 +1,16 @@
-"""The facts that separate failed from successful runs, read from the tables of their folder.
+"""The facts that separate failed from successful runs, from the tables of their folder.
 
-A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or the order of two events. It
-has values in each run that reached it; only values before the failure count. A *fact* is a statement about these values
-that is true of some runs and false of others that reached the site (Liblit et al. 2005, "Scalable statistical bug
-isolation"). Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones
-and Harrold 2005). Facts that are true of the same runs are one *claim*.
+A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or the order of two events. A
+site has values in each run that reached it; only values before the failure count. A *fact* is a statement about these
+values that is true of some runs and false of others (Liblit et al. 2005, "Scalable statistical bug isolation"). Facts
+are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones and Harrold 2005).
+Facts that are true of the same runs are a *claim*.
 
-A claim must be stronger than a random result. To test this, the failures are assigned to the runs at random, many
-times. Each time, the strongest evidence of all facts is kept (Westfall and Young 1993, "Resampling-based multiple
-testing", the single-step maximum). The evidence is the log-likelihood ratio of two failure rates against one (half of
-the G-test's statistic).
-Facts that only reflect how far a run got may be symptoms of its end. They are listed last (:attr:`Fact.how_far`).
+A claim must be stronger than a random result. To test a claim, the failures are assigned to the runs at random, many
+times, and the strongest evidence of all facts is kept (Westfall and Young 1993, "Resampling-based multiple testing",
+the single-step maximum). The evidence is the log-likelihood ratio of two failure rates against a single rate (half of
+the G-test's statistic). Facts that only reflect a run's progress may be symptoms of its end, and are listed last
+(:attr:`Fact.how_far`).
 """
 
 from __future__ import annotations
@@ -36,23 +36,23 @@ if TYPE_CHECKING:
 
 
 LEVEL: Final = 0.01
-"""Probability that there is any claim if nothing separates the runs."""
+"""Probability of a claim if nothing separates the runs."""
 PRESENT: Final = frozenset({"happened", "reached"})
 """Kinds of sites without values: events that happened, and tasks that runs reached."""
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")
-#: Kinds of tasks whose parameters repeat their motion's parameters, or only describe the plan's structure.
+#: Parameters of these kinds of tasks repeat the parameters of a motion, or describe the structure of the plan.
 _STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})
 _AXES: Final = ("x", "y", "z")
 _MAX_SITES: Final = 20_000
-_MAX_MARKS: Final = 60  # largest number of events of a run whose order is compared
-_MAX_TEXT: Final = 80  # largest number of characters of a value
-_MAX_VALUES: Final = 12  # largest number of different texts of a site that are compared one by one
-_CUTS: Final = 16  # largest number of cuts between ranges of a number
-_LARGE: Final = 0.71  # probability that one number exceeds another (a large effect by Vargha and Delaney 2000)
+_MAX_MARKS: Final = 60  # the order of at most this many events of a run is compared
+_MAX_TEXT: Final = 80  # values have at most this many characters
+_MAX_VALUES: Final = 12  # sites with more different texts aren't compared
+_CUTS: Final = 16  # at most this many cuts between ranges of a number
+_LARGE: Final = 0.71  # probability that a number exceeds another number: a large effect (Vargha and Delaney 2000)
 _ROUNDS: Final = 1000  # number of random permutations of the failures
-_LEAST: Final = 200  # smallest number of permutations, for many facts about many runs
+_LEAST: Final = 200  # smallest number of permutations for many facts about many runs
 _WORK: Final = 2e10  # largest number of multiplications, which limits the permutations
-_ROWS: Final = 1000  # number of facts that are evaluated together
+_ROWS: Final = 1000  # this many facts are evaluated together
 
 Truth: TypeAlias = NDArray[np.bool_]
 RunNumbers: TypeAlias = NDArray[np.intp]
@@ -60,12 +60,12 @@ RunNumbers: TypeAlias = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A fact that separates the runs, with other facts that are true of the same runs."""
+    """A fact that separates the runs, and other facts that are true of the same runs."""
 
-    fact: Fact  # the first fact; it reflects progress only if all facts do
-    also: tuple[str, ...]  # the other facts, in words
-    ochiai: float  # the score, 0 to 1
-    chance: float  # probability of a claim this strong if nothing separates the runs
+    fact: Fact  # the first fact; facts that don't reflect progress come first
+    also: tuple[str, ...]  # the other facts in words
+    ochiai: float  # score, 0 to 1
+    chance: float  # probability of such a strong claim if nothing separates the runs
     failure: str  # name of a failed run for which the fact is true
     success: str  # name of a similar successful run for which the fact is false, or ""
 
@@ -75,7 +75,7 @@ class Separation:
     """The facts that separate failures from successes."""
 
     cases: tuple[ComparedRun, ...]
-    claims: tuple[Claim, ...]  # the claims, the strongest first; claims that reflect progress come last
+    claims: tuple[Claim, ...]  # strongest claims first; claims that reflect progress come last
     compared: int  # number of compared facts
     explained: int  # number of failed runs for which a claim is true
 
@@ -91,9 +91,9 @@ class Separation:
 
 
 def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None = None) -> Separation:
-    """Return the facts that separate failed from successful runs; by default of all runs and all causes of failures.
+    """Return the facts that separate failed from successful runs, by default of all runs and all causes of failures.
 
-    Runs that succeeded but violated a watched property are failures, too.
+    Runs that succeeded but violated a watched property are failures.
     """
     cases = _cases(runs, names, cause)
     return _separation(cases, list(compared_of(sites(runs, cases), cases)))
@@ -106,7 +106,7 @@ def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[
         "LEFT JOIN "
         "(SELECT f.run, max(f.step) AS step FROM failures f JOIN failures t USING (run, task, type, message) "
         "WHERE f.of = 'query' AND t.root AND f.step <= t.step GROUP BY 1) q USING (run) "
-        "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure isn't its cause
+        "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure doesn't cause the failure
     )
     return tuple(
         ComparedRun(run, not succeeded, records if succeeded or step is None else step)
@@ -139,7 +139,7 @@ def _separation(cases: tuple[ComparedRun, ...], found: list[Compared]) -> Separa
         chance = min(chance for _, chance in alike)
         also = tuple(other.text for other, _ in alike[1:])
         claims.append(Claim(fact, also, fact.ochiai(failures), chance, *_pair(fact, facts, cases)))
-    claims.sort(  # facts that reflect progress come last, even if they separate the runs well
+    claims.sort(  # facts that reflect progress come last
         key=lambda each: (each.fact.how_far, -round(each.ochiai, 6), _ORDER.index(each.fact.kind), each.fact.step)
     )
     explained = len(frozenset().union(*(claim.fact.true & failed for claim in claims)))
@@ -147,7 +147,7 @@ def _separation(cases: tuple[ComparedRun, ...], found: list[Compared]) -> Separa
 
 
 def _pair(fact: Fact, facts: Sequence[Fact], cases: Sequence[ComparedRun]) -> tuple[str, str]:
-    """Return a failed run for which a fact is true, and the most similar successful run for which it is false."""
+    """Return a failed run with a fact, and the most similar successful run without the fact."""
     failed = [number for number in sorted(fact.true) if cases[number].failed]
     others = [number for number in sorted(fact.known - fact.true) if not cases[number].failed]
     if not others:
@@ -179,17 +179,17 @@ class Site:
 
     kind: str  # "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`
     name: str  # name of the site, such as "arm at pick-up(spoon)"
-    #: The values in order, by the number of the run; runs that didn't reach the site are left out.
+    #: The values in order by number of the run, for runs that reached the site.
     values: dict[int, list[Value]] = field(default_factory=lambda: defaultdict(list))
 
 
 @dataclass(frozen=True, slots=True)
 class ComparedRun:
-    """A run that is compared with others."""
+    """A compared run."""
 
-    run: str  # name of its file
+    run: str  # name of the file
     failed: bool
-    end: int  # the last step that counts: the step at which the failure began, or the last step of a successful run
+    end: int  # the step at which the failure began, or the last step of a successful run
 
 
 def sites(runs: Runs, cases: Sequence[ComparedRun]) -> list[Site]:
@@ -209,11 +209,11 @@ class _Sites:
         self.cases = cases
         self.numbers = {case.run: number for number, case in enumerate(cases)}
         self.sites: dict[tuple[str, str], Site] = {}
-        self.marks: list[dict[str, tuple[int, str]]] = [{} for _ in cases]  # first step and branch, by event
+        self.marks: list[dict[str, tuple[int, str]]] = [{} for _ in cases]  # first step and branch by event
         self.branches: list[dict[int, str]] = [{} for _ in cases]
 
     def add(self, kind: str, name: str, number: int, value: Plain, step: int) -> None:
-        """Add a simple value, or the coordinates of a position; ignore other values."""
+        """Add a simple value, or the coordinates of a position. Ignore other values."""
         for suffix, simple in _simple(value):
             key = kind, f"{suffix} of {name}" if suffix else name
             if key not in self.sites and len(self.sites) >= _MAX_SITES:
@@ -222,12 +222,12 @@ class _Sites:
             site.values[number].append(Value(simple, step))
 
     def before(self, run: str, step: int) -> int | None:
-        """Return the number of a run; None if the step doesn't count."""
+        """Return the number of a run; None for steps that don't count."""
         number = self.numbers.get(run)
         return number if number is not None and step <= self.cases[number].end else None
 
     def mark(self, number: int, name: str, step: int, task: int) -> None:
-        """Note the first step of an event, and its branch."""
+        """Note the first step and the branch of an event."""
         self.marks[number].setdefault(name, (step, self.branches[number].get(task, "")))
 
     def parameters(self, runs: Runs) -> None:
@@ -239,7 +239,7 @@ class _Sites:
                     self.add("parameter", name, number, from_json(text), 0)
 
     def poses(self, runs: Runs) -> None:
-        """Add the positions at which bodies were loaded, and to which the plan first moved them."""
+        """Add the first positions of bodies, and the first positions to which the plan moved them."""
         put = runs.sql(
             "SELECT p.run, p.step, p.body, p.x, p.y, p.z, m.command FROM poses p JOIN mutations m USING (run, step) "
             "WHERE m.body = p.body AND m.command IN ('load_body', 'move_body') ORDER BY p.run, p.step"
@@ -254,8 +254,8 @@ class _Sites:
             for axis, value in zip(_AXES, place, strict=True):
                 self.add("pose", f"{axis} of {body}, where it was {how}", number, value, step)
 
-    def tasks(self, runs: Runs) -> None:  # noqa: C901  one step after the other
-        """Add the tasks that runs reached, with their slots, resolvers and process modules."""
+    def tasks(self, runs: Runs) -> None:  # noqa: C901
+        """Add the tasks that runs reached, and their slots, resolvers and process modules."""
         rows = runs.sql(
             "SELECT run, step, task, parent, kind, name, label, parameters, solution, resolver, module, status, "
             "last_step, origin FROM tasks ORDER BY run, step"
@@ -270,12 +270,12 @@ class _Sites:
             if step > self.cases[number].end:
                 continue
             if not self.cases[number].failed or (last is not None and last < self.cases[number].end):
-                # tasks that ended because of the failure only repeat the place of the failure
+                # tasks that the failure ended only repeat the place of the failure
                 self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
             if kind not in _STRUCTURE:
                 self.mark(number, f"the start of {label}", step, task)
                 slots: dict[str, Plain] = {}
-                for text in values:  # slots of the solution replace the given slots
+                for text in values:  # slots of the solution replace given slots
                     slots |= _object(text)
                 for slot, value in slots.items():
                     self.add("motion", f"{slot} at {label}", number, value, step)
@@ -330,9 +330,9 @@ class _Sites:
     def orders(self) -> None:
         """Add the order of two events of different branches.
 
-        If only one of the events happened before the failure, it was the first. A pair counts only if its order is
-        known in nearly all failures, because otherwise the failures would select the pairs, and only if its events are
-        usual in successes.
+        If only a single event happened before the failure, it was the first. A pair only counts if its order is known
+        in nearly all failures, because otherwise the failures would select the pairs. Its events must be usual in
+        successes.
         """
         failures = sum(case.failed for case in self.cases)
         usual: Counter[str] = Counter()
@@ -359,7 +359,7 @@ class _Sites:
 
 
 def _apart(a: str, b: str) -> bool:
-    """Return whether two branches differ and neither contains the other."""
+    """Return whether two branches are separate: no branch contains the other."""
     return a != b and not f"{a}/".startswith(f"{b}/") and not f"{b}/".startswith(f"{a}/")
 
 
@@ -372,7 +372,7 @@ def _object(text: str) -> Mapping[str, Plain]:
 
 
 def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
-    """Yield the simple values to which a value is reduced, each with its coordinate or ""."""
+    """Yield the simple values of a value, with the coordinate or ""."""
     if isinstance(value, bool):
         yield "", value
     elif isinstance(value, int | float):
@@ -398,23 +398,23 @@ def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
 
 @dataclass(frozen=True, slots=True)
 class Fact:
-    """A statement that is true of some runs and false of others that reached the same site."""
+    """A statement that is true of some runs that reached a site, and false of others."""
 
-    kind: str  # kind of the fact's site
-    text: str  # the fact in words, such as "arm=right at pick-up(spoon)"
-    site: str  # name of its site
-    failed: int  # number of failed runs for which it is true
+    kind: str  # kind of the site
+    text: str  # such as "arm=right at pick-up(spoon)"
+    site: str  # name of the site
+    failed: int  # number of failed runs with the fact
     failures: int  # number of failed runs that reached the site
-    succeeded: int  # number of successful runs for which it is true
+    succeeded: int  # number of successful runs with the fact
     successes: int  # number of successful runs that reached the site
-    step: float  # median of the steps at which its value is first known
-    evidence: float  # how strongly it correlates with failure
-    true: frozenset[int]  # numbers of the runs for which it is true
+    step: float  # median of the first steps with the value
+    evidence: float  # strength of the correlation with failure
+    true: frozenset[int]  # numbers of the runs with the fact
     known: frozenset[int]  # numbers of the runs that reached the site
-    how_far: bool  # whether it may only reflect how far the failed runs got
+    how_far: bool  # whether the fact may only reflect the progress of failed runs
 
     def ochiai(self, failures: int) -> float:
-        """Return the score of Ochiai, 0 to 1, given the number of all failed runs."""
+        """Return the score of Ochiai, 0 to 1. ``failures`` is the number of all failed runs."""
         return self.failed / math.sqrt(failures * (self.failed + self.succeeded)) if self.failed else 0.0
 
     @property
@@ -426,7 +426,7 @@ class Fact:
 
     @property
     def effect(self) -> float:
-        """The failure rate of runs for which it is true, minus that of other runs."""
+        """The failure rate of runs with the fact minus the failure rate of other runs."""
         others = len(self.known) - len(self.true)
         false = (self.failures - self.failed) / others if others else 0.0
         return self.failed / len(self.true) - false
@@ -444,15 +444,15 @@ class Compared:
 
     site: Site
     known: RunNumbers  # numbers of the runs that reached the site
-    true: Truth  # whether a fact (row) is true of one of these runs (column)
-    text: Callable[[int], str]  # returns a fact in words
-    #: Returns, for a fact and a run, the index (from 1) of the value that makes the fact true.
+    true: Truth  # whether a fact (row) is true of a run (column)
+    text: Callable[[int], str]  # a function that returns a fact in words
+    #: A function that returns the index (from 1) of the value that makes a fact true of a run.
     turn: Callable[[int, int], int] = lambda _row, _run: 1
-    best: bool = False  # whether only the site's strongest fact counts, as for ranges of a number
-    whole: Site | None = None  # if only last values are compared, the site with all values
+    best: bool = False  # whether only the strongest fact counts, as for ranges of a number
+    whole: Site | None = None  # the site with all values, if only last values are compared
 
     def facts(self, failed: Truth) -> Iterator[Fact]:
-        """Yield the facts that are compared."""
+        """Yield the compared facts."""
         here = failed[self.known]
         found = evidence(self.true, here)[:, 0]
         for row in [int(found.argmax())] if self.best else range(len(found)):
@@ -475,7 +475,7 @@ class Compared:
             )
 
     def _how_far(self, row: int, failed: Truth) -> bool:
-        """Return whether failed runs have a fact only at an index that successes rarely reach or usually exceed."""
+        """Return whether the index of the fact in failed runs is rare or usually exceeded in successes."""
         if self.site.kind in PRESENT:
             return self.site.kind == "reached"
         values = (self.whole or self.site).values
@@ -490,7 +490,7 @@ class Compared:
 
 
 def compared_of(found: Sequence[Site], cases: Sequence[ComparedRun]) -> Iterator[Compared]:
-    """Yield the facts of sites that are true of some runs and false of others that reached the site."""
+    """Yield the facts of sites that are true of some runs that reached the site, and false of others."""
     for each in found:
         for site in (each, _last(each)):
             if site is None:
@@ -521,7 +521,7 @@ def _picked(compared: Compared, rows: RunNumbers, *, whole: Site | None) -> Comp
 
 
 def _last(site: Site) -> Site | None:
-    """Return the site with only the last value of each run; None if no run has several values."""
+    """Return the site with the last value of each run; None if no run has several values."""
     if site.kind in {*PRESENT, "order"} or all(len({each.value for each in got}) == 1 for got in site.values.values()):
         return None
     if site.kind == "choice":
@@ -539,7 +539,7 @@ def _reached(site: Site, runs: int) -> Compared:
 
 
 def _values(site: Site, simple: Sequence[str | float | bool]) -> Compared:
-    """Compare, for each value of a site, whether a run had this value at any time."""
+    """Compare for each value of a site whether a run had this value."""
     known = sorted(site.values)
     had = [{each.value for each in site.values[number]} for number in known]
     true = np.array([[value in values for values in had] for value in simple])
@@ -568,11 +568,11 @@ def _value_text(site: Site, value: str | float | bool) -> str:
 
 
 def _ranges(site: Site) -> Compared:
-    """Compare ranges of a number; their ends are between occurring values."""
+    """Compare ranges of a number, whose ends are between values."""
     known = np.array(sorted(site.values))
     first = np.array([float(site.values[number][0].value) for number in known.tolist()])
     values = np.sort(first)
-    starts = np.flatnonzero(np.diff(values)) + 1  # indices at which a new value begins
+    starts = np.flatnonzero(np.diff(values)) + 1  # indices of new values
     if len(starts) > _CUTS:
         starts = starts[np.unique(np.linspace(0, len(starts) - 1, _CUTS).round().astype(int))]
     cuts = [0, *starts.tolist(), len(values)]
@@ -582,7 +582,7 @@ def _ranges(site: Site) -> Compared:
 
 
 def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:
-    """Return a range in words; its ends are halfway between occurring values."""
+    """Return a range in words. The ends are halfway between values."""
     name, at, where = site.name.partition(" at ")
     if values[low] == values[high - 1]:
         return f"{name}={values[low]:g}{at}{where}"
@@ -593,7 +593,7 @@ def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:
 
 
 def _between(a: float, b: float) -> str:
-    """Return the number with the fewest digits between two others."""
+    """Return the number with the fewest digits between two numbers."""
     texts = (f"{(a + b) / 2:.{digits}g}" for digits in range(2, 17))
     return next((text for text in texts if a < float(text) < b), repr((a + b) / 2))
 
@@ -602,11 +602,11 @@ def _between(a: float, b: float) -> str:
 
 
 def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
-    """Return how strongly facts correlate with failure; 0 if the failure rate isn't higher with the fact.
+    """Return the strength of correlations with failure; 0 if the failure rate isn't higher with the fact.
 
     Args:
-        true: whether a fact (row) is true of a run (column).
-        failed: whether each run (row) failed, with a column for each permutation.
+        true: Whether a fact (row) is true of a run (column).
+        failed: Whether a run (row) failed in a permutation (column).
     """
     count, inside = true.shape[1], true.sum(axis=1, dtype=np.int64)[:, None]
     labels = failed.reshape(count, -1)
@@ -623,7 +623,7 @@ def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
 class Chance:
     """The strongest evidence in random permutations of the failures.
 
-    The facts of a site are given by the numbers of the runs that reached the site, and a row for each fact.
+    ``facts`` are, for each site, the numbers of the runs that reached it, and a row for each fact.
     """
 
     def __init__(self, facts: Iterable[tuple[RunNumbers, Truth]], failed: Truth) -> None:
@@ -635,7 +635,7 @@ class Chance:
         ]
         work = sum(true.size for _, true in groups)
         rounds = int(min(_ROUNDS, max(_LEAST, _WORK / max(work, 1))))
-        dice = np.random.default_rng(0)  # a fixed seed, so that the result is reproducible
+        dice = np.random.default_rng(0)  # fixed, so that the result is reproducible
         dealt = dice.permuted(np.tile(failed, (rounds, 1)), axis=1).T
         strongest: NDArray[Any] = np.zeros(rounds)
         for known, true in groups:
@@ -645,6 +645,6 @@ class Chance:
         self._strongest = np.sort(strongest)
 
     def of(self, strength: float) -> float:
-        """Return the probability that a random assignment of failures gives any fact this much evidence."""
+        """Return the probability of a fact with this evidence in a random assignment of failures."""
         as_strong = len(self._strongest) - int(np.searchsorted(self._strongest, strength - 1e-9))
         return (1 + as_strong) / (1 + len(self._strongest))

@@ -1,7 +1,7 @@
-"""Statistics of many runs: how often they succeed, why they fail, and what takes long. Also compares two folders.
+"""Statistics of many runs: success rates, causes of failures, and slow parts. Also a comparison of two folders.
 
-In a comparison, runs of both folders with the same number, seed and parameters are paired. A pair ends differently
-because something changed between the sweeps, such as the plan, or because a seed doesn't determine everything.
+A comparison pairs runs of both folders with the same number, seed and parameters. The ends of a pair differ because
+something changed between the sweeps, or because a seed doesn't determine everything.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 
 _Z: Final = 1.959963984540054  # quantile of the normal distribution for a 95 % interval
-#: Largest number of a parameter's values that are listed one by one; if there are more, they are split into quarters.
+#: At most this many values of a parameter are listed. More values are split into quarters.
 _MAX_VALUES: Final = 8
 _QUARTERS: Final = 4
 _SLOWEST: Final = 10
-_MAX_CAUSES: Final = 10  # largest number of printed causes
-_MAX_PAIRS: Final = 3  # largest number of printed pairs of runs
+_MAX_CAUSES: Final = 10  # at most this many causes are printed
+_MAX_PAIRS: Final = 3  # at most this many pairs of runs are printed
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,15 +65,15 @@ class FailureCause:
     step: int | None  # step at which the first failure began, if known
     message: str  # message of the first failure
     runs: tuple[str, ...]  # names of all runs
-    steps: tuple[int | None, ...]  # steps at which their failures began
+    steps: tuple[int | None, ...]  # steps at which the failures began
 
 
 @dataclass(frozen=True, slots=True)
 class Slow:
-    """A query, motion or task that took long."""
+    """A slow query, motion or task."""
 
-    what: str  # its name and objects
-    count: int  # how often it ran
+    what: str  # name and objects
+    count: int  # number of calls
     total: float  # total time in s in all runs
     median: float  # median time in s
     longest: float  # longest time in s
@@ -88,11 +88,11 @@ class Statistics:
     folder: str
     plan: str
     runs: tuple[str, ...]  # names of the recordings of the plan
-    others: tuple[tuple[str, int], ...]  # for each other plan, the number of its recordings, which are left out
+    others: tuple[tuple[str, int], ...]  # number of recordings of other plans, which are left out
     skipped: tuple[Skipped, ...]  # files that are left out
     success: Share  # successes among the runs that weren't interrupted
     outcomes: tuple[tuple[str, int], ...]  # number of runs by outcome
-    parameters: tuple[tuple[str, tuple[Share, ...]], ...]  # success by the values of each parameter with several values
+    parameters: tuple[tuple[str, tuple[Share, ...]], ...]  # successes by parameter and value
     causes: tuple[FailureCause, ...]  # causes of failures, the most frequent first
     queries: tuple[Slow, ...]  # slow queries, by total time
     motions: tuple[Slow, ...]  # slow motions, by total time
@@ -103,7 +103,7 @@ class Statistics:
 
 
 def plan_of(runs: Runs, name: str | None = None) -> tuple[str, tuple[tuple[str, int], ...]]:
-    """Return the requested plan (default: the most frequent plan), and the number of runs of each other plan."""
+    """Return the requested plan, by default the most frequent plan, and the number of runs of each other plan."""
     counts = runs.sql("SELECT plan, count(*) FROM runs GROUP BY plan ORDER BY count(*) DESC, plan").rows()
     chosen = name if name is not None else counts[0][0] if counts else ""
     return chosen, tuple((plan, count) for plan, count in counts if plan != chosen)
@@ -115,7 +115,7 @@ def names_of(runs: Runs, plan: str) -> tuple[str, ...]:
 
 
 def statistics(runs: Runs, plan: str | None = None) -> Statistics:
-    """Return the statistics of a plan's runs (default: the most frequent plan)."""
+    """Return the statistics of a plan's runs, by default of the most frequent plan."""
     chosen, others = plan_of(runs, plan)
     rows = runs.sql(
         "SELECT run, CASE WHEN succeeded AND violated > 0 THEN 'succeeded but violated' ELSE outcome END, succeeded, "
@@ -150,10 +150,10 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
 
 
 def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureCause, ...]:
-    """Return the causes of failures, the most frequent first.
+    """Return the causes of failures, most frequent causes first.
 
     Args:
-        failed: for each run: its name, and the cause, first step and message of its failure.
+        failed: For each run: the name, and the cause, first step and message of its failure.
     """
     found: dict[str, list[tuple[str, int | None, str]]] = {}
     for run, cause, step, message in failed:
@@ -183,7 +183,7 @@ def _by_parameter(ended: Sequence[tuple[bool, dict[str, str]]]) -> tuple[tuple[s
 
 
 def _shares(of: Sequence[tuple[str, bool]]) -> tuple[Share, ...]:
-    """Return success by value. Many different numbers are split into four ranges with equal numbers of runs."""
+    """Return successes by value. Many different numbers are split into four ranges with equal numbers of runs."""
 
     def order(text: str) -> tuple[bool, float, str]:
         value = from_json(text)
@@ -216,9 +216,9 @@ def _slowest(runs: Runs, table: str, name: str, condition: str, plan: str) -> tu
 
 
 def wilson(count: int, of: int, z: float = _Z) -> tuple[float, float]:
-    """Return the 95 % interval of a rate (Wilson 1927, "Probable inference"); without runs, it is 0 to 1.
+    """Return the 95 % interval of a rate (Wilson 1927, "Probable inference"); 0 to 1 without runs.
 
-    Unlike the normal approximation, it holds for few runs and for rates near 0 and 1.
+    The interval also holds for few runs and for rates near 0 and 1.
     """
     if of == 0:
         return 0.0, 1.0
@@ -247,14 +247,14 @@ class FolderComparison:
     plan: str
     first: Share  # successes in the first folder
     second: Share  # successes in the second folder
-    causes: tuple[tuple[str, int, int], ...]  # causes with their counts in both folders, the largest change first
+    causes: tuple[tuple[str, int, int], ...]  # causes with their counts in both folders, largest changes first
     paired: int  # number of pairs of runs
-    mended: tuple[tuple[str, str], ...]  # pairs of runs, by name, that fail only in the first folder
-    broken: tuple[tuple[str, str], ...]  # pairs of runs, by name, that fail only in the second folder
+    mended: tuple[tuple[str, str], ...]  # names of pairs of runs that only fail in the first folder
+    broken: tuple[tuple[str, str], ...]  # names of pairs of runs that only fail in the second folder
 
     @property
     def effect(self) -> float:
-        """The success rate in the second folder minus the success rate in the first; 0 if no run of a folder ended."""
+        """The success rate in the second folder minus the success rate in the first folder; 0 without rates."""
         a, b = self.first, self.second
         return b.succeeded / b.of - a.succeeded / a.of if a.of and b.of else 0.0
 
@@ -270,10 +270,10 @@ class FolderComparison:
 
 
 def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> FolderComparison:
-    """Compare two folders of runs of one plan, by default the most frequent plan of the first folder.
+    """Compare the runs of a plan in two folders, by default the most frequent plan of the first folder.
 
     Raises:
-        ReplayError: a folder has no run of that plan.
+        ReplayError: A folder has no run of the plan.
     """
     chosen, _ = plan_of(first, plan)
     stats = [statistics(each, chosen) for each in (first, second)]
@@ -296,7 +296,7 @@ def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> Folde
 
 
 def _ended(runs: Runs, plan: str) -> dict[tuple[str, str, str], tuple[str, bool]]:
-    """Return name and success of runs by number, seed and parameters; outside of sweeps, names replace numbers."""
+    """Return name and success of runs by number, seed and parameters. Outside of sweeps, names replace numbers."""
     rows = runs.sql(
         "SELECT coalesce(number::VARCHAR, run), seed, parameters::VARCHAR, run, succeeded FROM runs "
         "WHERE plan = ? AND succeeded IS NOT NULL",
@@ -315,7 +315,7 @@ def _(found: FolderComparison) -> dict[str, object]:
 
 
 def lines(found: FolderComparison, first: Path, second: Path) -> Iterator[str]:
-    """Yield a comparison as text, given the two folders."""
+    """Yield the comparison of two folders as text."""
 
     def signed(share: float) -> str:
         return f"{'+' if share > 0 else ''}{percent(share) if share >= 0 else f'-{percent(-share)}'}"

@@ -1,7 +1,7 @@
-"""Folds records into states: each world is its last keyframe, changed by the effects up to a step. No physics runs.
+"""Fold records into states: each world is its last keyframe, changed by the effects up to a step.
 
-Effects hold the values that were read back from the engine, with all bits. So a state is exact, and the fold from the
-start equals the fold from any keyframe.
+Effects have the exact values of the engine. So states are exact, and the fold from the start equals the fold from each
+keyframe. No physics runs.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 CHANGES: Final = (Mutation, Keyframe, Query)
-"""The records that change a state. A query changes the state if it updates a robot's beliefs."""
+"""The kinds of records that change a state. A query changes the state if it updates a robot's beliefs."""
 
 
 def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
-    """Return the state after some records, which contain the opening or a keyframe of each world first.
+    """Return the state after records. The first record of each world must be its opening or a keyframe.
 
-    The state's step is at least the step of the last record; records that change no state only count as steps.
+    The step of the state is at least the step of the last record.
     """
     worlds: dict[str, FoldedWorld] = {}
     for record in all_records:
@@ -42,16 +42,16 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
 def state_at(log: RecordReader, step: int, moment: float | None = None) -> State:
     """Return the state after a step of a recording.
 
-    If the next record is a simulation that contains the moment (s of simulated time), return the state at that moment,
-    according to the record's samples.
+    If the next record is a simulation with the moment (simulated time in s), return the state of the last sample before
+    the moment.
 
     Raises:
-        Damaged: a record is inconsistent.
+        Damaged: A record is inconsistent.
     """
     worlds: dict[str, FoldedWorld] = {}
     first = step
     for lifetime in log.lifetimes:
-        if lifetime.has(step):  # otherwise the world isn't open yet, or its name was reused
+        if lifetime.has(step):  # the world is open, and its name isn't reused
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
     lost = ", ".join(range_text(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
     uncertainty = f"the changes of steps {lost} are lost" if lost else ""
@@ -60,7 +60,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
 
 
 def _apply_samples(log: RecordReader, step: int, worlds: dict[str, FoldedWorld], moment: float) -> Sampled | None:
-    """Bring a world to a moment within a record's stretch of simulation; return None if the record lacks the moment."""
+    """Bring a world to a moment within a simulation; return None if the record has no such moment."""
     record = next(iter(log.records(Mutation, step, step + 1)), None)
     if record is None or not record.HasField("simulate") or record.world not in worlds:
         return None
@@ -77,7 +77,7 @@ def _apply_samples(log: RecordReader, step: int, worlds: dict[str, FoldedWorld],
 
 
 def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dict[str, FoldedWorld]) -> int:
-    """Fold a world's records from its last keyframe up to a step; return the first step that was read."""
+    """Fold the records of a world from its last keyframe up to a step. Return the first read step."""
     end = log.chunk_of(step)
     base = _last_keyframe(log, lifetime, step)
     begin = lifetime.changes[0] if base is None else log.chunk_of(base.seq)
@@ -137,7 +137,7 @@ def _body(body: FoldedBody) -> Body:
 
 
 def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
-    """Return a belief as data; for a held object, the belief has the true pose."""
+    """Return a belief as data. The belief about a held object has the true pose."""
     body = bodies[belief.object]
     held = belief.source == Belief.HELD
     pose = body.pose if held else (vector(belief.position), quaternion(belief.orientation))
@@ -145,7 +145,7 @@ def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
-    """Return the last step, not after ``step``, at which a world was open; with a name, the world with that name."""
+    """Return the last step up to ``step`` with an open world, or with an open world of the name."""
     worlds = state_at(log, step).worlds
     if any(world.open for world in worlds.values() if name in (None, world.name)):
         return step

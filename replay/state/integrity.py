@@ -1,12 +1,9 @@
-"""Verifies a recording without an engine: its file is sound, and its records are consistent.
+"""Verify a recording without an engine: its file is sound, and its records are consistent.
 
-- Steps have no gap and time never decreases. A cause is recorded before its effect.
-- Every task that starts ends once, under the same name, and its parent exists.
-- A branch, or a task that began in its parent's thread, ends before its parent.
-- A task or run has a failure if and only if it failed.
-- Every keyframe equals the fold of the records before it; its bodies have the same models and load options.
-
-:mod:`replay.restore.verify` also re-executes the recorded changes.
+Steps have no gap, and time never decreases. A cause is recorded before its effect. Every started task ends once, under
+the same name, and has a parent. A branch, or a task in its parent's thread, ends before its parent. Exactly the failed
+tasks and runs have a failure. Every keyframe equals the fold of the records before it. :mod:`replay.restore.verify`
+also executes the recorded changes again.
 """
 
 from __future__ import annotations
@@ -33,13 +30,13 @@ if TYPE_CHECKING:
 class Deviation:
     """A value that differs from the recorded value."""
 
-    field: str  # the value's path, such as ``effect.bodies[milk].position[0]``
-    recorded: Plain  # None if the recorded value is missing
-    found: Plain  # None if the found value is missing
+    field: str  # path of the value, such as ``effect.bodies[milk].position[0]``
+    recorded: Plain  # None if it is missing
+    found: Plain  # None if it is missing
 
     @property
     def size(self) -> float:
-        """The difference between numbers, in their unit; infinite for other values."""
+        """The difference between numbers in their unit; infinite for other values."""
         if isinstance(self.recorded, int | float) and isinstance(self.found, int | float):
             size = abs(self.recorded - self.found)
             return math.inf if math.isnan(size) else size
@@ -51,7 +48,7 @@ class Deviation:
 
 
 def first_deviation(recorded: Plain, actual: Plain, field: str = "") -> Deviation | None:
-    """Return the first deviation between two values of JSON data; None if they are equal."""
+    """Return the first deviation between two values of JSON data; None for equal values."""
     return next(_deviations(recorded, actual, field), None)
 
 
@@ -80,18 +77,18 @@ def _short(value: Plain) -> str:
 class Problem:
     """An inconsistency."""
 
-    step: int | None  # None if the problem belongs to no step
-    cause: str  # the problem in words
+    step: int | None  # None for a problem without a step
+    cause: str
     deviation: Deviation | None = None  # the first wrong value
     task: tuple[str, ...] = ()  # names of the tasks around the step, outermost first
 
 
 class Integrity:
-    """Checks records in their order; ``lost`` has the missing steps; after them, the states of worlds are unknown."""
+    """A checker of records in order. ``lost`` are the missing steps, after which the states of worlds are unknown."""
 
     def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
         self._lost = tuple(lost)
-        self.steps = self._next = 0  # number of checked records
+        self.steps = self._next = 0
         self.keyframes = 0  # number of keyframes that were compared with the fold
         self.tasks = TaskIntegrity(newer=newer)
         self.resumed = False  # whether records were missing before the last record
@@ -104,11 +101,11 @@ class Integrity:
         return world_of(self._worlds[name])
 
     def knows(self, world: str) -> bool:
-        """Return whether a world's state is known: it was opened or had a keyframe after the last missing records."""
+        """Return whether the state of a world is known after the last missing records."""
         return world in self._worlds
 
     def check(self, record: Record) -> Problem | None:
-        """Check the next record; return its problem, or a problem of the previous records."""
+        """Check the next record. Return its problem, or a problem of the previous records."""
         step, expected = record.seq, self._next
         self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
         if self.resumed:
@@ -116,7 +113,7 @@ class Integrity:
             self._worlds.clear()
         elif step != expected:
             lost = str(expected) if step == expected + 1 else f"{expected} to {step - 1}"
-            return Problem(expected, f"step {lost} is missing: its consequences can't be checked")
+            return Problem(expected, f"step {lost} is missing, so its consequences can't be checked")
         self._next = step + 1
         self.steps += 1
         cause = self._check_envelope(record)
@@ -172,13 +169,13 @@ class Integrity:
 
 
 def _plain(world: World) -> Plain:
-    """Return a world as JSON data, with attachments by carrier and body, and with the loading of each body."""
+    """Return a world as JSON data, with attachments by carrier and body, and the loading of each body."""
     data = world_data(world)
     held = data.pop("attachments")
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
     loaded: list[Plain] = [
-        # in a keyframe, this color is the current color
+        # the color in a keyframe is the current color
         {key: value for key, value in message_data(body.loaded).items() if key != "color"}
         for body in world.bodies.values()
     ]
@@ -186,9 +183,9 @@ def _plain(world: World) -> Plain:
 
 
 MAX_DEPTH: Final = 2000
-"""Levels of nested tasks; Python's stack ends at about 1,000."""
+"""Largest number of levels of nested tasks. Python's stack ends at about 1,000 levels."""
 _MAIN_THREAD: Final = "MainThread"  # recordings of release 0.1.0 lack the thread that ends the run
-#: Phases that may follow each phase of a task; a requested branch may be cancelled before it starts.
+#: Phases of a task by previous phase. A requested branch may be cancelled before its start.
 _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {
     None: (Task.ASKED, Task.STARTED),
     Task.ASKED: (Task.STARTED, Task.FINISHED, Task.LEFT),
@@ -200,33 +197,33 @@ _STATUSES: Final[Mapping[Task.Phase, tuple[Task.Status, ...]]] = {
     Task.FINISHED: (Task.SUCCEEDED, Task.FAILED, Task.CANCELLED),
     Task.LEFT: (Task.CREATED, Task.RUNNING),
 }
-_SAME: Final = ("kind", "name", "attempt", "parent")  # equal in all records of a task
+_SAME: Final = ("kind", "name", "attempt", "parent")  # these fields are equal in all records of a task
 
 
 class TaskDepths:
-    """The depth of nested tasks, record by record."""
+    """The depth of nested tasks."""
 
     def __init__(self) -> None:
         self._depths: dict[int, int] = {}
 
     def too_deep(self, record: Task) -> str:
-        """Check the next record of a task; return an error if it is nested too deep, otherwise ""."""
+        """Check the next record of a task. Return an error if the task is nested too deep, otherwise ""."""
         depth = self._depths[record.task] = self._depths.get(record.parent, 0) + 1
         return f"its task is nested more than {MAX_DEPTH} levels deep" if depth > MAX_DEPTH else ""
 
 
 class TaskIntegrity:
-    """Checks records of tasks and the run in their order; with ``newer``, tasks may have unknown phases."""
+    """A checker of the records of tasks and the run in order. With ``newer``, tasks may have unknown phases."""
 
     def __init__(self, *, newer: bool = False) -> None:
         self._newer = newer
         self.tasks = 0  # number of tasks
-        self.partial = False  # whether records are missing that may have started or finished tasks
+        self.partial = False  # whether missing records may have started or finished tasks
         self._names: dict[int, tuple[str, int]] = {}
         self._phases: dict[int, Task.Phase] = {}
         self._running: dict[int, Task] = {}
         self._threads: dict[int, str] = {}
-        self._left = 0  # number of tasks that still run when the recording ends
+        self._left = 0  # number of running tasks at the end of the recording
         self._run: Run | None = None
 
     @property
@@ -243,7 +240,7 @@ class TaskIntegrity:
         return tuple(reversed(names))
 
     def knows(self, number: int) -> bool:
-        """Return whether a task has started, or may have started; 0 means no task."""
+        """Return whether a task has started, or may have started. 0 means no task."""
         return not number or number in self._names or self.partial
 
     def resume(self) -> None:
@@ -252,7 +249,7 @@ class TaskIntegrity:
         self._running.clear()
 
     def check(self, record: Task) -> str:
-        """Check the next record of a task; return its error, or ""."""
+        """Check the next record of a task. Return its error, or ""."""
         number, before = record.task, self._phases.get(record.task)
         if self._newer and record.phase not in Task.Phase.values():
             return ""
@@ -276,7 +273,7 @@ class TaskIntegrity:
         return ""
 
     def _unlike(self, record: Task) -> str:
-        """Return how a record contradicts itself or its task's start; "" if it has no contradiction."""
+        """Return a contradiction within a record, or to its task's start; "" without a contradiction."""
         subject = f"task {record.task}"
         if self._newer and record.status not in Task.Status.values():
             return ""
@@ -289,14 +286,14 @@ class TaskIntegrity:
         if began is None:
             return ""
         for field in _SAME:
-            # if a task still runs, its parent may be missing in the recording
+            # the parent of a running task may be missing in the recording
             elsewhere = field == "parent" and (began.began_ns or record.phase == Task.LEFT)
             if getattr(began, field) != getattr(record, field) and not elsewhere:
                 return f"the {field} of {subject} differs from its start at step {began.seq}"
         return ""
 
     def check_run(self, record: Run) -> str:
-        """Check the next record of the run; return its error, or ""."""
+        """Check the next record of the run. Return its error, or ""."""
         failed = record.phase == Run.THREAD_FAILED or (record.phase == Run.FINISHED and not record.succeeded)
         cause = _failure(failed=failed, recorded=record.HasField("failure"))
         if cause:
@@ -310,7 +307,7 @@ class TaskIntegrity:
             return ""
         self._threads[0] = record.thread or _MAIN_THREAD
         for number, began in self._running.items():
-            # a task of a daemon thread or a worker can end after the task around it, or after the run
+            # tasks of daemon threads or workers may end after the outer task or the run
             in_parent = began.kind == "branch" or began.thread == self._threads.get(began.parent)
             if began.parent not in self._running and in_parent:
                 return f"the run ends before task {number} ({began.name}), which started at step {began.seq}"
@@ -333,22 +330,22 @@ class Verification:
     """The result of verifying a recording."""
 
     steps: int  # number of checked steps
-    tasks: int  # number of tasks that started
-    unfinished: int  # number of tasks that were unfinished at the end
+    tasks: int  # number of started tasks
+    unfinished: int  # number of unfinished tasks at the end
     keyframes: int  # number of keyframes that were compared with the fold
     files: int  # number of attached files
     changes: int  # number of changes that were executed again
     worlds: int  # number of worlds in which changes were executed again
-    # Names of worlds whose physics isn't compared:
+    # names of worlds without a comparison of physics
     late: tuple[str, ...] = ()  # worlds that were open before the recording
     dragged: tuple[str, ...] = ()  # worlds in which a body was dragged by hand
-    environment: tuple[str, ...] = ()  # differences of this environment from the recorded environment, in words
-    largest: Deviation | None = None  # a deviation that the environment or the engine's rounding may explain
+    environment: tuple[str, ...] = ()  # differences of this environment from the recorded environment
+    largest: Deviation | None = None  # largest deviation that the environment or rounding may explain
     problem: Problem | None = None  # the first problem
-    damage: str = ""  # damaged or lost parts of the file; the missing end of an unclosed recording isn't damage
-    incomplete: str = ""  # why the recording is incomplete: it wasn't closed, or records were lost before a repair
-    unknown: tuple[str, ...] = ()  # worlds that a newer release changed, so that their later physics isn't compared
-    static: bool = False  # whether nothing was executed again
+    damage: str = ""  # damaged or lost parts of the file; a missing end isn't damage
+    incomplete: str = ""  # why the recording is incomplete
+    unknown: tuple[str, ...] = ()  # worlds that a newer release changed, without a comparison of later physics
+    static: bool = False  # whether no change was executed again
 
     @property
     def sound(self) -> bool:
@@ -357,17 +354,17 @@ class Verification:
 
     @property
     def exact(self) -> bool:
-        """Whether re-execution was complete and bit-identical."""
+        """Whether all changes were executed again, with equal effects bit for bit."""
         return self.sound and self.largest is None and not (self.static or self.late or self.dragged or self.unknown)
 
 
 def verify_static(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
-    """Verify without an engine, up to the first problem; ``progress`` is called with each step."""
+    """Verify without an engine up to the first problem. ``progress`` is called with each step."""
     return Verifier(log).run(progress)
 
 
 class Verifier:
-    """Verifies a recording; :meth:`check` is called with each consistent change and keyframe."""
+    """A verifier of a recording. :meth:`check` is called with each consistent change and keyframe."""
 
     static = True
 
@@ -381,11 +378,11 @@ class Verifier:
         self.unknown: dict[str, None] = {}
         self.environment: tuple[str, ...] = ()
         self.largest: Deviation | None = None
-        self.damage: list[str] = []  # damage of records, in addition to the file's damage
+        self.damage: list[str] = []  # damage of records
         self._depths = TaskDepths()
 
     def run(self, progress: Callable[[int], None] | None) -> Verification:
-        """Read everything, which checks the file, and check the records."""
+        """Check the file and the records."""
         self.log.check_file()
         problem = self._first_problem(progress)
         return Verification(
@@ -424,8 +421,8 @@ class Verifier:
         return None
 
     def forget(self) -> None:
-        """Forget all worlds: records are missing."""
+        """Forget all worlds, because records are missing."""
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:  # noqa: ARG002  for subclasses
-        """Return the problem of a change or keyframe; without an engine, return None."""
+        """Return the problem of a change or keyframe; None without an engine."""
         return None

@@ -1,4 +1,4 @@
-"""Records and states as JSON data: enums by name, numbers as numbers, values of the plan decoded."""
+"""Records and states as JSON data."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thre
 
 
 def kind_of(record: Record) -> str:
-    """Return the kind of a record: task, mutation, refusal and so on, as in the names of topics."""
+    """Return the kind of a record, such as "task" or "mutation": the name of the topic."""
     return TOPICS.get(type(record), UNKNOWN).removeprefix("/")
 
 
 def record_data(record: Record) -> dict[str, Plain]:
-    """Return a whole record; unset fields are left out."""
+    """Return a whole record without unset fields."""
     envelope: dict[str, Plain] = {
         "step": record.seq,
         "kind": kind_of(record),
@@ -41,7 +41,7 @@ def record_data(record: Record) -> dict[str, Plain]:
 
 
 def message_data(message: Message) -> dict[str, Plain]:
-    """Return a part of a record; unset fields are left out."""
+    """Return a part of a record without unset fields."""
     return dict(_fields(message))
 
 
@@ -70,7 +70,7 @@ def _value(field: FieldDescriptor, value: object) -> Plain:
 
 
 def mentions(record: Record, name: str) -> bool:
-    """Return whether a record changes a body, or has the body as an argument or answer; False for keyframes."""
+    """Return whether a record changes a body, or names it in an argument or answer; False for keyframes."""
     if isinstance(record, Keyframe):
         return False
     if isinstance(record, Mutation):
@@ -90,7 +90,7 @@ def _has(value: Plain, name: str) -> bool:
 
 
 def state_data(state: State, body: str | None = None, world: str | None = None) -> dict[str, Plain]:
-    """Return a state; with a body, only the body and its worlds; with a world, only the world."""
+    """Return a state, or the part of a state with a body or a world."""
     worlds: dict[str, Plain] = {
         each.name: world_data(each, body)
         for each in state.worlds.values()
@@ -101,7 +101,7 @@ def state_data(state: State, body: str | None = None, world: str | None = None) 
 
 
 def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
-    """Return a world; with the name of a body, only the body and its attachments."""
+    """Return a world, or only a body of the world and its attachments."""
     return {
         "open": world.open,
         "life": world.lifetime,

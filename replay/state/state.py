@@ -1,4 +1,4 @@
-"""The state of worlds after a step: plain data, without a physics engine."""
+"""The state of worlds after a step as plain data."""
 
 from __future__ import annotations
 
@@ -26,37 +26,37 @@ class Body:
 
     name: str
     type: str  # "robot", "environment", "milk", ...
-    loaded: LoadBody  # the record of its loading: models, initial pose, robot description
-    position: Vector  # position of its base link in the world, m
-    orientation: Quaternion  # orientation of its base link in the world, xyzw
-    velocity: tuple[float, ...] = (0.0,) * 6  # velocity of its base link: linear (m/s), then angular (rad/s)
+    loaded: LoadBody  # the record of the loading: models, initial pose, robot description
+    position: Vector  # position of the base link in the world, m
+    orientation: Quaternion  # orientation of the base link in the world, xyzw
+    velocity: tuple[float, ...] = (0.0,) * 6  # velocity of the base link: linear (m/s), then angular (rad/s)
     joints: Mapping[str, float] = field(default_factory=dict)  # positions by name, rad or m
     joint_velocities: Mapping[str, float] = field(default_factory=dict)  # velocities by name, rad/s or m/s
-    color: tuple[float, ...] = ()  # RGBA 0..1; empty: the color of its model
+    color: tuple[float, ...] = ()  # RGBA 0..1; empty for the colour of the model
 
     def __repr__(self) -> str:
         return f"<Body {self.name} ({self.type}) at {html.vector(self.position)}>"
 
     @property
     def pose(self) -> Pose:
-        """Position xyz in m and orientation xyzw of its base link in the world."""
+        """The pose of the base link in the world: xyz in m, and xyzw."""
         return self.position, self.orientation
 
     @property
     def fixed_base(self) -> bool:
-        """Whether physics can't move its base."""
+        """Whether the base is fixed."""
         return self.loaded.fixed_base
 
     @property
     def models(self) -> tuple[str, ...]:
-        """Names of its attached files; the first is the URDF."""
+        """Names of the body's attached files. The first file is the URDF."""
         return tuple(f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in self.loaded.assets)
 
     def joint(self, name: str) -> float:
-        """Return the position of a joint, rad or m.
+        """Return the position of a joint in rad or m.
 
         Raises:
-            NoSuchName: the body has no movable joint of that name.
+            NoSuchName: The body has no movable joint with this name.
         """
         if name not in self.joints:
             raise NoSuchName(f"movable joint of {self.name}", name, self.joints)
@@ -65,15 +65,15 @@ class Body:
 
 @dataclass(frozen=True, slots=True)
 class RecordedBelief:
-    """The pose of an object as a robot believes it; see :mod:`recorder.records.beliefs`."""
+    """A robot's belief about the pose of an object (:mod:`recorder.records.beliefs`)."""
 
     robot: str
     object: str
-    position: Vector  # position of the object's base in the world, m; the true position of a held object
+    position: Vector  # position of the object's base in the world, m; held objects have the true position
     orientation: Quaternion  # orientation of the object's base, xyzw
-    source: str  # "seen", "told" (read from the world's state), "held", or "placed" (the robot released it there)
-    sim_step: int  # simulated steps of 1/240 s until the robot learned it
-    step: int  # step of its record: a look, a grasp or a release; -1 if the belief is older than the recording
+    source: str  # "seen", "told" (read from the world's state), "held", or "placed" (released by the robot)
+    sim_step: int  # number of simulated steps of 1/240 s when the robot learned the belief
+    step: int  # step of the record: a look, a grasp or a release; -1 before the recording
 
     @property
     def pose(self) -> Pose:
@@ -90,13 +90,13 @@ class World:
     mode: str = "DIRECT"  # "DIRECT" or "GUI" (with a window)
     sim_step: int = 0  # simulated steps of 1/240 s
     gravity: Vector = (0.0, 0.0, 0.0)  # m/s^2
-    realtime: bool = False  # whether it is simulated in real time
-    robot: str = ""  # name of the robot of plans
-    lifetime: int = 1  # number of its lifetime, from 1; a later world with the same name has the next number
+    realtime: bool = False  # whether the world is simulated in real time
+    robot: str = ""  # name of the robot
+    lifetime: int = 1  # number among the worlds with the same name, from 1
     bodies: Mapping[str, Body] = field(default_factory=dict)  # bodies by name, in the order of loading
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # attachments by carrier and body
-    following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
-    #: Beliefs by names of robot and object, the latest last.
+    following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow by number
+    #: Beliefs by names of robot and object, latest belief last.
     beliefs: Mapping[tuple[str, str], RecordedBelief] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -123,7 +123,7 @@ class World:
 
     @property
     def title(self) -> str:
-        """Its name for users; see :func:`replay.file.lifetimes.title`."""
+        """The world's name for users (:func:`replay.file.lifetimes.title`)."""
         return title(self.name, self.lifetime)
 
     @property
@@ -132,17 +132,13 @@ class World:
         return self.sim_step / STEPS_PER_SECOND
 
     def body(self, name: str) -> Body:
-        """Return a body by name.
-
-        Raises:
-            NoSuchName: the world has no body of that name.
-        """
+        """Return a body by name; raise NoSuchName if the world has no such body."""
         if name not in self.bodies:
             raise NoSuchName("object", name, self.bodies)
         return self.bodies[name]
 
     def carrier(self, body: str) -> Attachment | None:
-        """Return the attachment of a body to its carrier; None if it isn't carried."""
+        """Return the attachment of a body to its carrier; None without a carrier."""
         return next((held for held in self.attachments.values() if held.body == body), None)
 
     def carried(self, carrier: str) -> list[Attachment]:
@@ -150,11 +146,11 @@ class World:
         return [held for held in self.attachments.values() if held.carrier == carrier]
 
     def believed(self, what: str | None = None, robot: str | None = None) -> list[RecordedBelief]:
-        """Return the robots' beliefs, latest first.
+        """Return beliefs of robots, latest belief first.
 
         Args:
-            what: name or type of objects; None for all objects.
-            robot: name of the robot; None for all robots.
+            what: Name or type of objects; None for all objects.
+            robot: Name of the robot; None for all robots.
         """
         types = {name: body.type for name, body in self.bodies.items()}
         return [
@@ -166,38 +162,38 @@ class World:
 
 @dataclass(frozen=True, slots=True)
 class Sampled:
-    """A moment within a stretch of simulation; there are 30 samples in each simulated second."""
+    """A moment within a simulation, which has 30 samples in each simulated second."""
 
-    step: int  # step of the record of the stretch
+    step: int  # step of the simulation's record
     world: str
-    start: float  # the world's clock before the stretch, s of simulated time
-    end: float  # the world's clock after the stretch, s
+    start: float  # simulated time of the world before the simulation, s
+    end: float  # simulated time of the world after the simulation, s
     asked: float  # the requested moment, s
-    #: Time of the last sample up to that moment, s, or ``start`` if there is none. Samples without visible motion are
+    #: Time of the last sample up to the moment, s, or ``start`` without a sample. Samples without visible motion are
     #: left out.
     at: float
 
 
 class MomentSource(Protocol):
-    """The recording that a state was read from."""
+    """The recording of a state."""
 
     def last_open(self, world: str | None) -> State:
-        """Return the state after the last step, not after the state's step, at which a world was open."""
+        """Return the state after the last step with an open world, up to the state's step."""
 
     def png(self, world: str) -> bytes | None:
-        """Return a small picture of a world; None if it can't be drawn."""
+        """Return a small PNG picture of a world, or None."""
 
 
 @dataclass(frozen=True, slots=True, repr=False)
 class State:
-    """All worlds after a step, or at a moment within the stretch of simulation that follows it."""
+    """All worlds after a step, or at a moment within the next simulation."""
 
     step: int
-    worlds: Mapping[str, World]  # worlds by name, in the order of their opening
-    uncertainty: str = ""  # lost records that may have changed the state, in words
-    assets: Assets | None = field(default=None, repr=False, compare=False)  # the recording's attached files
-    sampled: Sampled | None = None  # the moment within a stretch of simulation; None after a step
-    source: MomentSource | None = field(default=None, repr=False, compare=False)  # the recording, while it is open
+    worlds: Mapping[str, World]  # worlds by name in the order of their opening
+    uncertainty: str = ""  # lost records that may have changed the state
+    assets: Assets | None = field(default=None, repr=False, compare=False)  # attached files of the recording
+    sampled: Sampled | None = None  # the moment within a simulation; None after a step
+    source: MomentSource | None = field(default=None, repr=False, compare=False)  # the open recording
 
     def __repr__(self) -> str:
         worlds = "; ".join(world._summary() for world in self.worlds.values())  # noqa: SLF001  same module
@@ -216,12 +212,12 @@ class State:
         return f"after step {self.step}" if self.sampled is None else f"at {self.sampled.at:.3f} s"
 
     def world(self, name: str | None = None) -> World:
-        """Return a world by name; by default the last opened world that is still open.
+        """Return a world by name, by default the last opened world that is still open.
 
-        If all worlds have ended, the default is the last world, as it was after the last step at which it was open.
+        If all worlds have ended, the default is the last world after its last open step.
 
         Raises:
-            NoSuchName: there is no such world.
+            NoSuchName: There is no such world.
         """
         opened = [world for world in self.worlds.values() if world.open]
         if name is None and opened:
@@ -235,12 +231,12 @@ class State:
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
-        """Return a body of a world by its name; the default world is the last opened world that has the body.
+        """Return a body by name. The default world is the last opened world with the body.
 
-        If all worlds have ended, it is the body after the last step at which a world was open.
+        If all worlds have ended, return the body after the last step with an open world.
 
         Raises:
-            NoSuchName: there is no such body.
+            NoSuchName: There is no such body.
         """
         worlds = [self.world(world)] if world is not None else list(self.worlds.values())
         for candidate in reversed(worlds):
@@ -251,7 +247,7 @@ class State:
         raise self.no_body(name, worlds)
 
     def no_body(self, name: str, worlds: Iterable[World]) -> NoSuchName:
-        """Return the error for a body that is missing in some worlds."""
+        """Return the error for a body that is missing in the worlds."""
         opened = [world for world in worlds if world.open]
         known = [body for world in opened for body in world.bodies]
         elsewhere = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
@@ -267,20 +263,20 @@ class State:
         return f"no world is open after step {self.step}" + (f" ({ended}); take an earlier step" if ended else "")
 
     def urdf(self, body: Body) -> Urdf:
-        """Return the model of a body, from the recording.
+        """Return the model of a body from the recording.
 
         Raises:
-            NoSuchName: the recording lacks the model.
+            NoSuchName: The recording has no such model.
         """
         if self.assets is None or not body.models:
             raise NoSuchName("attached model of", body.name, ())
         return self.assets.urdf(body.models[0])
 
     def link_pose(self, body: Body, link: str = "") -> Pose:
-        """Return the pose of a body's link in the world, m and xyzw; "" is its base.
+        """Return the pose of a body's link in the world, m and xyzw. The link "" is the base.
 
         Raises:
-            NoSuchName: the body has no such link, or the recording lacks its model.
+            NoSuchName: The body has no such link, or the recording lacks the model.
         """
         if not link:
             return body.pose
@@ -294,10 +290,10 @@ class State:
             raise NoSuchName(f"link of {body.name}", link, model.links) from None
 
     def link_poses(self, body: Body) -> dict[str, Pose]:
-        """Return the poses of all links of a body in the world, m and xyzw, by name.
+        """Return the poses of all links of a body in the world by name, m and xyzw.
 
         Raises:
-            NoSuchName: the recording lacks its model.
+            NoSuchName: The recording lacks the model.
         """
         from recorder import geometry  # noqa: PLC0415  needs numpy, which most verbs don't
 
@@ -306,7 +302,7 @@ class State:
 
 
 def turn(before: Sequence[float], after: Sequence[float]) -> float:
-    """Return the angle between two orientations xyzw, rad."""
+    """Return the angle between two orientations xyzw in rad."""
     if before == after:
         return 0.0
     from recorder import geometry  # noqa: PLC0415  needs numpy
