@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from recorder import records
+from recorder import geometry, records
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
 
 DEEP: Final = 5e-3
 """Depth in m above which an overlap is an error; the solver lets resting objects overlap a little."""
+
+
+_SUNK: Final = 0.015  # m below a surface, from which the engine pushes an object elsewhere than straight up
 
 
 class Overlapping(UserWarning):
@@ -29,6 +33,32 @@ def overlaps(body: Object) -> list[records.Overlap]:
         if deepest is not None and deepest.distance < -DEEP:
             links = {"link": deepest.link_a, "body": other.name, "body_link": deepest.link_b}
             found.append(records.Overlap(**links, depth=-deepest.distance))
+    return found
+
+
+def sunk(world: BulletWorld) -> list[tuple[Object, records.Overlap, float]]:
+    """Return the free objects with their underside far below a surface of furniture that they are inside of.
+
+    Each has its overlap, and the distance in m from its underside up to the surface. The engine throws such an object,
+    also through the furniture. The contents of furniture whose shape is a hull aren't sunk: no surface goes through
+    them.
+    """
+    found = []
+    furniture = [body for body in world.objects if body.fixed and not body.is_robot]
+    for body in world.objects:
+        (_, _, low), (_, _, high) = body.get_AABB()
+        for other in furniture if not (body.fixed or body.attachments) else ():
+            deepest = world.engine.deepest(body.handle, other.handle)
+            if deepest is None or deepest.distance >= -DEEP:
+                continue
+            for surface in other.surfaces.values():
+                pose = other.surface_pose(surface)
+                x, y, _ = geometry.transform(geometry.invert(pose), body.get_position())
+                rise = pose[0][2] - low
+                if _SUNK < rise < high - low and geometry.margin_in_polygon(surface.outline, (x, y)) > 0.0:
+                    links = {"link": deepest.link_a, "body": other.name, "body_link": deepest.link_b}
+                    found.append((body, records.Overlap(**links, depth=-deepest.distance), rise))
+                    break
     return found
 
 

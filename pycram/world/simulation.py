@@ -19,7 +19,7 @@ from pycram.foundation.failures import ChangeRefused, WorldClosed
 from pycram.scheduling.cancellation import current_scope, join, raise_if_cancelled, uninterruptible
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
 from pycram.world import attachment
-from pycram.world.overlaps import DEEP
+from pycram.world.overlaps import DEEP, sunk
 from pycram.world.transaction import state_delta, take_snapshot, update
 from recorder import geometry, records
 from recorder.tracing import journal
@@ -332,10 +332,13 @@ def settle(world: BulletWorld, steps: int) -> tuple[dict[Object, Speed], bool]:
 
 
 def separate(world: BulletWorld) -> None:
-    """Lift free objects out of other free objects that they overlap, because the engine would jam or throw them.
+    """Lift free objects out of surfaces and other free objects that they overlap; the engine would jam or throw them.
 
-    The object that was loaded later is lifted. Only pairs with overlapping boxes are checked.
+    Of two free objects, the object that was loaded later is lifted. Only pairs with overlapping boxes are checked.
     """
+    for body, _, rise in sunk(world):
+        x, y, z = body.get_position()
+        body.set_position([x, y, z + rise])
     free = [body for body in world.objects if not body.fixed and not body.attachments]
     boxes = np.array([body.get_AABB() for body in free]).reshape(-1, 2, 3)
     possible = np.triu(_overlap(boxes[:, None], boxes), 1)  # pairs that may overlap; the first was loaded earlier

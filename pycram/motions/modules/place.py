@@ -25,6 +25,7 @@ from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.rejections import OutOfReach, Unreached, short
 from pycram.world import attachment
+from pycram.world.overlaps import sunk
 from pycram.world.world import BulletWorld
 from recorder import geometry
 
@@ -73,6 +74,7 @@ class Place(SimulatedModule):
         with self.execution.whole(robot.world):
             with robot.world.lock:
                 self._check_holds(robot, arm, body, target)
+                _check_sunk(body, target)
                 with choosing(
                     "placement", robot.world, object=body, arm=arm.name, target=target, orientation=orientation
                 ) as choice:
@@ -116,6 +118,13 @@ class Place(SimulatedModule):
         with choosing("retreat", robot.world, object=body, arm=arm.name) as choice:
             posture = placing.retreat(robot, arm, choice)
         return None if posture is None else self.execution.move(robot, posture)
+
+
+def _check_sunk(body: Object, target: Sequence[float]) -> None:
+    """Check that no object is inside of furniture: the engine would throw it while the placed object comes to rest."""
+    for other, overlap, _ in sunk(body.world):
+        inside = f"{other.name} is {overlap.depth * 1e3:.0f} mm inside of {overlap.body}"
+        raise PlaceFailed(body.name, target, f"{inside}, which would throw it; world.settle() lifts it out")
 
 
 def _plan(

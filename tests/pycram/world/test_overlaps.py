@@ -11,12 +11,14 @@ import pytest
 import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
+from pycram.failures import PlaceFailed
 from pycram.world.overlaps import DEEP, Overlapping
 from pycram.world.simulation import separate
 from recorder.records import Mutation
 from recorder.records.text import mutation_text
 from replay.restore.verify import verify
 from tests.measures import seeded
+from tests.pycram.motions.placing_scenes import perform
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -103,3 +105,21 @@ def test_things_are_lifted_apart_in_the_order_of_loading(seeds: range) -> None:
             assert [body.get_position() for body in world.objects] == lifted, seed
         moved += before != lifted
     assert moved
+
+
+def test_what_is_sunk_into_a_counter_is_lifted_onto_it_and_place_does_not_throw_it() -> None:
+    with BulletWorld() as world:
+        world.set_gravity([0, 0, -9.8])
+        Object("kitchen", "environment", "kitchen.urdf")
+        world.robot = Object("pr2", "robot", "pr2.urdf", [0.65, 0.7, 0])
+        perform(type="move-arm-joints", left_arm="park", right_arm="park")
+        with pytest.warns(Overlapping, match=r"mm inside of kitchen"):
+            sunk = Object("sunk", "milk", "milk.stl", [1.36, 0.6, 0.875])
+        cup = Object("cup", "cup", "cup.stl", [1.36, 0.9, 0.9])
+        perform(type="pick-up", object=cup, arm="left")
+        with pytest.raises(PlaceFailed, match=r"sunk is 7\d mm inside of kitchen, which would throw it"):
+            perform(type="place", object=cup, arm="left", target=[1.36, 0.75, 0.9])
+        assert sunk.get_position() == [1.36, 0.6, 0.875]
+        assert world.settle()
+        assert sunk.get_position() == pytest.approx([1.36, 0.6, 0.947], abs=0.005)
+        perform(type="place", object=cup, arm="left", target=[1.36, 0.75, 0.9])
