@@ -8,6 +8,7 @@ import math
 import os
 import re
 import runpy
+import shlex
 import subprocess
 import sys
 from contextlib import chdir
@@ -241,7 +242,7 @@ def test_run_exits_with_the_code_of_the_plan(
         assert log.complete
     for line in said.splitlines():
         if line.startswith("  pycram-replay"):  # what it says to type next works
-            _, *words = line.split()
+            _, *words = shlex.split(line, comments=True)
             words += ["--save", "plan.rrd"] if words[0] == "view" else []  # there is no screen to open it on
             with chdir(tmp_path):
                 assert replay_command(words) == 0, line

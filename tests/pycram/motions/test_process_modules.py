@@ -173,7 +173,7 @@ def test_accessing_moves_the_gripper_with_the_handle_and_the_spoon_with_the_draw
     kitchen, spoon, robot = scene.get_object("kitchen"), scene.get_object("spoon"), scene.robot
     before = snapshot(scene)
     slots = {"type": "accessing", "drawer-joint": DRAWER, "drawer-handle": HANDLE, "part-of": kitchen, "arm": "left"}
-    with pytest.raises(AccessFailed, match=r"up to 0\.48"):
+    with pytest.raises(AccessFailed, match=r"its upper limit is 0\.48"):
         perform(**slots, distance=0.6)
     assert snapshot(scene) == before
     lay = spoon.get_position()
