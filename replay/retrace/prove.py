@@ -84,6 +84,7 @@ def prove(
         control = pool.submit(compared, unchanged, log)
         prover = _Prover(log, why, folder, arguments, recorded_source=recorded_source, kept=keep is not None)
         undoing.callback(prover.stop)
+        known: dict[Trial, TriedTrial] = {}  # causes may share trials
         tried: dict[int, list[TriedTrial]] = {number: [] for number in range(len(why.causes))}
         case = why.case
         trials = [list(cause.trials(case)) if case is not None else [] for cause in why.causes]
@@ -93,9 +94,10 @@ def prove(
                 for number, found in tried.items()
                 if turn < len(trials[number]) and all(each.verdict != CONFIRMED for each in found)
             ][: max(0, budget - prover.forks)]
-            outcomes = pool.map(prover.tried, [each for _, each in wanted])
-            for (number, _), outcome in zip(wanted, outcomes, strict=True):
-                tried[number].append(outcome)
+            fresh = [each for each in dict.fromkeys(trial for _, trial in wanted) if each not in known]
+            known |= zip(fresh, pool.map(prover.tried, fresh), strict=True)
+            for number, trial in wanted:
+                tried[number].append(known[trial])
         result = control.result()
         proofs = [_proof(tried[number], trials[number], why.causes[number].untestable) for number in tried]
         if not result.identical:

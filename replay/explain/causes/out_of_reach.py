@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 
+_OPEN: Final = 0.01  # rad or m of a door or drawer that isn't closed
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain the causes in this module
 
 
@@ -67,7 +68,8 @@ class ObstructingBody(Cause):
         yield from trials.away(case, self.body)
         if self.change is None and case.world is not None:
             for joint in case.joints_to(self.body, self.link)[:1]:
-                yield from trials.joint_at(case, self.body, joint, 0.0)
+                if abs(case.world.bodies[self.body].joints[joint]) > _OPEN:
+                    yield from trials.joint_at(case, self.body, joint, 0.0)
 
     def _words(self) -> Iterator[str]:
         what = link_text(self.body, self.link)

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import ast
 import json
+import math
 import re
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from recorder import geometry
 from recorder.records import Mutation, argument_values
 from replay.errors import NoSuchStep
 from replay.history.blame import commanded
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 _MOVED: Final = 1e-6  # rad or m by which a joint counts as moved
 _FAR: Final = 30.0  # m to which an obstacle is moved away
+_BEFORE: Final = 0.65  # m from a target within which arms work well
 _ROOM: Final = 0.1  # m by which the robot is moved nearer than the arm's miss
 _LONGER: Final = 10.0  # factor of a limit
 NONE: Final = "none"
@@ -166,20 +169,20 @@ def joint_at(case: FailureCase, body: str, joint: str, value: float, step: int |
 
 
 def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[Trial]:
-    """Yield the trial with the robot nearer to a target just before the failure."""
+    """Yield the trials with the robot nearer to a target, and right before it, just before the failure."""
     robot = case.robot
     if robot is None:
         return
-    away_x, away_y = target[0] - robot.position[0], target[1] - robot.position[1]
-    distance = (away_x**2 + away_y**2) ** 0.5
-    share = min(1.0, (miss + _ROOM) / distance) if distance else 0.0
-    place = (robot.position[0] + share * away_x, robot.position[1] + share * away_y, robot.position[2])
-    yield _set(
-        case,
-        _before(case),
-        f"{robot.name} is {phrases.length(share * distance)} nearer",
-        {f"{written(robot.name)}.position": place},
-    )
+    (x, y, z), name = robot.position, robot.name
+    distance, heading = math.dist((x, y), target[:2]), math.atan2(target[1] - y, target[0] - x)
+    for left, turn, words in (
+        (distance - miss - _ROOM, robot.orientation, f"{name} is {phrases.length(miss + _ROOM)} nearer"),
+        (_BEFORE, geometry.from_rpy(0.0, 0.0, heading), f"{name} is {phrases.length(_BEFORE)} before the target"),
+    ):
+        ahead = distance - max(left, 0.0)
+        pose = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), z, *turn)
+        trial = _set(case, _before(case), words, {f"{written(name)}.position": pose})
+        yield replace(trial, decisive=left == _BEFORE)
 
 
 def other_answer(query: Query) -> Iterator[Trial]:

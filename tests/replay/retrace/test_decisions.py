@@ -93,7 +93,7 @@ def test_all_kinds_of_decisions_are_forced(log: Recording, tmp_path: Path, capsy
     assert "front, top across, left, right: excluded by the fork" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_a_decision_that_doesnt_come_ends_with_2_and_keeps_the_fork(log: Recording, tmp_path: Path) -> None:
     file = tmp_path / "on.mcap"
     given = ("--answer", "remove(milk)=skip", "--answer", "timeout(seconds=20)=0.05")
