@@ -40,6 +40,7 @@ _YES: Final = {
 }
 _NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
 _MOVED: Final = (1e-3, 5e-3)  # in m and rad; smaller moves don't count as changes
+_LOADED: Final = ("load", "removed")  # changes after which there is another body
 _IN_HAND: Final = 0.05  # in m; smaller moves are adjustments
 _SEARCHED: Final = 5_000  # number of records before the failure that are searched
 _BELIEVED: Final = frozenset(
@@ -79,10 +80,10 @@ class NoLonger(Cause):
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trial with all changed bodies as they were at the answer."""
-        bodies = [each.body for each in self.changes if each.how != "removed"]
+        bodies = [each.body for each in self.changes if each.how not in _LOADED]
         yield from trials.restored(case, list(dict.fromkeys(bodies)), self.steps[0], self.changes[-1].step)
         for change in self.changes:
-            if change.how == "removed":
+            if change.how in _LOADED:
                 yield from trials.put_back(case, change)
 
     def _words(self) -> Iterator[str]:
