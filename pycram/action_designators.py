@@ -309,8 +309,8 @@ def perceiving(
 ) -> ActionDesignator:
     """Turns the camera to the believed place of an object, detects the object and returns it.
 
-    Without a belief, the action detects the object in the present view. Without a camera, it uses the state of the
-    world. The action fails with PerceptionError if the robot doesn't see the object.
+    Without a belief, the action detects the object in the present view. Without a camera, the action uses the state of
+    the world. The action fails with PerceptionError if the robot doesn't see the object.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.

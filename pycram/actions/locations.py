@@ -176,7 +176,7 @@ class LocationDesignator(ResolvedDesignator):
 
     @property
     def for_objects(self) -> bool:
-        """Whether it is a place for an object."""
+        """Whether the designator describes a place for an object."""
         return any(slot_name(name) in ("on", "in") for name, _ in self._slots)
 
     def middle(self) -> list[float]:

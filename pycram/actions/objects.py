@@ -31,7 +31,7 @@ _SLOTS: Final = SlotTable(
 
 
 class ObjectDesignator(ResolvedDesignator):
-    """An object, such as ``ObjectDesignator(type="milk")``. The robot's beliefs resolve it, the latest belief first.
+    """An object, such as ``ObjectDesignator(type="milk")``, which the robot's beliefs resolve, the latest first.
 
     Solutions have ``object``, ``position`` and ``orientation``: the object, and its believed pose.
     """

@@ -21,7 +21,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-import numpy.random  # noqa: F401  each run seeds it, and would else import it again
+import numpy.random  # noqa: F401  each run seeds NumPy, and would else import this module
 
 from pycram.foundation import checks
 from pycram.foundation.errors import export

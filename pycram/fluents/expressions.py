@@ -7,10 +7,10 @@ operands to their operations are weak, so unused networks are freed.
 A pulse means that something happened to a fluent, whether or not its value changed. Pulses spread from an expression to
 all operations on it. A counter counts a change once, however many paths lead to the counter.
 
-One lock guards all leaves of the process. While a thread holds it, no user code runs: no function of a network, no
-``__eq__``, no conversion to JSON, no finalizer of an old value. A thread acquires it after a world's lock and before a
-journal's lock, so the order of records is the order of changes. The lock is re-entrant, because the garbage collector
-may run finalizers anywhere, and finalizers may set fluents.
+One lock guards all leaves of the process. While a thread holds this lock, no user code runs: no function of a network,
+no ``__eq__``, no conversion to JSON, no finalizer of an old value. A thread acquires the lock after a world's lock and
+before a journal's lock, so the order of records is the order of changes. The lock is re-entrant, because the garbage
+collector may run finalizers anywhere, and finalizers may set fluents.
 """
 
 from __future__ import annotations
@@ -163,7 +163,7 @@ class Operation(Expression):
         super().__init__(operands)
         self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
         self.form = form  # the name, with ``{}`` in place of each operand
-        self.function = function  # its argument is an iterator, which computes the operands' values on demand
+        self.function = function  # the argument is an iterator, which computes the operands' values on demand
         #: Number of nested operations, including this operation.
         self.height: int = 1 + max(
             (operand.height for operand in operands if isinstance(operand, Operation)), default=0

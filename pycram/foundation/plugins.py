@@ -1,6 +1,6 @@
 """Robots, process modules and actions of other packages: entry points that are loaded when a plan uses their name.
 
-A package declares them in its pyproject.toml::
+A package declares entry points in its pyproject.toml::
 
     [project.entry-points."pycram.robots"]
     my_robot = "my_package:DESCRIPTION"      # path of a TOML file, or a RobotDescription

@@ -106,7 +106,7 @@ class Branch:
         """Set the outcome; called once."""
         if not self._begun:
             self._dropped()
-            self.span.finish(error or Cancelled())  # its request may be on record
+            self.span.finish(error or Cancelled())  # the request of the span may be on record
         self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
         self.label = partial(str, self.name)
         self._result, self.error = result, error

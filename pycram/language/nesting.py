@@ -183,12 +183,12 @@ def sequential() -> Iterator[Callable[[], None]]:
 
 @scope
 def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
-    """Run a cleanup action after the ``with`` block, however the block ends; in the block, actions run in order.
+    """Run a cleanup action after the ``with`` block, even after an error; in the block, actions run in order.
 
-    Python's ``finally`` also runs in a cancelled branch, but there motions are cancelled. Cancellation doesn't affect
-    this action. If both block and cleanup fail, the failure of the block is raised, with the other failure in its
-    context; but a usage error takes precedence over a failure. If a cancelled block has a failed cleanup, the
-    cancelling block fails with NotCleanedUp.
+    Python's ``finally`` also runs in a cancelled branch, but a cancelled branch can't move. Cancellation doesn't affect
+    the cleanup. If both block and cleanup fail, the failure of the block is raised, with the other failure in its
+    context. A usage error takes precedence over a failure. If a cancelled block has a failed cleanup, the cancelling
+    block fails with NotCleanedUp.
 
     Raises:
         BadArgument: The action isn't callable.

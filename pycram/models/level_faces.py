@@ -247,8 +247,8 @@ class Piece:
     link: str
     corners: Array  # (n, 3), m
     planes: Array  # (k, 4) outward unit normals, and offsets in m: inside, ``normal @ point + offset <= 0``
-    low: Array  # lowest corner of its bounding box, m
-    high: Array  # highest corner of its bounding box, m
+    low: Array  # lowest corner of the bounding box, m
+    high: Array  # highest corner of the bounding box, m
 
 
 def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ DOOR: Final = "door"
 class Surface:
     """A surface on which objects can stand, such as a counter, a shelf or the bottom of a drawer."""
 
-    name: str  # unique in its furniture
+    name: str  # name, unique in the furniture
     link: str
     position: Vector  # middle of the surface in the frame of the link, m
     orientation: Quaternion  # xyzw in the frame of the link; z points up if the furniture stands upright
@@ -44,7 +44,7 @@ class Surface:
 class Container:
     """A part of furniture that a robot opens to reach the objects inside, such as a drawer, a fridge or a cupboard."""
 
-    name: str  # unique in its furniture
+    name: str  # name, unique in the furniture
     kind: str  # "drawer" if its contents move with it, "door" if its contents stay
     link: str  # the moving part
     joint: str  # the joint that moves the part

@@ -111,8 +111,8 @@ class Solutions:
     threads search, and the first found solution is used.
 
     Args:
-        find: Yields solutions and the names of their resolvers. After a failure, it is called again; known solutions
-            are then skipped.
+        find: Yields solutions and the names of their resolvers. After a failure, ``find`` is called again; known
+            solutions are then skipped.
     """
 
     def __init__(self, find: Callable[[], Iterator[tuple[Solution, str]]]) -> None:
@@ -199,7 +199,7 @@ class Designator(ABC):
         self._lock = threading.Lock()
         self._effective = False
         self._data: Value = None
-        self.timestamp: float | None = None  # time at which it became effective, in s since the Unix epoch
+        self.timestamp: float | None = None  # time of becoming effective, in s since the Unix epoch
         if parent is not None:
             self.equate(parent)
 
@@ -531,7 +531,7 @@ class MotionDesignator(ResolvedDesignator):
         return motion_types.resolve
 
     def resources(self) -> Resources | None:
-        """Return the needs of the robot. The type determines them; for an effective designator, its solution's ``cmd``.
+        """Return the needs of the robot by the type; for an effective designator, by the ``cmd`` of its solution.
 
         Motions of other packages get the whole robot, unless their process module or a subclass returns less.
         """

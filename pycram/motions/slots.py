@@ -90,8 +90,8 @@ class SolutionSlots(dict[str, Value]):
         raise KeyError(key)
 
     def get(self, key: str, default: Value = None) -> Value:
-        """Return a parameter; the default if there is none."""
-        return self[key] if key in self else default  # noqa: SIM401  it would call itself
+        """Return a parameter, or the default for a missing parameter."""
+        return self[key] if key in self else default  # noqa: SIM401  self.get() would call itself
 
     def __contains__(self, key: object) -> bool:
         return super().__contains__(key) or slot_name(str(key)) in (slot_name(str(name)) for name in self)

@@ -441,7 +441,7 @@ class Gripper:
     def bias(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> float:
         """Return how unevenly the sides close, -1 to 1: 0 if both move equally far, 1 if only the +y side moves.
 
-        The arguments are those of :meth:`wrong_ways`.
+        The arguments are as in :meth:`wrong_ways`.
         """
         ways = [0.0, *(y for _, y, _ in self._ways(urdf, tool_frame, tool_offset).values())]
         left, right = -min(ways), max(ways)
