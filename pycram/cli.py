@@ -104,12 +104,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
 
         return command.run(spec, options, log)
     return run(
-        spec,
-        log,
-        options.rerun,
-        overwrite=options.overwrite,
-        durable=options.durable,
-        debug=options.debug_on_failure,
+        spec, log, options.rerun, overwrite=options.overwrite, durable=options.durable, debug=options.debug_on_failure
     )
 
 

@@ -302,7 +302,6 @@ class _Projection:
 
 
 def _path() -> Path | None:
-    """Return the file of the next projection, next to the current recording."""
     beside = next(iter(journal.paths()), None)
     if beside is None:
         return None

@@ -192,10 +192,7 @@ def raise_if_cancelled() -> None:
 
 
 def wait(
-    condition: Condition,
-    predicate: Callable[[], bool],
-    timeout: float | None = None,
-    reason: Reason = unknown_reason,
+    condition: Condition, predicate: Callable[[], bool], timeout: float | None = None, reason: Reason = unknown_reason
 ) -> bool:
     """Wait until a predicate holds, while other branches run. Return False if the timeout came first, else True.
 

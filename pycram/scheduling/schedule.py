@@ -488,7 +488,6 @@ class Scheduler:
                 self._ready.pop(ready, None)
 
     def _sleep(self) -> None:
-        """Block the thread until the bell rings or a deadline passes."""
         first = min((each.end for each in self.strike_sources if not each.struck), default=math.inf)
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
             if (

@@ -148,7 +148,6 @@ class _Store:
         self._files.rm(f"{self.root}/{SWEEP}")
 
     def described(self, name: str) -> dict[str, str]:
-        """Return the name and hash of a file of models."""
         return {"file": name, "sha256": hashlib.sha256(self._files.cat_file(f"{self.root}/{name}")).hexdigest()}
 
 

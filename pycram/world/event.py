@@ -37,11 +37,7 @@ class Event:
     """
 
     def __init__(
-        self,
-        name: str = "",
-        sender: str = "",
-        envelope: Envelope | None = None,
-        parameters: Sequence[str] = (),
+        self, name: str = "", sender: str = "", envelope: Envelope | None = None, parameters: Sequence[str] = ()
     ) -> None:
         """Create an event without handlers.
 

@@ -470,7 +470,6 @@ class Object(ReadOnlyAttributes):
 
 
 def _object(argument: str, value: object) -> Object:
-    """Return an object from an argument, which may also be a branch's future."""
     result = unwrap(value)
     if not isinstance(result, Object):
         raise BadArgument(argument, result, "an Object")

@@ -138,7 +138,6 @@ def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
 
 
 def _number(command: records.Restore, steps: Mapping[Key, Steps], journal: Journal) -> None:
-    """Set the steps of beliefs in a command to a recording's steps."""
     for belief in command.beliefs:
         belief.step = steps.get((belief.robot, belief.object), {}).get(journal, -1)
 

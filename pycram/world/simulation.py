@@ -293,7 +293,6 @@ def _simulate_until_needed(world: BulletWorld, scope: CancelScope | None, is_ove
 
 
 def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
-    """Return whether a branch or another thread is ready."""
     observer = world.transactions.observer
     return (
         world.waits.held

@@ -35,7 +35,6 @@ from recorder.tracing.context import current_name
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import TracebackType
     from typing import Self
 
     from pycram.world.object import MaybeNone
@@ -80,7 +79,6 @@ def make_current(world: BulletWorld) -> None:
 
 
 def _remove(world: BulletWorld) -> None:
-    """Remove a world that has ended or couldn't open."""
     with _lock:
         _names.discard(world.name)
         context.remove_world(world)
@@ -221,9 +219,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.exit()
 
     def _envelope(self) -> tuple[str, int]:

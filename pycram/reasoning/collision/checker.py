@@ -19,7 +19,6 @@ from recorder import geometry
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-    from types import TracebackType
     from typing import Self
 
     from numpy.typing import NDArray
@@ -125,9 +124,7 @@ class CollisionChecker:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._placed is not None:
             self._clone.invalidate(self.robot.name, *(body.name for body in self._link_of))
 
@@ -331,7 +328,6 @@ class CollisionChecker:
         return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)
 
     def _place(self, candidate: PostureCandidate) -> None:
-        """Move the clone's robot and its held objects to a candidate."""
         if candidate is self._placed:
             return
         self._placed = candidate

@@ -62,7 +62,6 @@ class SimulationClone:
         return self._engine
 
     def _forget_removed(self) -> None:
-        """Remove the copies of objects that aren't in the world any more."""
         living = {body.name: body.handle for body in self.world.objects}
         for key, copy in list(self._copies.items()):
             if living.get(key[0]) is not copy.original:

@@ -186,7 +186,6 @@ class _Choice:
         self._arm = checker.moving - set(hand)
 
     def best(self, limit: Cost) -> GraspPlan:
-        """Return the best plan, if its cost is at most ``limit``."""
         plan = self._least(limit)
         if self._choice.wanted:
             self._record(plan)

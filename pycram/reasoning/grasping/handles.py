@@ -451,7 +451,6 @@ class _Search:
     def _end(
         self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]
     ) -> DeadEnd:
-        """Return the dead end at a step where all paths end."""
         position, orientation = geometry.multiply(self._poses[step], grip.tool(0.0))
         reached = self._values[step - 1] if step else None
         if not len(layers[step].angles):

@@ -96,10 +96,7 @@ def _resting_height(
 ) -> float:
     """Return the height at which an object touches something on its way down; see :func:`resting_position`.
 
-    Args:
-        target: xyz, m.
-        touched: returns the overlaps at a height.
-        gap: returns a distance in m by which the object can be lowered from a height without a collision.
+    ``touched`` returns the overlaps at a height, and ``gap`` a distance in m by which the object can be lowered freely.
     """
     z = target[2]
     high = z + _ABOVE

@@ -360,7 +360,6 @@ class SurfaceSearch(Search):
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> FoundPlace | None:
-        """Return the first place that satisfies all constraints."""
         outline = searched.outline()
         obstacles = [geometry.convex_hull(each) for each in self._obstacles(searched).corners().reshape(-1, 4, 2)]
         for spot in batch.admitted(spots):
@@ -378,7 +377,6 @@ class SurfaceSearch(Search):
     def _excluded(
         self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> FoundPlace | tuple[str, Rejection]:
-        """Return a place that satisfies all constraints, or the constraint that excludes it, with the reason."""
         (x, y, z), turn = spot.pose
         taken = self._no_room(spot, searched, outline, obstacles)
         if taken is not None:
@@ -399,7 +397,6 @@ class SurfaceSearch(Search):
     def _no_room(
         self, spot: Spot, searched: SearchedSurface, outline: Polygon, obstacles: Sequence[Polygon]
     ) -> tuple[str, Rejection] | None:
-        """Return why a surface has no room for the object's outline; None if it has room."""
         (x, y, _), turn = spot.pose
         corners = self._turned_corners(turn)
         own = inside = geometry.convex_hull(corners[:, :2] + (x, y))

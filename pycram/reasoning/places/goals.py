@@ -289,7 +289,6 @@ class PullGoal:
         return found
 
     def _handle(self) -> Handle:
-        """Return the handle in the present state of the furniture."""
         target = self._target
         clone = clone_of(self._robot.world, "reach")
         joint, link = target.joint, target.handle
@@ -347,7 +346,6 @@ def _no_free_hand(robot: Object, arm: Arm) -> Unfit | None:
 
 
 def _rejection(failure: PlanFailure) -> Rejection:
-    """Return the reason for a rejection that follows from a failure."""
     if isinstance(failure, Blocked):
         return Touching(failure.pairs)
     if isinstance(failure, Unreachable):

@@ -272,11 +272,7 @@ class ArmReach:
         distance = np.hypot(*flat.T)
         self.radius = float(distance.max(initial=0.0))  # m, the largest reached distance from the robot's axis
         self._low = float(points[:, 2].min(initial=0.0))
-        shape = (
-            int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1,
-            int(self.radius / _CELL) + 1,
-            _SECTORS,
-        )
+        shape = (int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1, int(self.radius / _CELL) + 1, _SECTORS)
         counts = np.zeros(shape)
         bearing = np.arctan2(flat[:, 1], flat[:, 0])
         np.add.at(counts, self._cells(points[:, 2], distance, bearing, shape), 1.0)

@@ -213,7 +213,6 @@ class StandingSearch(Search):
         return grid, factors, yaws
 
     def _grid(self, here: Sequence[float]) -> Grid:
-        """Return the cells from which the robot may reach and see all goals."""
         areas: list[tuple[Sequence[float], float]] = []
         if self._goals:
             radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
@@ -262,7 +261,6 @@ class StandingSearch(Search):
     # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> FoundPlace | None:
-        """Return the first place that satisfies all constraints."""
         quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
         tries = _TRIES if quick else _FEWER
         place: FoundPlace | None = None

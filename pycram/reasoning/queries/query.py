@@ -167,7 +167,6 @@ def answered_by(oracle: Oracle) -> Iterator[None]:
 
 
 def _answer(function: Callable[..., Answer], world: BulletWorld, arguments: Mapping[str, object]) -> Answer:
-    """Call a query's function with the world locked, and record the answer."""
     asked = {
         RECORDED_AS.get(name, name): value
         for name, value in arguments.items()

@@ -188,7 +188,6 @@ def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
 
 
 def _repeated(name: str, given: Sequence[T], count: int) -> Sequence[T]:
-    """Return the given values; a single value is repeated."""
     if len(given) not in {1, count}:
         raise BadArgument(name, len(given), f"1 value or {count} values")
     return given if len(given) == count else [given[0]] * count
@@ -223,16 +222,11 @@ def _judge(
     oriented: str | None,
     base: Pose | None = None,
 ) -> Verdict:
-    """Return whether a posture is good: it reaches the target without a collision.
+    """Return whether a posture reaches the target (within ``threshold`` m) without a collision.
 
-    Args:
-        found: at least one posture; if the first doesn't reach, none does.
-        threshold: m, largest distance between the link and a reached target.
-        checker: checker of collisions; None to ignore collisions.
-        oriented: name of the link if it has the same orientation in all postures.
-
-    Returns:
-        The answer. The evidence has the good posture, or the first bad posture with its collisions.
+    If the first posture doesn't reach the target, no posture does. Without a ``checker``, collisions don't matter. The
+    link ``oriented``, if it is given, has the same orientation in all postures. The evidence has the good posture, or
+    the first bad posture with its collisions.
     """
     postures = [posture for posture in found if posture.reaches(threshold)]
     evidence = (postures or found)[0].evidence()
@@ -264,12 +258,7 @@ def _judge(
 
 @query
 def blocking(
-    object: Object,
-    robot: Object,
-    gripper_name: str,
-    world: BulletWorld | None = None,
-    *,
-    grasp: str | None = None,
+    object: Object, robot: Object, gripper_name: str, world: BulletWorld | None = None, *, grasp: str | None = None
 ) -> Found[Object]:
     """Return the objects that a robot would touch if it reached for an object (thesis 4.4.6).
 

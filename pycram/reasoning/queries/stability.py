@@ -158,7 +158,6 @@ def _reach(body: Object, free: Mapping[Object, Box]) -> float:
 
 
 def _gap(a: Box, b: Box) -> float:
-    """Return the distance between two boxes, m."""
     return math.hypot(
         *(max(0.0, low_a - high_b, low_b - high_a) for low_a, high_a, low_b, high_b in zip(*a, *b, strict=True))
     )
@@ -357,10 +356,8 @@ def _support(
 ) -> Points:
     """Return points (n, 3) of a body's supports in the levelled frame; their hull is the support polygon.
 
-    Args:
-        underside: (n, 3) the body's corners in the levelled frame, m.
-        tops: the corners (n, 3) of each support, and the contacts with it.
-        level: (3, 3) axes of the levelled frame in the world.
+    The corners (n, 3) of the body, ``underside``, and of each support, in ``tops`` with the contacts, are in this
+    frame.
     """
     parts = []
     for top, contacts in tops:

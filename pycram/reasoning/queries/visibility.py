@@ -225,7 +225,6 @@ def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None,
 
 
 def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Return whether each pixel of a part is within the camera's picture."""
     width, height = size
     x = window.left + (np.arange(width) + 0.5) / width * (window.right - window.left)
     y = window.top + (np.arange(height) + 0.5) / height * (window.bottom - window.top)
