@@ -59,6 +59,7 @@ class Tracer:
             self._sort_in(note)
         self._seen: set[tuple[int, str]] = set()
         self._count = 0
+        self._latest: tuple[set[int], int] = set(), -1  # numbers of a statement's nodes, and when it began last
 
     def _sort_in(self, note: Note) -> None:
         self._of_node[note.number].append(note)
@@ -110,8 +111,7 @@ class Tracer:
 
     def call(self, note: Note) -> Origin:
         """Return a call of the plan, with its arguments, and the conditions that led to it."""
-        self._seen.clear()
-        self._count = 0
+        self._begin()
         node, place = self._node(note), Place(note.frame, note.time)
         facts = [
             *self._arguments(note),
@@ -127,18 +127,24 @@ class Tracer:
 
     def line(self, file: str, line: int, frame: int) -> Origin | None:
         """Return the statement at a line, which raised an error, with the values that it used."""
-        self._seen.clear()
-        self._count = 0
+        self._begin()
         every = ast.walk(self._notes.trees[file])
         found = [each for each in every if isinstance(each, ast.stmt) and each.lineno <= line <= (each.end_lineno or 0)]
         if not found:
             return None
         statement, place = found[-1], Place(frame, len(self._notes.all))
+        within = {self._numbers[id(each)] for each in ast.walk(statement) if id(each) in self._numbers}
+        others = (note.time for note in reversed(self._notes.all) if note.frame == frame and note.number not in within)
+        self._latest = within, next(others, -1)  # parts that weren't reached have older notes
         inner = ast.iter_child_nodes(statement) if hasattr(statement, "body") else ()
         parts = [each for each in inner if not isinstance(each, ast.stmt)] or [statement]
         facts = [fact for each in parts for fact in self._inputs(each, place)]
         facts += self._conditions(statement, place)
         return self._fact("call", statement, "", None, self._notes.step, facts)
+
+    def _begin(self) -> None:
+        self._seen.clear()
+        self._count, self._latest = 0, (set(), -1)
 
     def _before(self, node: ast.AST, place: Place) -> Facts:
         """Yield the calls in the statements just before a node, nearest first."""
@@ -176,12 +182,14 @@ class Tracer:
 
     def _noted(self, node: ast.AST, place: Place) -> Note | None:
         """Return the last note of a node at a place; comprehensions and functions within it have other frames."""
-        notes = self._of_node.get(self._numbers[id(node)], [])
+        number, since = self._numbers[id(node)], self._latest[1]
+        notes = self._of_node.get(number, [])
         until = bisect_right(notes, place.time, key=lambda note: note.time)
         inner = any(isinstance(each, _COMPREHENSIONS | ast.Lambda) for each in self._parents(node))
         inner = inner or isinstance(node, FUNCTIONS)
         some = notes[max(until - _MAX_SEARCHED, 0) : until]
-        return next((note for note in reversed(some) if inner or note.frame == place.frame), None)
+        found = next((note for note in reversed(some) if inner or note.frame == place.frame), None)
+        return None if found is None or (number in self._latest[0] and found.time < since) else found
 
     def value(self, node: ast.AST, place: Place) -> Held | None:
         """Return the value of an expression at a place; None if it is unknown."""
@@ -245,6 +253,12 @@ class Tracer:
         }  # fmt: skip
         if type(node) in following and isinstance(getattr(node, "ctx", None), ast.Load | None):
             yield from following[type(node)](node, place)
+        elif isinstance(node, ast.BoolOp):
+            for operand in node.values:
+                yield from self._inputs(operand, place)
+                held = self.value(operand, place)
+                if held is None or _decides(held.copy, node.op):
+                    return  # the others weren't evaluated
         elif isinstance(node, ast.IfExp):
             test = self.value(node.test, place)
             yield from self._condition(node.test, place)
@@ -533,6 +547,10 @@ def _numbers_in(value: Any) -> Any:
         numbers = [_numbers_in(each) for each in value]
         return None if None in numbers else numbers
     return None
+
+
+def _decides(value: Any, op: ast.boolop) -> bool:
+    return type(value) in _PLAIN and bool(value) is isinstance(op, ast.Or)
 
 
 def _same(one: Any, other: Any) -> bool:

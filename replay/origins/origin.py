@@ -77,6 +77,7 @@ class Origins:
 
     failed: Origin | None  # the call or line that failed; None if it isn't in the plan's files
     earlier: tuple[Origin, ...]  # calls of the plan that led to it
+    program: str  # the plan's file; lines of other files come later
     decided: int = 0  # how many of these made a cause that explains the failure
     guesses: tuple[Guess, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
@@ -92,10 +93,13 @@ class Origins:
         guessed = {each.place for each in self.guesses}
         for number, call in enumerate((self.failed, *self.earlier)):
             start = _EARLIER if number > self.decided else -_EARLIER if number else 0.0
+            known = set(facts)
             for rank, each in _walk(call, start + _LATER * number) if call is not None else ():
                 place = each.place
-                facts[place].append(each)
-                ranks[place] = min(ranks.get(place, rank), rank - _SUSPECT * (place in guessed))
+                if place not in known:  # an earlier call had other values there
+                    facts[place].append(each)
+                raised = (each.file != self.program) - _SUSPECT * (place in guessed)
+                ranks[place] = min(ranks.get(place, rank + raised), rank + raised)
         return sorted(ranks, key=lambda place: ranks[place]), facts
 
     def lines(self) -> Iterator[str]:

@@ -87,7 +87,7 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
         (None if failed is None else with_moves(log, failed, why)),
         [with_moves(log, each, why) for each in earlier],
     )
-    return Origins(failed, tuple(earlier), count, tuple(guesses(why, failed)), tuple(notes))
+    return Origins(failed, tuple(earlier), str(process.program), count, tuple(guesses(why, failed)), tuple(notes))
 
 
 def _steps(log: RecordReader, why: Why) -> tuple[int, list[int], list[int]]:

@@ -222,6 +222,16 @@ def test_the_line_of_the_fix_is_among_the_first_lines(kind: str, why: Callable[[
     assert any(said in line for line in printed), "\n".join(printed)
 
 
+def test_a_statement_that_fails_has_no_values_of_its_last_iteration(why: Callable[[str], list[str]]) -> None:
+    printed = why("""
+        ARMS = {"milk": "left", "cup": "right"}
+        for name in ("milk", "spoon"):
+            arm = ARMS[name]
+    """)
+    assert any("# name = 'spoon'" in line for line in printed), "\n".join(printed)
+    assert not any("'left'" in line.partition("#")[2] for line in printed), "\n".join(printed)
+
+
 @pytest.mark.usefixtures("why")
 def test_the_verb_gives_origins_as_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = recorded(tmp_path, "thing = floor\nperform(pick_up(object=thing))")
