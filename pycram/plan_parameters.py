@@ -270,7 +270,7 @@ def sampled(text: str) -> tuple[str, str]:
     return name, distribution
 
 
-@lru_cache  # it is called for each name of a recording, which contains the run's values
+@lru_cache  # each name of a recording contains drawn values, so this is called often
 def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
     call = _CALL.fullmatch(text.strip())
     if call is None:

@@ -115,7 +115,7 @@ class Engine:
         journal.flush()  # loading takes up to 90 ms, in which a killed process writes nothing
         try:
             number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
-        except bullet.error as error:  # a damaged recording's model may pass all checks
+        except bullet.error as error:  # the model of a damaged recording may pass all checks
             raise AssetError(str(urdf), f"PyBullet rejects the model: {error}") from error
         base = bullet.getBodyInfo(number, physicsClientId=c)[0].decode()
         links = {base: -1}
@@ -179,7 +179,7 @@ class Engine:
             bullet.setCollisionFilterGroupMask(body.id, index, group, mask, physicsClientId=self._client)
 
     def remove(self, body: LoadedBody) -> None:
-        """Remove a body without constraints."""
+        """Remove a body, which must have no constraints."""
         bullet.removeBody(body.id, physicsClientId=self._client)
         self._forget(body)
 
@@ -208,7 +208,7 @@ class Engine:
         self.set_center_pose(body, pose if body.offset is None else geometry.multiply(pose, body.offset))
 
     def center_pose(self, body: LoadedBody) -> Pose:
-        """Return the pose of the base's centre of mass in the world; :meth:`pose` rounds it."""
+        """Return the pose of the base's centre of mass in the world, without the rounding errors of :meth:`pose`."""
         pose: Pose = bullet.getBasePositionAndOrientation(body.id, physicsClientId=self._client)
         return pose
 
@@ -414,7 +414,7 @@ class Engine:
         self._known = {}
 
     def sleep(self, body: LoadedBody, *, asleep: bool) -> None:
-        """Let a body sleep until another body that is awake comes near it, or wake it and keep it awake."""
+        """Put a body to sleep until an awake body comes near, or wake it and keep it awake."""
         state = (
             bullet.ACTIVATION_STATE_ENABLE_SLEEPING | bullet.ACTIVATION_STATE_SLEEP
             if asleep

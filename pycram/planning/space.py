@@ -65,8 +65,8 @@ def nearest_turns(start: Array, goal: Array, lower: Array, upper: Array) -> Arra
 class Clearance:
     """Checks whether configurations are free of collisions, and counts these checks.
 
-    A configuration is a row of joint positions, or a pose of a base. The robot keeps a distance from objects. If it is
-    nearer at the start or at the goal, for example to an object that it takes, this distance is allowed on the path.
+    A configuration is a row of joint positions, or a pose of a base. The robot keeps a distance from objects. If the
+    robot is nearer to an object at the start or at the goal, that distance is allowed on the whole path.
 
     Args:
         predict: returns the checker's candidates for configurations (n, d).

@@ -80,7 +80,7 @@ class Child:
     @property
     def how(self) -> str:
         """How the process ended, as text."""
-        code = os.waitstatus_to_exitcode(self.status)  # negative for a signal
+        code = os.waitstatus_to_exitcode(self.status)  # the exit code is negative after a signal
         return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def _reap(self) -> None:
@@ -118,7 +118,7 @@ def has_children() -> bool:
     if not hasattr(os, "waitid"):
         return False
     try:
-        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # it reaps no child
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # this call reaps no child
     except ChildProcessError:
         return False
     return True
@@ -157,7 +157,7 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
 
 
 def _leave(writing: int, parent: int) -> None:
-    """Run in a process that the child's action forks: it doesn't send the answer, and it ends with the child."""
+    """Prepare a process that the child's action has forked: it doesn't send the answer, and it ends with the child."""
     if os.getppid() == parent:  # the child's own children inherit the open file
         os.close(writing)
         die_with(parent)

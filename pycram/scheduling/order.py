@@ -139,7 +139,7 @@ class Pct:
 
     Args:
         seed: The run's seed.
-        number: Number of the draw.
+        number: Index of the random order.
         depth: The depth d; priorities change d - 1 times.
         steps: The number k of turns.
     """

@@ -66,7 +66,7 @@ Reason: TypeAlias = "Callable[[], tuple[str, str, Collection[str]]]"
 
 
 def unknown_reason() -> tuple[str, str, Collection[str]]:
-    """Return the reason of a wait that gives no reason."""
+    """Return an empty reason, for waits that give no reason."""
     return "", "", ()
 
 
@@ -193,7 +193,7 @@ Ready: TypeAlias = "Waiter | _Branch"
 def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine:
     innermost = None
     if suspended is not None:
-        innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  like the module inspect
+        innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  inspect uses it, too
     lines = [(recorded_file(frame.f_code.co_filename), frame.f_lineno) for frame in plan_frames(innermost)]
     if branch is not None:  # prefer a line of the file that added the branch to a line of a helper function
         own = [line for line in lines if line[0] == branch.site[0]] or [branch.site]

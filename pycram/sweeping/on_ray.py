@@ -129,7 +129,7 @@ class _Store:
         """Copy a file atomically into the folder, or into its subfolder ``within``."""
         folder = f"{self.root}/{within}" if within else self.root
         target = f"{folder}/{file.name}"
-        if self.is_local:  # object storage is atomic by itself
+        if self.is_local:  # uploads to object storage are atomic
             self._files.makedirs(folder, exist_ok=True)
             part = f"{folder}/.{file.name}.part"
             self._files.put_file(str(file), part)

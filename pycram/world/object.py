@@ -45,9 +45,9 @@ ROBOT = "robot"
 class Object(ReadOnlyAttributes):
     """An object in a world.
 
-    Positions are [x, y, z] in m and orientations are quaternions [x, y, z, w]. They are those of the base link in the
-    world, unless a link is named. Joint positions are in rad or m. Setting poses and joints is exact, without a
-    simulation. Attributes are read-only; methods change them, and record each change.
+    Positions are [x, y, z] in m and orientations are quaternions [x, y, z, w]. Without a link, they are those of the
+    base link in the world. Joint positions are in rad or m. Setting poses and joints is exact, without a simulation.
+    Attributes are read-only; methods change them, and record each change.
 
     All methods raise BadArgument for impossible values, UnknownName for a link or movable joint that doesn't exist, and
     WorldClosed after the object was removed or its world has ended. Methods that change the object raise ChangeRefused
@@ -427,7 +427,6 @@ class Object(ReadOnlyAttributes):
         If only the other object has a fixed base, as robots and furniture do, it becomes the carrier.
 
         Args:
-            other: The other object.
             link: The link of this object; None for its base link.
             other_link: The link of the other object; None for its base link.
 

@@ -1,7 +1,8 @@
 """World transactions: every change of a world is a transaction, which is recorded.
 
-A transaction checks the change, makes it in the engine, reads the state back, emits one record and fires events. It
-holds the world's lock, so records have the order of changes. Event handlers run after the release of the lock::
+A transaction checks the change, makes it in the engine, reads the state back, emits one record and fires events. A
+transaction holds the world's lock, so records have the order of changes. Event handlers run after the release of the
+lock::
 
     with world.transactions.begin(records.Mutation(move_body=command)) as transaction:
         world.engine.set_pose(body.handle, pose)
@@ -78,7 +79,7 @@ class Transaction:
 
 
 class Observer(Protocol):
-    """An observer of a world's transactions, called in their order under the world's lock. It must not wait."""
+    """An observer of a world's transactions, called in their order under the world's lock. Observers must not wait."""
 
     def time_passed(self) -> None:
         """Handle that simulated time has passed within a transaction."""

@@ -289,7 +289,7 @@ class MovingLinks:
     def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
         """Return, for each posture, the pairs of links with overlapping boxes, except neighbours.
 
-        A held object has the same neighbours as its link. The first link of a pair moves; a held object comes first.
+        A held object has the same neighbours as its link. The first of two links moves, or belongs to a held object.
 
         Args:
             transforms: (n, joints + 1, 4, 4) transforms by the joints in each posture, from the articulation.

@@ -276,7 +276,7 @@ class CollisionChecker:
     def depth(self, candidate: PostureCandidate, pair: Pair) -> float:
         """Return the overlap in m of two links in a candidate; wheels don't overlap the floor.
 
-        The overlap is negative for links that don't touch, down to the margin.
+        For links that don't touch, the overlap is negative, but not below the negative margin.
         """
         touches = self._touches(candidate, pair)
         if touches and pair[0].is_robot and pair[2].is_environment:

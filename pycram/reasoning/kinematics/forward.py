@@ -157,7 +157,7 @@ def rotation_error(now: Array, goal: Array) -> Array:
     sine = norms(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
-    # near half a turn the vector vanishes, so any axis is right
+    # near half a turn the rotation vector vanishes, so any axis is good
     flipped = (sine < _OPPOSITE) & (cosine < 0)
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])

@@ -474,7 +474,7 @@ class Solver:
     def closed_form(
         self, targets: Sequence[WorldTarget], seed: Mapping[str, float] | None = None
     ) -> list[list[Posture]]:
-        """Return the solutions of the closed form for targets, near postures first; an empty list proves nothing."""
+        """Return the solutions of the closed form for targets, nearest first; an empty list proves nothing."""
         if not self.joints:
             return [[] for _ in targets]
         goals = [self._in_root(*target) for target in targets]

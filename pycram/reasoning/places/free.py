@@ -187,7 +187,7 @@ class SurfaceSearch(Search):
         wanted = f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}"
         super().__init__(body.world, wanted, arguments)
         self._body, self._orientation, self._near, self._away = body, orientation, near, away
-        self._side, self._reference = side  # the reference is the object next to the place; None for the surface
+        self._side, self._reference = side  # _reference is the object next to the place, or None for the surface
         self._robot, self._arms, self._seed = robot, arms, seed
         self._surfaces = [SearchedSurface(furniture, surface) for furniture, surface in surfaces]
         self._done: list[Vector] = []  # offered or tried places

@@ -43,13 +43,13 @@ if TYPE_CHECKING:
 _SPOTS: Final = (30, 120, 120)  # places in a batch, by the number of batches since the last place
 _AT_FIRST: Final = 4  # places that are checked together first; the number then doubles, as an early place is often good
 _TRIES: Final = 40  # places of a batch that are checked one by one; if these fail, other places probably fail, too
-_FEWER: Final = 16  # as above if an arm has no closed form, because its search takes longer
+_FEWER: Final = 16  # places of a batch that are checked if an arm has no closed form, because its search takes longer
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # rad about the best heading, by batch
 _APART: Final = 0.07  # m, minimum distance between offered places
 _TRIED: Final = 0.02  # m around rejected places where no place is drawn
 _POOR: Final = 1e-3  # share of the best score; places with lower scores aren't drawn
 _HERE: Final = "where it stands"
-_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # rad between heading and target
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # rad from the heading to the target
 _FACING: Final = 0.5  # share of the score that is lost if the target is at a right angle to the heading
 _SIGHT: Final = (0.6, 2.5)  # m, the distance up to which the camera sees well, and the farthest distance of a place
 _ROOM: Final = 1.5  # m, largest distance to a point that the robot must be near
