@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
 from pycram.foundation.forcing import decider, forced
-from pycram.reasoning.rejections import Excluded
 from recorder import records
 from recorder.tracing import journal, span
 
@@ -126,6 +125,8 @@ class Choice(Question):
         if not self.forced or candidate == self.forced or candidate.startswith(f"{self.forced}, "):
             self._met = True
             return True
+        from pycram.reasoning.rejections import Excluded  # noqa: PLC0415  its 14 classes would delay the first query
+
         self.reject(candidate, Excluded())
         return False
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from pycram.models.shapes import distinct
 from pycram.reasoning.kinematics import forward
 
 if TYPE_CHECKING:
@@ -146,7 +147,7 @@ class ClosedForm:
             misses: (k, 7) postures near a possible narrow range of solutions.
         """
         values = (misses[:, :1] + np.linspace(-self._step, self._step, _SAMPLES_AROUND_A_MISS)).ravel()
-        samples = np.unique(np.clip(values, self.lower[0], self.upper[0]))
+        samples = distinct(np.clip(values, self.lower[0], self.upper[0]))
         (found,), (strain,) = self._by_target(1, *self._at_poses(position[None], turn[None], samples))
         return found, strain
 

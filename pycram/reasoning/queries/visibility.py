@@ -17,6 +17,7 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, MissingPart, NoWorld
+from pycram.models.shapes import distinct
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.kinematics import pan_tilt
 from pycram.reasoning.queries.query import Found, Verdict, query
@@ -194,7 +195,7 @@ def _pixels(
     owners = np.where(
         before.depth < alone.depth, before.bodies + 1, alone.bodies
     )  # 0 stands for the object, -1 for no object
-    near = [int(owner) for owner in np.unique(owners) if owner > 0][:_MAX_NAMES]
+    near = [int(owner) for owner in distinct(owners) if owner > 0][:_MAX_NAMES]
     numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last number is for owner -1, no object
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
