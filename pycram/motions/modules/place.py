@@ -41,6 +41,7 @@ if TYPE_CHECKING:
 
 _AWAY: Final = 0.02  # m, maximum distance of the object from the place of its release
 _TURNED: Final = math.radians(10)  # maximum turn from the given orientation, or from upright
+_FALL: Final = 0.1  # m; a neighbour that comes to rest lower fell
 _SKEW: Final = math.radians(1)  # minimum turn that a message mentions
 _TOUCHING: Final = 1e-3  # m, maximum gap between touching objects
 _LOAD: Final = 0.01  # share of an object's weight; an object with more on a hand leans on the hand
@@ -58,8 +59,8 @@ class _Plan:
 class Place(SimulatedModule):
     """Puts a held object down on its support; upright if no orientation is given.
 
-    Placing succeeds if all objects come to rest, the object stands where it was released, and its neighbours don't
-    move. If the object leans on the hand, the hand is drawn back, and the object must still stand.
+    Placing succeeds if all objects come to rest, the object stands where it was released, and its neighbours and
+    objects on the robot stay. If the object leans on the hand, the hand is drawn back, and the object must still stand.
     """
 
     failures = (PlaceFailed, Unreachable, MissingPart)
@@ -75,6 +76,8 @@ class Place(SimulatedModule):
             with robot.world.lock:
                 self._check_holds(robot, arm, body, target)
                 _check_sunk(body, target)
+                free = [other for other in robot.world.objects if not (other.fixed or other.is_robot)]
+                lying = _poses(robot, [other for other in free if other.carrier is None])
                 with choosing(
                     "placement", robot.world, object=body, arm=arm.name, target=target, orientation=orientation
                 ) as choice:
@@ -92,8 +95,8 @@ class Place(SimulatedModule):
             with robot.world.lock:
                 attachment.detach(robot, body)
                 free = [other for other in robot.world.objects if not (other.fixed or other.is_robot)]
-                beside = [robot.world.get_object(pair.body) for pair in _touching(body, free)]
-                neighbours = {other: other.get_position_and_orientation() for other in beside}
+                lying = {other: pose for other, pose in lying.items() if other.alive}
+                neighbours = {**_poses(body, free), **lying}
             restless = self.execution.settle(robot.world)
             reasons = _reasons(body, target, plan.pose, orientation, neighbours, restless)
             if not reasons:
@@ -253,8 +256,16 @@ def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
         now, turned = other.get_position_and_orientation()
         away, angle = math.dist(now, position), math.degrees(geometry.angle(turned, turn))
         if away > _AWAY or angle > math.degrees(_TURNED):
-            found.append(f"it pushed {other.name} by {away:.3f} m and {angle:.0f} degrees")
+            fell = position[2] - now[2]
+            pushed = f"it pushed {other.name} by {away:.3f} m and {angle:.0f} degrees"
+            found.append(f"{other.name} fell by {fell:.3f} m" if fell > _FALL else pushed)
     return found
+
+
+def _poses(body: Object, others: Sequence[Object]) -> dict[Object, PoseLike]:
+    """Return the poses of the objects that an object touches."""
+    touched = [body.world.get_object(pair.body) for pair in _touching(body, others)]
+    return {other: other.get_position_and_orientation() for other in touched}
 
 
 def _load(robot: Object, body: Object) -> float:

@@ -54,7 +54,8 @@ class Reasons:
             return self._maps
         _, reason = max(group.values(), key=lambda each: each[0])
         words = _words(reason)
-        remedy = _remedy(reason, objects, drives=drives)
+        others = [each for each in objects if constraint != f"reach {each.name}"]
+        remedy = _remedy(reason, others, drives=drives)
         return f"most often: {words}{remedy and '; ' + remedy}" if words else ""
 
 

@@ -135,6 +135,23 @@ def test_what_it_pushes_away_is_no_success(table: BulletWorld) -> None:
 
 
 @pytest.mark.slow
+def test_what_falls_from_the_hand_is_told(table: BulletWorld) -> None:
+    body = Object("body", "cup", "cup.stl", [0.6, 0.2, TOP + 0.05])
+    perform(type="pick-up", object=body, arm="left")
+    x, y, z = table.robot.get_link_position("l_gripper_palm_link")
+    plate = Object("plate", "plate", "plate.stl", [x, y, z + 0.06])
+    try:
+        while not table.engine.closest_points(table.robot.handle, plate.handle, 5e-4):
+            z -= 4e-4
+            plate.set_position([x, y, z + 0.06])
+        with pytest.raises(PlaceFailed, match=r"plate fell by 0\.\d+ m"):
+            perform(type="place", object=body, arm="left", target=[0.6, 0.5, TOP + 0.05])
+    finally:
+        for each in (body, plate):
+            each.remove()
+
+
+@pytest.mark.slow
 def test_what_slides_to_its_target_is_a_success(table: BulletWorld, tmp_path: Path) -> None:
     cup = hold(table, "cup", 0.0)
     lean = math.radians(10)
