@@ -69,9 +69,9 @@ class Target:
             parts = urlsplit(url)
             valid = parts.scheme in _SCHEMES and parts.hostname and parts.port != 0
         except ValueError as error:
-            raise RecordingError(text, f"this isn't the address of a viewer ({error}); {_HINT}") from error
+            raise RecordingError(text, f"isn't the address of a viewer ({error}); {_HINT}") from error
         if not valid or parts.path.rstrip("/") != "/proxy":
-            raise RecordingError(text, f"this isn't the address of a viewer; {_HINT}")
+            raise RecordingError(text, f"isn't the address of a viewer; {_HINT}")
         return cls(ViewerKind.CONNECT, url)
 
 

@@ -275,10 +275,10 @@ def test_two_sweeps_into_one_folder(plan: Path, tmp_path: Path) -> None:
 
     pycram.sweep(plan, 1, folder, progress=meanwhile)
     assert f"process {os.getpid()} on " in messages[0]
-    with pytest.raises(SweepRefused, match="its seed was 0, not 1"):
+    with pytest.raises(SweepRefused, match="the seed was 0, not 1"):
         pycram.sweep(plan, 1, folder, seed=1)
     plan.write_text(PLAN + "\n# another\n")
-    with pytest.raises(SweepRefused, match="its plan was different"):
+    with pytest.raises(SweepRefused, match="the plan was different"):
         pycram.sweep(plan, 1, folder)
 
 
