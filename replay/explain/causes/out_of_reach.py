@@ -32,6 +32,7 @@ class ObstructingBody(Cause):
     """A body was in the way, or hid the object."""
 
     kind = "in-the-way"
+    untestable = "no fork moves fixed furniture"
     body: str
     link: str  # name of the link; "" for a body with a single link, or an unknown link
     mover: str  # the link or held object that would have touched the body; "" if the body hid an object from the camera
@@ -138,6 +139,7 @@ class NoCandidate(Cause):
     """All candidates, such as grasps or postures, were rejected."""
 
     kind = "no-candidate"
+    untestable = "nothing that a fork can move bars the candidates"
     asked: Query  # the choice, with its candidates and the reasons for their rejection
     count: int  # number of candidates
 
