@@ -168,7 +168,7 @@ class Tracer:
             inner = around
 
     def _condition(self, test: ast.expr, place: Place) -> Facts:
-        held = self.value(test, place)
+        held = None if "__name__" in ast.unparse(test) else self.value(test, place)
         if held is not None and not self._is_known(self._numbers[id(test)], str(place.frame)):
             parts = self._inputs(test, place)
             yield self._fact("condition", test, ast.unparse(test), held, self._notes.step, parts)

@@ -69,12 +69,19 @@ def _copied(value: Any, depth: int = 0) -> Any:
 class Note:
     """What happened at a node of the plan's source."""
 
-    # fmt: off
     __slots__ = (
-        "args", "end", "frame", "function", "kind", "kwargs", "last_step", "number", "parent", "result", "step", "time",
+        "end",
+        "frame",
+        "function",
+        "kind",
+        "last_step",
+        "number",
+        "parent",
+        "result",
+        "step",
+        "time",
         "values",
     )
-    # fmt: on
 
     def __init__(self, kind: str, number: int, frame: int, parent: Note | None, step: int, time: int) -> None:
         self.kind = kind  # "call", "value", "bind", "store" or "return"
@@ -84,8 +91,6 @@ class Note:
         self.step, self.time = step, time
         self.values: tuple[Held, ...] = ()  # values of the names; object, key and value of a store
         self.function: Any = None
-        self.args: tuple[Any, ...] = ()
-        self.kwargs: dict[str, Any] = {}
         self.result: Held | None = None  # None if a call hasn't returned
         self.end, self.last_step = sys.maxsize, step
 
@@ -170,7 +175,6 @@ class Notes:
         """Call a function of the plan."""
         note = self._note("call", number, sys._getframe(1))  # noqa: SLF001  inspect.currentframe() gives no other
         note.function = function
-        note.args, note.kwargs = tuple(map(Held, args)), {name: Held(value) for name, value in kwargs.items()}
         self._current.set(note)
         try:
             result = function(*args, **kwargs)
