@@ -480,6 +480,6 @@ def test_a_robot_with_a_fixed_base_advises_to_slide_what_it_would_fetch(world: B
         with pytest.raises(NoPlace) as raised:
             perform(fetching(object="milk"))
         advice = "slide milk by 88 cm to [0.00, 0.88], at an edge of table, then the robot can take it"
-        assert str(raised.value).endswith(f"bring it at least 28 cm closer; {advice}")
+        assert str(raised.value).endswith(f"bring the target at least 28 cm closer; {advice}")
         moved_as_advised(raised.value, milk)
         assert perform(fetching(object=milk)) is milk
