@@ -1,4 +1,4 @@
-"""Which line of a call stack decides: helpers such as ``do(**slots)`` only pass on what their callers give."""
+"""The line of a call stack that decides. Helpers such as ``do(**slots)`` only pass arguments of their callers on."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ def deciding(lines: Sequence[tuple[str, int]], text_of: Callable[[str], str] | N
     """Return the index of the first line that decides; 0 if all lines only pass values on.
 
     Args:
-        lines: files and numbers of lines, innermost first.
-        text_of: returns the text of a file; by default, files are read from the disk.
+        lines: Files and numbers of lines, innermost line first.
+        text_of: A function that returns the text of a file, by default from the disk.
     """
     read = text_of or (lambda file: "".join(getlines(file)))
     return next((at for at, (file, number) in enumerate(lines) if not passes_on(read(file), number)), 0)
@@ -24,7 +24,7 @@ def deciding(lines: Sequence[tuple[str, int]], text_of: Callable[[str], str] | N
 
 @lru_cache(maxsize=256)
 def passes_on(text: str, number: int) -> bool:
-    """Return whether a line only passes parameters of its function on, unnamed, to another call."""
+    """Return whether a line only passes unnamed parameters of its function to another call."""
     try:
         nodes = [*ast.walk(ast.parse(text))]
     except (SyntaxError, ValueError, RecursionError):

@@ -1,6 +1,6 @@
-"""The pytest plugin: tests of plans, with their recordings (docs/testing.md). It does nothing unless a test uses it.
+"""The pytest plugin: tests of plans, with their recordings (docs/testing.md).
 
-Packages that run plans are imported by the fixtures, as pytest loads this module in every session.
+Fixtures import the packages that run plans, because pytest loads this module in every session.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ if TYPE_CHECKING:
 
 __all__ = ["PlanRun", "PropertyFailed", "assert_holds", "seeds"]
 
-_KEPT: Final = "pycram recording"  # user property of a failed test: its recording, and the step at which to open it
+_KEPT: Final = "pycram recording"  # user property of a failed test: its recording and the step of the failure
 _FOLDER: Final = "pycram-recordings"
-_files: Final = pytest.StashKey[list[Path]]()  # where the recordings of a test are kept if it fails
-_kept_as: Final[dict[Path, Path]] = {}  # where recordings of this process are kept if their tests fail
+_files: Final = pytest.StashKey[list[Path]]()  # folder for the recordings of a failed test
+_kept_as: Final[dict[Path, Path]] = {}  # folder for the recordings of failed tests of this process
 _error: Final = pytest.StashKey[BaseException]()  # the error with which a test failed
 
 
@@ -40,7 +40,7 @@ class PropertyFailed(AssertionError):
 
     def __init__(self, text: str, step: str) -> None:
         super().__init__(text)
-        self.step = step  # the step or the time at which it is violated, in the form that verbs accept
+        self.step = step  # step or time of the violation, in the form that verbs accept
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class PlanRun:
 
     path: Path  # its recording
     code: int  # exit code: 0 if the plan succeeded
-    output: str  # what it printed to stdout and stderr
+    output: str  # text on stdout and stderr
 
     @property
     def succeeded(self) -> bool:
@@ -65,12 +65,12 @@ def assert_holds(recording: Recorded, *properties: str) -> None:
     """Check properties of a recording, such as ``always milk.z > 0.5`` (docs/properties.md).
 
     Args:
-        recording: a file, an open or a running recording, or the result of ``run_plan``.
+        recording: A file, an open or a running recording, or the result of ``run_plan``.
 
     Raises:
-        PropertyFailed: a property is violated. The message has the first violation of each, its task and line, and
-        commands.
-        BadProperty: a text isn't in the language, or has an unknown name.
+        PropertyFailed: A property is violated. The message has the first violation of each property, with its task and
+            line, and commands.
+        BadProperty: A text isn't in the language, or has an unknown name.
     """
     __tracebackhide__ = True
     import replay  # noqa: PLC0415  see above
@@ -87,7 +87,7 @@ def assert_holds(recording: Recorded, *properties: str) -> None:
 
 
 def seeds(count: int) -> pytest.MarkDecorator:
-    """Run a test with the seeds 0 to ``count`` - 1, given as the argument ``seed``; its fixtures use the seed, too."""
+    """Run a test with the seeds 0 to ``count`` - 1 as the argument ``seed``. Its fixtures also use the seed."""
     return pytest.mark.parametrize("seed", range(count))
 
 
@@ -122,7 +122,7 @@ def pycram_record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
 
 @pytest.fixture
 def pycram_world(pycram_record: object) -> Iterator[BulletWorld]:  # noqa: ARG001  it records
-    """A new headless world, which is the current world and is recorded; it ends with the test."""
+    """A new headless world, which is the current world, is recorded, and ends with the test."""
     from pycram.bullet_world import BulletWorld  # noqa: PLC0415  see above
 
     with BulletWorld() as world:
@@ -133,10 +133,11 @@ def pycram_world(pycram_record: object) -> Iterator[BulletWorld]:  # noqa: ARG00
 def run_plan(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> Iterator[Callable[..., PlanRun]]:
-    """Run a plan in a process of its own: ``run_plan("plan.py", seed=3, x=0.4)``.
+    """Run a plan in another process: ``run_plan("plan.py", seed=3, x=0.4)``.
 
-    The file is relative to the test's folder. ``seed`` is by default the seed of the test, or 0; ``motion``, ``check``
-    (a file of properties) and ``arguments`` are as for ``pycram run``. All other arguments are parameters of the plan.
+    The file is relative to the test's folder. The default of ``seed`` is the seed of the test, or 0. ``motion``,
+    ``check`` (a file of properties) and ``arguments`` are options of ``pycram run``. All other arguments are parameters
+    of the plan.
     """
     files: list[tuple[Path, Path]] = []
     params = getattr(getattr(request.node, "callspec", None), "params", {})
@@ -169,7 +170,7 @@ def run_plan(
 
 
 def _kept_file(request: pytest.FixtureRequest) -> Path:
-    """Return where the next recording of a test is kept if it fails."""
+    """Return the path for the next recording of a test, if it fails."""
     node, config = request.node, request.config
     files = node.stash.setdefault(_files, [])
     name = re.sub(r"[^\w.=-]+", "_", node.nodeid.replace("::", ".")).strip("_")
@@ -195,7 +196,7 @@ def _keep(request: pytest.FixtureRequest, file: Path, kept: Path) -> None:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the plugin's options."""
+    """Add the options of the plugin."""
     group = parser.getgroup("pycram")
     group.addoption("--pycram-recordings", default=_FOLDER, metavar="DIR", help="folder for recordings of failed tests")
     group.addoption("--pycram-view", action="store_true", help="open the first failed test's recording at its failure")

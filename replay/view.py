@@ -1,9 +1,9 @@
-"""Recordings in the Rerun viewer: they are translated into an ``.rrd`` file next to the recording, which is opened.
+"""Recordings in the Rerun viewer, which opens their translation, an ``.rrd`` file next to the recording.
 
 The same code translates records while a plan runs (:mod:`recorder.viewer`), so both views are the same. Invalid records
-are reported as damage. An ``.rrd`` file is a cache, but other users may be able to write in its folder. So it is used
-only if this user made it from this recording with this software: one of the user's own folders has the hash of each
-``.rrd``, under the hash of its inputs.
+are reported as damage. An ``.rrd`` file is a cache, but other users may be able to write in its folder. So the file is
+only used if this user made it from this recording with this software: a folder of the user has the hash of each
+``.rrd`` file by the hash of its inputs.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 
-_LOAD_TIMEOUT: Final = 20.0  # seconds for the viewer to load a file
+_LOAD_TIMEOUT: Final = 20.0  # s; the viewer must load a file in this time
 _POLL_PERIOD: Final = 0.1  # seconds between checks
 
 
 def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> None:
-    """Write recordings, shown side by side, into one ``.rrd`` file; an existing file is replaced at the end.
+    """Write recordings side by side into an ``.rrd`` file, which replaces an existing file at the end.
 
     The viewer opens at the step ``at``, by default at the beginning.
 
     Raises:
-        ReplayError: it can't be written.
+        ReplayError: The file can't be written.
         Damaged: a record makes no sense.
     """
     try:
@@ -70,7 +70,7 @@ def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> 
 
 @contextlib.contextmanager
 def _without_garbage_collection() -> Iterator[None]:
-    """Turn the garbage collector off: rows live until they are sent, so scanning them is wasted work."""
+    """Turn the garbage collector off, because rows live until they are sent."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -81,12 +81,12 @@ def _without_garbage_collection() -> Iterator[None]:
 
 
 def cached(log: RecordReader, at: int | None = None) -> Path:
-    """Return a recording's file for the viewer, cached next to it as ``NAME.mcap.rrd``.
+    """Return the viewer's file of a recording, which is cached next to the recording as ``NAME.mcap.rrd``.
 
-    A temporary file is returned if the folder isn't writable, or if step ``at`` shows another world than the beginning.
+    If the folder isn't writable, or step ``at`` has another world than the beginning, the file is temporary.
 
     Raises:
-        ReplayError: it can't be written.
+        ReplayError: The file can't be written.
         Damaged: a record makes no sense.
     """
     if at is not None and front_world(log, at) != front_world(log):
@@ -103,8 +103,8 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
         beside = temporary_file(beside.name)
     problems = log.problems
     convert([log], beside)
-    unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan is still writing
-    if note is not None and unchanged and log.problems == problems:  # damage must be reported each time
+    unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan still writes the recording
+    if note is not None and unchanged and log.problems == problems:  # every call must report damage
         with contextlib.suppress(OSError):
             note.parent.mkdir(parents=True, exist_ok=True)
             note.write_text(_hash(beside), encoding="ascii")
@@ -112,7 +112,7 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
 
 
 def _note(log: RecordReader) -> Path | None:
-    """Return the file with the hash of this software's ``.rrd`` of a recording; None without a cache folder."""
+    """Return the file with the hash of a recording's ``.rrd`` file by this software; None without a cache folder."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -128,10 +128,10 @@ def _hash(file: Path) -> str:
 
 
 def temporary_file(name: str) -> Path:
-    """Return a path in the user's own folder for temporary files, which no other user can write to.
+    """Return a path in a folder for temporary files, which other users can't change.
 
     Raises:
-        ReplayError: the folder can't be created, or is another user's.
+        ReplayError: The folder can't be created, or belongs to another user.
     """
     folder = Path(tempfile.gettempdir()) / f"pycram-{user()}"
     try:
@@ -149,7 +149,7 @@ def check(url: str | None) -> None:
     """Check the address of a viewer; None means any viewer.
 
     Raises:
-        ReplayError: ``url`` isn't an address, or no viewer answers at it.
+        ReplayError: ``url`` isn't an address, or no viewer answers.
     """
     if url is None:
         return
@@ -162,7 +162,7 @@ def check(url: str | None) -> None:
 
 
 def _go_to(client: ViewerClient, step: int) -> None:
-    """Set the viewer's time to a step, after the viewer has loaded something."""
+    """Set the viewer's time to a step. The viewer must already have data."""
     pause, until = threading.Event(), time.monotonic() + _LOAD_TIMEOUT
     while True:
         try:
@@ -176,9 +176,9 @@ def _go_to(client: ViewerClient, step: int) -> None:
 
 
 def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, Callable[[int], None]]:
-    """Open a recording at a step like :func:`show`; return the viewer's address, and a function that goes to a step.
+    """Open a recording at a step, and return the viewer's address and a function that shows a step.
 
-    If the viewer has been closed since then, the function does nothing.
+    If the viewer was closed, the function does nothing.
 
     Raises:
         ReplayError: no viewer answers at ``url``, or no viewer can be started.
@@ -196,7 +196,7 @@ def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, C
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """Open an ``.rrd`` file at a step in a viewer, and return the viewer's address.
 
-    The viewer at ``url`` is used, else a viewer that is open on this machine, else a new viewer, which stays open.
+    The viewer is at ``url``, or else open on this machine, or else new. It stays open.
 
     Raises:
         ReplayError: no viewer answers at ``url``, or no viewer can be started.
@@ -219,7 +219,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     return viewer
 
 
-_NO_ROOT: Final = ""  # root entity of a recording that is shown alone
+_NO_ROOT: Final = ""  # root entity of a single recording
 _NONSENSE: Final = (
     ValueError,
     KeyError,
@@ -227,19 +227,19 @@ _NONSENSE: Final = (
     IndexError,
     ArithmeticError,
     AttributeError,
-    SyntaxError,  # raised by models that aren't XML
+    SyntaxError,  # models that aren't XML raise this error
     zlib.error,
 )
-"""Errors of translating records that no recorder has written."""
+"""Errors of records that no recorder has written."""
 
 
 def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int | None = None) -> None:
-    """Send recordings to a viewer, which shows several side by side and opens at the step ``at``.
+    """Send recordings to a viewer, which shows them side by side, and opens at the step ``at``.
 
     Raises:
         Damaged: a record makes no sense.
     """
-    if len(logs) == 1:  # the plan's name is used, as while it ran
+    if len(logs) == 1:  # live views have the plan's name, too
         stream.send_recording_name(logs[0].metadata.get("plan", logs[0].path.name))
     else:
         stream.send_recording_name(" and ".join(log.path.name for log in logs))
@@ -250,7 +250,7 @@ def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int 
 
 
 def front_world(log: RecordReader, at: int | None = None) -> str:
-    """Return the world in front: the world of a step or of a step before, else the first in which the plan acts."""
+    """Return the world in front: the world of the last record up to a step, or else the first world with actions."""
     if at is not None:
         world = next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "")
         if world:
@@ -259,7 +259,7 @@ def front_world(log: RecordReader, at: int | None = None) -> str:
 
 
 def _roots(logs: Sequence[RecordReader]) -> list[str]:
-    """Return the root entities of recordings that are shown side by side: names of their files, if these differ."""
+    """Return the root entities of recordings side by side: the names of their files, if these differ."""
     if len(logs) == 1:
         return [_NO_ROOT]
     names = [log.path.stem for log in logs]
@@ -279,16 +279,16 @@ def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Map
     """Send a recording, and return the centres of its worlds in m."""
     translator = Translator(stream, root)
     for name in log.assets:
-        with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording notes the damage
+        with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording notes damage
             translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
     for record in log.records():
-        try:  # quicker than a context manager for each record
+        try:  # faster than a context manager for each record
             translator.show(record)
         except _NONSENSE as error:
             raise _nonsense(log, f"step {record.seq}", error) from error
-    with _damage(log, "a record"):  # a time may be longer than any recording
+    with _damage(log, "a record"):  # a damaged time may be too long
         translator.finish()
-    for name in translator.scene.absent:  # other tools' filters may leave out attachments
+    for name in translator.scene.absent:  # filters of other tools may remove attachments
         log.assets.damaged.setdefault(name, "it isn't there")
     return translator.worlds.centres
 
@@ -302,4 +302,4 @@ def _damage(log: RecordReader, where: str) -> Iterator[None]:
 
 
 def _nonsense(log: RecordReader, where: str, error: Exception) -> Damaged:
-    return Damaged(log.path, where, f"it makes no sense: {error}")
+    return Damaged(log.path, where, f"the content is inconsistent: {error}")

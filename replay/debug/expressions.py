@@ -35,12 +35,12 @@ class ValueChange(NamedTuple):
 
 
 def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
-    """Return the changes of an expression's value in a recording; see :mod:`recorder.properties.expressions`.
+    """Return the changes of an expression's value in a recording (:mod:`recorder.properties.expressions`).
 
     Before an object is loaded, and after it is removed, values are None.
 
     Raises:
-        NoQuantity: the expression has no value at any step.
+        NoQuantity: The expression has no value at any step.
     """
     try:
         compiled = PropertyExpression(expression)
@@ -78,7 +78,7 @@ def _differ(before: object, after: object) -> bool:
 
 
 def quantity_names(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield the names that an expression may contain at a step, for completion."""
+    """Yield the names for completion of an expression at a step."""
     state = state_at(log, step)
     yield from (f"{each}(" for each in ("holding", "distance", "upright"))
     for world in state.worlds.values():

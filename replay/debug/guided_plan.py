@@ -1,8 +1,8 @@
-"""A recorded plan that runs again, and stops at a step. It can be moved from step to step, forwards and back.
+"""A recorded plan that runs again, and stops at a step. The plan moves from step to step, forwards and back.
 
-One of the plan's processes is stopped or runs; the others are copies that wait at earlier steps. A waiting copy is the
-parent of the process that continued from it. So all these processes descend from the first process, and end with it.
-The first process ends with this process.
+A single process of the plan is stopped or runs. Other processes are copies that wait at earlier steps. A waiting copy
+is the parent of the process that continues from the copy. So all processes descend from the first process, and end with
+it. The first process ends with this process.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from replay.retrace.plan_process import PlanProcess
 
 _MAX_WAITING: Final = 64  # largest number of waiting copies
-_SHOWN: Final = 2000  # number of shown characters from the end of an ended process's stderr
-_POLL: Final = 0.2  # seconds between checks for Ctrl-C and for a process that ended without a message
-_PARTS: Final = 40  # number of parts into which copies divide a run
+_SHOWN: Final = 2000  # this many last characters on stderr of an ended process are shown
+_POLL: Final = 0.2  # s between checks for Ctrl-C and for the end of the process
+_PARTS: Final = 40  # copies divide a run into this many parts
 _SHORTEST: Final = 50_000_000  # shortest duration of a part in ns
-_FINEST: Final = 4  # when the plan goes back, smallest number of steps between a new copy and the target
+_FINEST: Final = 4  # on the way back, a new copy is at least this many steps before the target
 
 
 class PlanEnded(ReplayError):
@@ -44,7 +44,7 @@ class PlanEnded(ReplayError):
 
     def __init__(self, printed: str) -> None:
         super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
-        self.printed = printed  # the last output of the process to stderr
+        self.printed = printed  # last text of the process on stderr
 
 
 class EndedByInterrupt(Exception):
@@ -52,12 +52,12 @@ class EndedByInterrupt(Exception):
 
 
 class PlanInterrupted(ReplayError):
-    """Ctrl-C ended the plan's process; the plan is at its previous step again, or hasn't started."""
+    """Ctrl-C ended the plan's process. The plan is at its previous step again, or hasn't started."""
 
     def __init__(self, step: int) -> None:
         where = f"it is at step {step} again" if step >= 0 else "it is at no step"
         super().__init__(f"the plan reached no other step; {where}")
-        self.step = step  # the plan's step; -1 if it reached no step
+        self.step = step  # the plan's step; -1 before the first step
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,41 +65,40 @@ class Arrival:
     """The step at which a plan has stopped, and the reason for stopping."""
 
     step: int  # the last recorded step that the plan has made
-    #: "step": this is the target; "watch": a watched value has changed; "interrupted": the user pressed Ctrl-C;
-    #: "parted": the next record differs from the recorded one.
+    #: "step" (the target), "watch" (a watched value has changed), "interrupted" (Ctrl-C), or "parted" (the next record
+    #: differs from the recorded record).
     reason: str = "step"
-    text: str = ""  # the difference from the recording, in words
+    text: str = ""  # the difference from the recording in words
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, watch's index, values before, after
 
 
 class GuidedPlan:
     """A recorded plan, at a step.
 
-    With ``checkpoints``, copies of the process wait at some steps. Without them, the plan goes back by running again
-    from its start.
+    With ``checkpoints``, copies of the process wait at some steps. Without copies, the plan runs again from its start
+    to go back.
 
     Raises:
-        Damaged: the beginning of the recording is lost.
+        Damaged: The beginning of the recording is lost.
     """
 
     def __init__(self, process: PlanProcess, *, checkpoints: bool = True) -> None:
         log = process.log
-        # the recorded source by path, if the plan runs from the recorded source
+        # the recorded source by path, if it runs
         self.recorded_files = process.recorded_files
         self.notes = tuple(process.notes())  # differences from the recorded conditions
-        self.step = -1  # the last recorded step that the plan has made; -1 before the first
-        self.last = len(log) - 1  # the last step that the plan can reach
-        #: the first difference of the plan from its recording, after that step, and possible causes outside of the
-        #: plan; "" if unknown
+        self.step = -1  # last recorded step of the plan; -1 before the first step
+        self.last = len(log) - 1  # last step that the plan can reach
+        #: the first difference of the plan from its recording, and possible causes outside of the plan; "" if unknown
         self.parted = ""
         self._log = log
-        log.check_file()  # after this check, all losses of the recording are known
+        log.check_file()  # after the check, all losses of the recording are known
         gap = next(iter(log.lost()), None)
         if gap is not None:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
             raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
-        # the recorded clock counts, because the machine may now be slower
+        # by the recorded clock, because the machine may now be slower
         spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
         self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
@@ -114,34 +113,34 @@ class GuidedPlan:
         self._copies.close()
 
     def pause(self, *, wanted: bool) -> None:
-        """Let another thread stop the plan as Ctrl-C does, now or later; ``wanted=False`` withdraws the request."""
+        """Stop the plan from another thread, as Ctrl-C does. ``wanted=False`` withdraws the request."""
         self._copies.pause_wanted = wanted
 
     def kill(self) -> None:
-        """Let another thread end the plan; :meth:`go` raises `PlanEnded` from then on."""
+        """End the plan from another thread. From then on, :meth:`go` raises `PlanEnded`."""
         self._copies.killed = True
 
     @property
     def checkpoints(self) -> list[int]:
-        """The steps at which copies wait."""
+        """The steps of the waiting copies."""
         return sorted(each.step for each in self._copies.waiting)
 
     @property
     def runs(self) -> int:
-        """How often the plan was run from its start."""
+        """The number of runs from the plan's start."""
         return self._copies.runs
 
     def go(self, step: int, watched: Sequence[WatchedExpression] = (), *, through: bool = False) -> Arrival:
         """Move the plan to a step, forwards or back.
 
-        With watched expressions, the plan continues from its present step, and stops when one of their values changes.
-        With ``through``, it doesn't stop at such changes; they are noted until the plan reaches the step.
+        With watched expressions, the plan continues from its present step, and stops when a value changes. With
+        ``through``, the plan doesn't stop at such changes, but notes them until the step.
 
         Raises:
-            PlanEnded: its process ended before that step, so the plan is at no step.
-            PlanInterrupted: the user pressed Ctrl-C twice before the plan reached a step; the plan is at its previous
+            PlanEnded: The process ended before the step, so the plan is at no step.
+            PlanInterrupted: The user pressed Ctrl-C twice before the plan reached a step. The plan is at its previous
                 step.
-            ReplayError: its first record differs, so this is another plan.
+            ReplayError: The first record differs, so this is another plan.
         """
         copies = self._copies
         if copies.now is None and watched:
@@ -196,11 +195,11 @@ class GuidedPlan:
         return Arrival(self.step, message["reason"], self.parted if found else "", message["changes"])
 
     def ask(self, what: str, **arguments: object) -> Any:
-        """Send a question to the stopped plan; see :class:`replay.debug.stopped_plan.StoppingSink`.
+        """Send a question to the stopped plan (:class:`replay.debug.stopped_plan.StoppingSink`).
 
         Raises:
             PlanEnded: its process has ended.
-            ReplayError: the question has no answer.
+            ReplayError: The question has no answer.
             KeyboardInterrupt: the user pressed Ctrl-C; nothing has changed.
         """
         answer = self._copies.ask({"do": what, **arguments})
@@ -210,7 +209,7 @@ class GuidedPlan:
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
-    """Yield steps between two steps; each yielded step halves the remaining distance."""
+    """Yield steps between two steps. Each step halves the remaining distance."""
     while step - start >= _FINEST:
         start += (step - start) // 2
         yield start
@@ -221,29 +220,29 @@ def _halving(start: int, step: int) -> Iterator[int]:
 
 @dataclass(eq=False, slots=True)
 class PlanCopy:
-    """A process of the plan that has stopped at a step, or continues from there."""
+    """A process of the plan at a step."""
 
     channel: Channel  # connection to the process
     pid: int
     parent: PlanCopy | None  # the copy that forked the process; None for the first process
-    step: int = -1  # the last recorded step that the process is known to have made
-    parted: bool = False  # whether its next record differs from the recorded record
+    step: int = -1  # last known step of the process
+    parted: bool = False  # whether the next record differs from the recorded record
     can_wait: bool = False  # whether the process can be copied at this step
-    between: bool = False  # whether it has stopped between the record of that step and the next record
+    between: bool = False  # whether the process has stopped between the step's record and the next record
 
 
 class PlanCopies:
-    """The processes of a plan, with a copy every ``spacing`` ns of the recording; None means no copies."""
+    """The processes of a plan, with a copy every ``spacing`` ns of the recording, or without copies (None)."""
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
-        self.waiting: list[PlanCopy] = []  # copies that wait, each after its parent
+        self.waiting: list[PlanCopy] = []  # waiting copies, each after its parent
         self.now: PlanCopy | None = None  # the stopped process, which may be a waiting copy; None while a process runs
         self.runs = 0  # number of starts of the first process
         self._process = process
         self._spacing = spacing
         self._root: subprocess.Popen[bytes] | None = None
         self._ending = False
-        self._interrupts = 0  # how often the user pressed Ctrl-C since the last message to the plan
+        self._interrupts = 0  # number of Ctrl-C since the last message to the plan
         self.pause_wanted = False  # whether another thread wants the plan to stop
         self.killed = False  # whether another thread wants the plan to end
         with ExitStack() as undoing:
@@ -265,7 +264,7 @@ class PlanCopies:
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def start(self) -> Message:
-        """Run the plan from its start to its first record; return the process's message about the stop."""
+        """Run the plan from its start to its first record, and return the process's message about the stop."""
         self.end_all()
         self.runs += 1
         folder = Path(self._folder) / f"run-{self.runs}"
@@ -284,11 +283,11 @@ class PlanCopies:
             return self._stopped(None)
 
     def go_on(self, origin: PlanCopy, conditions: Message) -> Message:
-        """Let a copy continue, or a child of the copy if the copy stays; return the message about the stop.
+        """Continue a copy, or a child of a copy that stays. Return the message about the stop.
 
         Raises:
-            PlanEnded: the process ended before a stop.
-            EndedByInterrupt: the user pressed Ctrl-C twice.
+            PlanEnded: The process ended before a stop.
+            EndedByInterrupt: The user pressed Ctrl-C twice.
         """
         stay = origin in self.waiting or (origin.can_wait and origin.parent is None)
         if stay and origin not in self.waiting:
@@ -302,7 +301,7 @@ class PlanCopies:
         """Send a question to the stopped process, and return its answer.
 
         Raises:
-            PlanEnded: the process has ended.
+            PlanEnded: The process has ended.
             KeyboardInterrupt: the user pressed Ctrl-C; nothing has changed.
         """
         now, passed_on = self.now, False
@@ -323,7 +322,7 @@ class PlanCopies:
 
     @contextmanager
     def _noting_interrupts(self) -> Iterator[None]:
-        """In the ``with`` block, count Ctrl-C, so that no KeyboardInterrupt comes between a message and its answer."""
+        """Count Ctrl-C in a block, so that no KeyboardInterrupt comes between a message and its answer."""
         self._interrupts = 0
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -339,7 +338,7 @@ class PlanCopies:
             signal.signal(signal.SIGINT, before)
 
     def _stopped(self, running: PlanCopy | None) -> Message:
-        """Wait until the running process, or the process that continues from it, has stopped; return its message."""
+        """Wait until the running process, or a continuing child, has stopped. Return its message."""
         passed_on = False  # whether Ctrl-C was sent to the running process
         while True:
             sources: list[socket.socket | Channel] = [self._listener, *([running.channel] if running else [])]
@@ -368,13 +367,13 @@ class PlanCopies:
                 if not passed_on:
                     passed_on = True
                     running.channel.send({"do": "interrupt"})
-                # a process that makes no record reads no message, so it gets signals; it ignores early ones
+                # a process without records reads no message, so it gets signals; it ignores early signals
                 with suppress(ProcessLookupError):
                     os.kill(running.pid, PAUSE)
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
-        """Accept the process that a copy has forked to continue."""
-        if running is not None:  # the message that this process waits has arrived, or will arrive
+        """Accept the child that continues from a copy."""
+        if running is not None:  # this process sends that it waits
             message = _received(running.channel)
             if message is None:
                 self._lost(running)
@@ -400,17 +399,17 @@ class PlanCopies:
         return self._errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
 
     def end(self, copy: PlanCopy | None) -> None:
-        """End a process without children; if it is the first process, end all processes."""
+        """End a process without children. The end of the first process ends all processes."""
         if copy is None or copy.parent is None:
             self.end_all()
             return
         copy.channel.close()
         copy.parent.channel.send({"do": "end", "pid": copy.pid})
-        if _received(copy.parent.channel) is None and not self._ending:  # somebody else has ended the parent
+        if _received(copy.parent.channel) is None and not self._ending:  # the parent has already ended
             self.end_all()
 
     def end_all(self) -> None:
-        """End all processes, each before its parent, which waits for it."""
+        """End all processes, children before parents."""
         self._ending = True
         for each in reversed([*self.waiting, *([self.now] if self.now and self.now not in self.waiting else [])]):
             if each.parent is not None:
@@ -424,7 +423,7 @@ class PlanCopies:
         self.waiting.clear()
 
     def thin_out(self, step: int) -> None:
-        """End the waiting copies that are farthest from a step, if there are too many."""
+        """If there are too many waiting copies, end the copies that are farthest from a step."""
         while len(self.waiting) > _MAX_WAITING:
             parents = {each.parent for each in (*self.waiting, self.now) if each is not None}
             ends = [each for each in self.waiting if each not in parents and each is not self.now]
@@ -436,7 +435,7 @@ class PlanCopies:
 
 
 def _received(channel: Channel) -> Message | None:
-    """Return the next message; skip answers to interrupts that came too late."""
+    """Return the next message. Skip answers to late interrupts."""
     while True:
         message = channel.receive()
         if message is None or "interrupt" not in message:

@@ -1,7 +1,7 @@
 """A session of the debugger: a guided plan, its breakpoints, and the targets of commands.
 
-A breakpoint or watch has steps at which the plan stops. They are read from the recording when the breakpoint is set.
-But a watch on the plan's own variables has no steps: recordings don't contain variables, so the plan must run.
+A breakpoint or watch has steps at which the plan stops. These steps are read from the recording when the breakpoint is
+set. But a watch on the plan's own variables has no steps: recordings don't contain variables, so the plan must run.
 
 The level of a step is the innermost task that encloses it; the start and the end of a task are on the level around it.
 So ``next`` goes from the start of a task to its end, as other debuggers step over a call.
@@ -32,16 +32,16 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.recording import Recording
 
-Site: TypeAlias = "tuple[str, int]"  # a file and the number of a line
+Site: TypeAlias = "tuple[str, int]"  # a file and a line number
 _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
 class NoFurther(ReplayError):
-    """There is no further step, because the recording begins or ends there, or the plan differs from the recording."""
+    """There is no further step, because the recording begins or ends, or the plan differs from the recording."""
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(cause)
-        self.step = step  # the step at which the plan is
+        self.step = step  # present step of the plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ class Halt:
     """The step at which the plan has stopped, and the breakpoints that stopped it."""
 
     arrival: Arrival
-    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints at that step
-    #: Values of watched variables of the plan before and after the step, by the number of the watch.
+    met: list[Breakpoint] = field(default_factory=list)  # breakpoints at the step
+    #: Values of watched variables before and after the step, by number of the watch.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
 
@@ -60,12 +60,12 @@ class Session:
     def __init__(self, log: Recording, plan: GuidedPlan) -> None:
         self.log = log
         self.plan = plan
-        self.breakpoints: list[Breakpoint] = []  # breakpoints in the order of their numbers
+        self.breakpoints: list[Breakpoint] = []  # breakpoints by number
         self._numbers = 0
 
     @cached_property
     def timeline(self) -> Timeline:
-        """Tasks and source lines of the steps."""
+        """The tasks and source lines of the steps."""
         return Timeline(self.log)
 
     @property
@@ -74,13 +74,13 @@ class Session:
         return self.plan.step
 
     def set_break(self, place: str, *, temporary: bool = False) -> Breakpoint:
-        """Set a breakpoint; see :func:`breakpoint_at`."""
+        """Set a breakpoint (:func:`breakpoint_at`)."""
         made = breakpoint_at(self.log, self.timeline, self._numbers + 1, place)
         made.temporary = temporary
         return self._kept(made)
 
     def set_watch(self, expression: str, frame: int) -> Breakpoint:
-        """Watch an expression about recorded states, or else about the variables of one of the plan's frames."""
+        """Watch an expression about recorded states, or else about the variables of a frame."""
         return self._kept(self._watch(expression, frame))
 
     def _kept(self, made: Breakpoint) -> Breakpoint:
@@ -92,7 +92,7 @@ class Session:
         """Return a watch on an expression about recorded states, or else about the variables of a frame's function.
 
         Raises:
-            NoQuantity: the expression has a value in no recorded state and no frame.
+            NoQuantity: The expression has no value in recorded states and frames.
         """
         number, text = self._numbers + 1, f"watch {expression}"
         try:
@@ -108,10 +108,10 @@ class Session:
         return Breakpoint(number, text, sorted(found), changes=found)
 
     def numbered(self, number: str) -> Breakpoint:
-        """Return a breakpoint by its number.
+        """Return a breakpoint by number.
 
         Raises:
-            NoSuchName: no breakpoint has this number.
+            NoSuchName: No breakpoint has this number.
         """
         for each in self.breakpoints:
             if str(each.number) == number:
@@ -121,10 +121,10 @@ class Session:
     # --- from step to step ------------------------------------------------------------------------------------------
 
     def forward(self, target: int | None = None) -> Halt:
-        """Continue to a step (default: the last step), or to the first breakpoint before that step.
+        """Continue to a step, by default the last step, or to the first breakpoint before it.
 
         Raises:
-            NoFurther: this is the last step that the plan can reach.
+            NoFurther: The plan is at the last step that it can reach.
         """
         if self.step >= self.plan.last:
             raise self._no_further()
@@ -135,10 +135,10 @@ class Session:
         return self._halted(self.plan.go(min([goal, *hits]), watched), enabled)
 
     def back(self, target: int = 0) -> Halt:
-        """Go back to a step (default: the first step), or to the last breakpoint before the present step.
+        """Go back to a step, by default the first step, or to the last breakpoint after it.
 
         Raises:
-            NoFurther: this is the first step.
+            NoFurther: The plan is at the first step.
         """
         if self.step <= 0:
             raise NoFurther(self.step, "the recording begins here")
@@ -153,10 +153,10 @@ class Session:
         return self._halted(self.plan.go(goal), enabled, changes)
 
     def back_to_change(self, expression: str, frame: int) -> Halt:
-        """Go back to the last change of an expression; see :meth:`set_watch`.
+        """Go back to the last change of an expression (:meth:`set_watch`).
 
         Raises:
-            NoFurther: the value didn't change before this step.
+            NoFurther: The value didn't change before this step.
         """
         watch = self._watch(expression, frame)
         step = last_before(watch.steps, self.step)
@@ -171,10 +171,10 @@ class Session:
         return self._halted(self.plan.go(step), [watch], dict(enumerate(changes.values())))
 
     def go(self, step: int) -> Halt:
-        """Go to a step, without stopping at breakpoints.
+        """Go to a step, and ignore breakpoints.
 
         Raises:
-            NoFurther: the plan can't reach the step.
+            NoFurther: The plan can't reach the step.
         """
         if step > self.plan.last:
             raise self._no_further()
@@ -221,14 +221,14 @@ class Session:
 
 
 class Timeline:
-    """The steps of a recording, read once."""
+    """The steps of a recording."""
 
     def __init__(self, log: RecordReader) -> None:
         self.steps = len(log)  # number of steps
-        self.paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by the steps of their starts
-        self.kinds: dict[int, str] = {}  # kinds of tasks, by the steps of their starts
+        self.paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by step of the start
+        self.kinds: dict[int, str] = {}  # kinds of tasks by step of the start
         self.failures: list[int] = []  # steps with a failure
-        self.events: dict[str, list[int]] = defaultdict(list)  # steps of events, by their names
+        self.events: dict[str, list[int]] = defaultdict(list)  # steps of events by name
         self._levels = [0] * self.steps
         self._starts: dict[int, int] = {}
         self._parents: dict[int, int] = {}
@@ -237,7 +237,7 @@ class Timeline:
         self._stacks: list[tuple[Site, ...]] = [()] * self.steps
         self._lines: dict[Site, list[int]] = defaultdict(list)
         task_stacks: dict[int, tuple[Site, ...]] = {}
-        latest: dict[str, tuple[Site, ...]] = {}  # call stacks of the latest records, by thread or branch
+        latest: dict[str, tuple[Site, ...]] = {}  # call stacks of the latest records by thread or branch
         for record in log.records():
             self._note(record)
             own = _own_stack(record)
@@ -246,7 +246,7 @@ class Timeline:
                 task_stacks[record.task] = stack
             self._stacks[record.seq] = stack
             before = latest.get(record.thread, ())
-            again = bool(own) and not isinstance(record, Output)  # output accompanies other records of its line
+            again = bool(own) and not isinstance(record, Output)  # a line with output also has other records
             for depth, site in enumerate(stack):
                 if before[: depth + 1] != stack[: depth + 1] or (again and depth == len(stack) - 1):
                     hits = self._lines[site]
@@ -274,17 +274,17 @@ class Timeline:
     # --- targets of commands ----------------------------------------------------------------------------------------
 
     def following(self, step: int) -> int:
-        """Return the next step on the same or an outer level; if there is none, the last step."""
+        """Return the next step on the same level or an outer level, or else the last step."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step + 1, self.steps) if self._levels[at] in around), self.steps - 1)
 
     def preceding(self, step: int) -> int:
-        """Return the previous step on the same or an outer level; if there is none, the first step."""
+        """Return the previous step on the same level or an outer level, or else the first step."""
         around = {self._levels[step], *self._around(self._levels[step])}
         return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
 
     def end(self, step: int) -> int:
-        """Return the end of the task around a step; the last step if there is no such task, or it has no end."""
+        """Return the end of the task around a step, or else the last step."""
         return self._ends.get(self._levels[step], self.steps - 1)
 
     def onwards(self, step: int) -> int:

@@ -1,8 +1,7 @@
 """The process of a debugged plan: it compares each record with the recorded record, and stops the plan at a step.
 
 While the plan is stopped, its process answers messages from the prompt, which are lines of JSON on a socket. When the
-plan continues, either the process continues, or it stays, as at checkpoints, and a forked child continues. A process
-that stays can continue later.
+plan continues, either the process continues, or a forked child continues and the process stays for later.
 """
 
 from __future__ import annotations
@@ -50,9 +49,9 @@ if TYPE_CHECKING:
 
 Message: TypeAlias = "dict[str, Any]"
 
-PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have SIGURG
-"""Signal that stops a plan that makes no records, and thus reads no messages. Without a handler, it is ignored."""
-_BLOCK: Final = 1 << 16  # largest number of bytes in one read
+PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems with fork have SIGURG
+"""This signal stops a plan without records, which reads no messages. Without a handler, it is ignored."""
+_BLOCK: Final = 1 << 16  # largest number of bytes of a read
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # types of a module's imports and definitions
 _MAX_NAMES: Final = 200  # largest number of completions of a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
@@ -70,17 +69,17 @@ class Channel:
         self._received = b""
 
     def fileno(self) -> int:
-        """Return the socket's descriptor, for select."""
+        """Return the socket's descriptor for select()."""
         return self._socket.fileno()
 
     def send(self, message: Message) -> None:
-        """Send a message, unless the other end is closed."""
-        # if the other end is closed, the next receive() returns None
+        """Send a message unless the other end is closed."""
+        # then the next receive() returns None
         with suppress(BrokenPipeError, ConnectionResetError):
             self._socket.sendall(json.dumps(message).encode() + b"\n")
 
     def receive(self) -> Message | None:
-        """Wait for a message, and return it; return None if the other end is closed."""
+        """Wait for a message and return it, or None if the other end is closed."""
         while b"\n" not in self._received:
             try:
                 part = self._socket.recv(_BLOCK)
@@ -100,7 +99,7 @@ class Channel:
 
     @property
     def has_read(self) -> bool:
-        """Whether a message is in the buffer; select doesn't notice buffered messages."""
+        """Whether a message is in the buffer, which select() doesn't notice."""
         return b"\n" in self._received
 
     def close(self) -> None:
@@ -112,13 +111,13 @@ class Channel:
 
 
 class PlanFrame(NamedTuple):
-    """A frame of the plan, and its current line."""
+    """A frame of the plan and its current line."""
 
     frame: FrameType
     line: int
 
     def facts(self, moved: tuple[str, str] | None) -> dict[str, object]:
-        """Return file, line, function and its first line; the file's path is in the plan's own folder."""
+        """Return file, line, function and its first line. The path is in the plan's own folder."""
         code = self.frame.f_code
         return {
             "file": code.co_filename.replace(*moved or ("", "")),
@@ -129,7 +128,7 @@ class PlanFrame(NamedTuple):
 
 
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
-    """Return the plan's frames, innermost first; after a branch come the frames that wait for it.
+    """Return the plan's frames, innermost first. Frames that wait for a branch come after the branch.
 
     ``parents`` has the id of each task's parent. With ``failing``, the frames through which an error has passed come
     first.
@@ -147,7 +146,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
         task = context.get(journal.current_task)
         waiting[task.id if task is not None else 0] = suspended
     number: int | None = journal.task_id()
-    while number is not None:  # number 0 means: outside of all tasks
+    while number is not None:  # 0 means outside of tasks
         number = parents.get(number)
         if number in waiting:
             own += [PlanFrame(each, each.f_lineno) for each in plan_frames(waiting[number])]
@@ -155,7 +154,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
 
 
 def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, str | int]]:
-    """Return a frame's variables without a module's definitions; with ``arguments``, only the arguments."""
+    """Return the variables of a frame without definitions of a module, or only the ``arguments``."""
     values = dict(frame.f_locals)
     if arguments:
         info = inspect.getargvalues(frame)
@@ -167,7 +166,7 @@ def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, st
 
 
 def parts(frame: FrameType, expression: str) -> list[dict[str, str | int]]:
-    """Return the entries of an expression's value if it is a sequence or a mapping; otherwise its attributes."""
+    """Return the entries of a sequence or mapping, or the attributes of another value."""
     value = value_of(frame, expression)
     if is_future(value):
         return []
@@ -182,7 +181,7 @@ def parts(frame: FrameType, expression: str) -> list[dict[str, str | int]]:
 
 def _described(name: str, expression: str, value: object) -> dict[str, str | int]:
     count = 0
-    if not is_future(value):  # isinstance() would wait for its result
+    if not is_future(value):  # isinstance() would wait for the result
         count = len(value) if isinstance(value, dict | list | tuple) else len(_attributes(value))
     kind = type(value).__name__
     return {"name": name, "value": _repr(value), "type": kind, "expression": expression, "parts": count}
@@ -195,7 +194,7 @@ def _attributes(value: object) -> dict[str, object]:
 
 
 def evaluate(frame: FrameType, expression: str, *, pretty: bool = False) -> dict[str, str]:
-    """Return an expression's value in a frame, or the error that it raised, and the output that it printed."""
+    """Return the value of an expression in a frame, or its error, and its printed output."""
     printed = StringIO()
     answer: dict[str, str] = {}
     with redirect_stdout(printed), redirect_stderr(printed):
@@ -209,7 +208,7 @@ def evaluate(frame: FrameType, expression: str, *, pretty: bool = False) -> dict
 
 def value_of(frame: FrameType, expression: str) -> object:
     """Return an expression's value in a frame."""
-    return eval(expression, {**frame.f_globals, **frame.f_locals})  # noqa: S307  the user's own, as in any debugger
+    return eval(expression, {**frame.f_globals, **frame.f_locals})  # noqa: S307  the user's expression
 
 
 def completions(frame: FrameType, text: str) -> list[str]:
@@ -227,7 +226,7 @@ def _repr(value: object) -> str:
 
 
 class PausableClock:
-    """Replaces Python's clocks. They stop while the plan is stopped, so that no deadline passes at the prompt."""
+    """Replaces Python's clocks. The clocks stop with the plan, so that no deadline passes at the prompt."""
 
     def __init__(self) -> None:
         self._now_ns = time.monotonic_ns
@@ -241,7 +240,7 @@ class PausableClock:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Stop the clocks in the ``with`` block, even if a forked child leaves the block."""
+        """Stop the clocks in a block, even if a forked child leaves the block."""
         since = self._now_ns()
         try:
             yield
@@ -262,7 +261,7 @@ def _refuse(error: Exception) -> NoReturn:
 
 
 def _can_be_copied() -> bool:
-    """Return whether a copy would behave like this process: a copy has neither threads nor child processes."""
+    """Return whether a copy would behave like this process. A copy has neither threads nor child processes."""
     return not obstacle() and not has_children()
 
 
@@ -275,7 +274,7 @@ class WatchedExpression:
     first: int  # number of the function's first line
 
     def value(self, frames: list[PlanFrame]) -> str | None:
-        """Return the value as text; None if no call of the function runs, or if the expression has no value."""
+        """Return the value as text; None outside of the function or without a value."""
         function = (self.file, self.first)
         codes = ((each.frame, each.frame.f_code) for each in frames)
         frame = next((one for one, code in codes if (code.co_filename, code.co_firstlineno) == function), None)
@@ -290,11 +289,12 @@ class StopConditions:
     checkpoints: frozenset[int] = frozenset()  # steps at which a copy stays
     watched: tuple[WatchedExpression, ...] = ()  # a change of any value stops the plan
     through: bool = False  # whether changes are noted without stopping the plan
-    changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, index in watched, before, after
+    #: Step, index in ``watched``, value before, value after.
+    changes: list[tuple[int, int, str, str]] = field(default_factory=list)
 
     @classmethod
     def of(cls, message: Message, moved: tuple[str, str] | None) -> StopConditions:
-        """Return the conditions in a message; files in the message are relative to the plan's own folder."""
+        """Return the conditions in a message. Files in the message are relative to the plan's own folder."""
         new, old = moved or ("", "")
         watched = tuple(
             WatchedExpression(expression, file.replace(old, new), first)
@@ -304,10 +304,10 @@ class StopConditions:
 
 
 class StoppingSink(NullSink):
-    """Stops a guided run; before that, :attr:`guided` compares its records.
+    """A sink that stops a guided run, after :attr:`guided` has compared the record.
 
-    Its messages go to the prompt's socket ``address``. The clock pauses while the plan is stopped. The plan stops for
-    the first time at the step ``until``. ``spacing`` is the time between checkpoints, in ns of the recording; None: no
+    The socket of the prompt has the ``address``. The clock pauses while the plan is stopped. The plan stops for the
+    first time at the step ``until``. ``spacing`` is the time between checkpoints in ns of the recording; None without
     checkpoints.
     """
 
@@ -327,7 +327,7 @@ class StoppingSink(NullSink):
         self._values: list[str | None] = []
         self._failing = False
         self._step = -1
-        self._frame: FrameType | None = None  # while the plan is stopped: the frame that made the record
+        self._frame: FrameType | None = None  # the frame that made the record, while the plan is stopped
         self._serving = False
         signal.signal(PAUSE, self._pause)
         self._channel = self._connected(parent=0)
@@ -343,12 +343,12 @@ class StoppingSink(NullSink):
             self._end()
         elif not self._over:
             self._step = record.seq
-            self._frame = sys._getframe(1)  # noqa: SLF001  inspect.currentframe() gives no other
+            self._frame = sys._getframe(1)  # noqa: SLF001  the caller's frame
             self._pass()
             self._frame = None
 
     def close(self) -> None:
-        """If the plan ended before its recording, stop for the last time."""
+        """Stop for the last time if the plan ended before its recording."""
         if not self._over:
             self.guided.guide.close()
             self._end()
@@ -356,7 +356,7 @@ class StoppingSink(NullSink):
     def _report(self, equal: int, difference: FirstDifference | None) -> None:
         self._difference = difference
         if difference is None and equal <= self._step + 1:
-            self._over = True  # the recording was cut off at this point
+            self._over = True  # the recording is cut off
 
     def _end(self) -> None:
         self._over = True
@@ -374,7 +374,7 @@ class StoppingSink(NullSink):
             self._check_point()
 
     def _pause(self, _: int, frame: FrameType | None) -> None:
-        """Stop between two records, as the plan may hang there. During a record, :meth:`_pass` stops the plan."""
+        """Stop between two records, where the plan may hang. During a record, :meth:`_pass` stops the plan."""
         if self._step >= 0 and not (self._over or self._serving or interrupts.is_uninterrupted() or is_held()):
             self._frame = frame
             self._stop("interrupted", between=True)
@@ -394,7 +394,7 @@ class StoppingSink(NullSink):
         return bool(changes)
 
     def _watched_values(self) -> list[str | None]:
-        """Return the watched values, without recording, and restore the state of the plan's random numbers."""
+        """Return the watched values without records and without random numbers of the plan."""
         stack = self._stack()
         dice = random.getstate()
         with journal.unrecorded():
@@ -419,7 +419,7 @@ class StoppingSink(NullSink):
             self._serve()
 
     def _went_on_in_child(self) -> bool:
-        """Fork; return True in the child, which continues."""
+        """Fork, and return True in the child, which continues."""
         parent = os.getpid()
         if forking.fork_continuation():
             return False
@@ -476,7 +476,7 @@ class StoppingSink(NullSink):
                 os.kill(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
                 return {"answer": pid}
-            case {"do": "interrupt"}:  # the interrupt's target has already stopped
+            case {"do": "interrupt"}:  # the plan has already stopped
                 return {"interrupt": "late"}
             case {"do": "where"}:
                 return {"answer": [each.facts(self._moved) for each in self._stack()]}
@@ -490,7 +490,7 @@ class StoppingSink(NullSink):
         return self._in_copy(doing[message["do"]])
 
     def _in_copy(self, work: Callable[[], Any]) -> Message:
-        """Work in a forked copy, so that the plan's process stays unchanged: the work may call any code."""
+        """Work in a forked copy, so that the plan's process stays unchanged."""
         if not hasattr(os, "fork"):
             return {"answer": work()}
         child = Child(lambda: json.dumps({"answer": work()}).encode())
@@ -512,8 +512,8 @@ class StoppingSink(NullSink):
 def main() -> None:
     """Run a plan up to a step, as requested in JSON by :class:`replay.debug.guided_plan.PlanCopies`."""
     request = json.loads(sys.argv[1])
-    gc.freeze()  # garbage collection would write to all objects, so that copies would no longer share their memory
-    os.setsid()  # Ctrl-C at the prompt must not reach the plan
+    gc.freeze()  # garbage collection writes to all objects, which copies then no longer share
+    os.setsid()  # Ctrl-C at the prompt doesn't reach the plan
     die_with(request.pop("parent"))
     clock = PausableClock()
     clock.install()

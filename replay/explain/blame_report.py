@@ -102,11 +102,11 @@ def _value(value: Pose | float) -> str:
 
 
 def because(causes: CausingTasks, indent: str, printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield the tasks around a record, and the plan's lines that led to it."""
+    """Yield the tasks around a record, and the plan's lines that led to the record."""
     for started in (task.started for task in causes.tasks):
         called = phrases.task(started.kind, started.name, argument_values(started.parameters))
         by = "by" if started.kind == "handler" else "in"
-        event = f", step {started.cause}" if by == "by" and started.cause else ""  # 0: before the recording
+        event = f", step {started.cause}" if by == "by" and started.cause else ""  # 0 before the recording
         yield f"{indent}{by} {called}{event}  [step {started.seq}]"
     if not causes.tasks:
         yield f"{indent}by the plan itself"

@@ -38,7 +38,7 @@ class CheckedProperty:
     path: str  # path of the recording
     verdict: PropertyVerdict
     record: Record | None = None  # record of the first violation
-    causes: CausingTasks | None = None  # tasks and lines of the plan that led to it
+    causes: CausingTasks | None = None  # tasks and lines of the plan that led to the violation
 
     def __bool__(self) -> bool:
         return self.verdict.holds
@@ -52,10 +52,10 @@ class CheckedProperty:
 
 
 def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry | None = None) -> list[CheckedProperty]:
-    """Check properties of a recording, reading its records once.
+    """Check properties in a single pass over a recording.
 
     Raises:
-        BadProperty: a property has no value at any step, for example because of an unknown name.
+        BadProperty: A property has no value at any step, for example because of an unknown name.
     """
     monitor = Monitor(properties, geometry)
     for record in log.records(FOLLOWED):
@@ -117,7 +117,7 @@ def _moment_data(moment: CheckedMoment | None) -> dict[str, object]:
 
 
 def lines(checked: CheckedProperty) -> Iterator[str]:
-    """Yield the result as text; after a violation, also its cause and commands that show details."""
+    """Yield the result as text, and for a violation its cause and commands that show details."""
     verdict = checked.verdict
     if verdict.holds:
         yield f"holds     {verdict.statement}{_how_close(verdict)}"
@@ -146,7 +146,7 @@ def commands(checked: CheckedProperty) -> Iterator[str]:
 
 
 def step_of(checked: CheckedProperty) -> str:
-    """Return the step of the first violation, or its time within a simulation, in the form that verbs accept."""
+    """Return the step of the first violation, or the time within a simulation, in the form that verbs accept."""
     moment = checked.verdict.violations[0].moment
     return f"{moment.seconds:.4f}s" if moment.sampled else str(moment.step)
 

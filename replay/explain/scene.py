@@ -29,21 +29,21 @@ _ENDS = (("mover", "link"), ("body", "body_link"))
 
 @dataclass(frozen=True, slots=True)
 class InvolvedBody:
-    """The state, at a failure, of the robot or of a body of the failed task."""
+    """The state of the robot or of a body of the failed task at a failure."""
 
     body: Body
-    held: Attachment | None  # its attachment to a carrier
+    held: Attachment | None  # attachment to a carrier
     holds: tuple[Attachment, ...]  # attachments of other bodies to this body
     is_robot: bool
-    distance: float | None  # m, on the ground, from the robot's base; None for the robot itself, or without a robot
-    #: Direction in rad relative to the robot's heading, positive to the left; None for the robot, or without a robot.
+    distance: float | None  # distance from the robot's base on the ground, m; None for the robot
+    #: Direction relative to the robot's heading in rad, positive to the left; None for the robot.
     bearing: float | None
-    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's arms, by the bodies that they hold
+    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's arms by held body
     links: Mapping[str, Pose] = field(default_factory=dict)  # poses of links that the failure names
     joints: Mapping[str, float] = field(default_factory=dict)  # positions of joints that the failure names, rad or m
 
     def lines(self) -> Iterator[str]:
-        """Yield the body in words. A fixed body's base isn't informative, so only named links and joints are given."""
+        """Yield the body in words. Fixed bodies only have named links and joints in the text."""
         body = self.body
         if self.is_robot or not body.fixed_base or not (self.links or self.joints):
             yield self._line()
@@ -77,7 +77,7 @@ class FailedBranch:
 
     task: Node
     line: Line | None  # the plan's line that requested the failed part
-    bodies: tuple[InvolvedBody, ...]  # the robot and the bodies of the failed part, at its failure
+    bodies: tuple[InvolvedBody, ...]  # the robot and the bodies of the failed part at the failure
     causes: tuple[Cause, ...]  # causes of the part's failure
 
     def lines(self) -> Iterator[str]:
@@ -88,7 +88,7 @@ class FailedBranch:
 
 
 def heading(body: Body) -> float:
-    """Return the heading of a body on the ground, rad from the world's x axis."""
+    """Return the heading of a body from the world's x axis in rad."""
     x, y, z, w = body.orientation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
@@ -126,7 +126,7 @@ def bodies(case: FailureCase, names: Iterable[str] = ()) -> Iterator[InvolvedBod
 
 
 def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
-    """Yield what a failure names: bodies with links and their poses, or with joints and None."""
+    """Yield the names in a failure: bodies with links and their poses, or with joints and None."""
     if case.world is None:
         return
     ends = [(pair.get(body, ""), pair.get(link, "")) for pair in case.pairs for body, link in _ENDS]
@@ -144,7 +144,7 @@ def _parts(case: FailureCase) -> Iterator[tuple[str, str, Pose | None]]:
 
 
 def branches(case: FailureCase) -> Iterator[FailedBranch]:
-    """Yield the other failures of the failed block, each with its scene and causes."""
+    """Yield the other failures of the failed block with their scenes and causes."""
     if case.task is None:
         return
     for block in case.task.around():
@@ -158,7 +158,7 @@ def branches(case: FailureCase) -> Iterator[FailedBranch]:
 
 
 def _origins(task: Node) -> Iterator[Node]:
-    """Yield the tasks in which a failure began; in a block, each failed part has such a task."""
+    """Yield the tasks in which a failure began. Each failed part of a block has such a task."""
     failed = [child for child in task.children if child.failed]
     if task.kind != "block":
         failed = [child for child in failed if any(each is child for each in task.origin.around())]

@@ -1,4 +1,4 @@
-"""Explains a failure: the failed task, its place in the plan, attempts, queries on which the plan relied, and changes.
+"""Explain a failure: the failed task, its place in the plan, attempts, queries on which the plan relied, and changes.
 
 All facts are read from the recording. For the answers to the plan's queries, the explanation lists objects that have
 moved since. For a failed action, it lists the choices, their projections and the considered places.
@@ -39,19 +39,19 @@ if TYPE_CHECKING:
 
 
 _MAX_QUERIES: Final = 8
-_FIRST, _LAST = 5, 20  # for this number of first and of last attempts, the robot's state is given
-_LISTED: Final = 3  # largest number of first choices, and of last choices, that are listed
+_FIRST, _LAST = 5, 20  # this many first and last attempts have the robot's state
+_LISTED: Final = 3  # at most this many first choices and last choices are listed
 _MAX_IMAGINED: Final = 6
-_MAX_PLACES: Final = 5  # largest number of listed queries for places; the last are listed
-_MOVED: Final = 0.001  # in m; smaller moves after a query are ignored
+_MAX_PLACES: Final = 5  # at most this many last queries for places are listed
+_MOVED: Final = 0.001  # m; smaller moves after a query are ignored
 
 
 @dataclass(frozen=True, slots=True)
 class FailedAttempt:
     """An attempt at the failed task."""
 
-    task: Node  # the part in which its failure began
-    robot: Body | None  # the robot before the attempt; None without a robot, or if the attempt is in the middle of many
+    task: Node  # part in which the failure began
+    robot: Body | None  # the robot before the attempt; None without a robot, and for middle attempts of many
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,13 +59,13 @@ class RelevantQuery:
     """A query that the plan relied on."""
 
     query: Query
-    moved: tuple[str, ...] = ()  # names of its bodies that moved before the failure
-    removed: tuple[str, ...] = ()  # names of its bodies that were removed before the failure
-    world: str = ""  # name of its world, if this isn't the world of the failure
+    moved: tuple[str, ...] = ()  # names of the query's bodies that moved before the failure
+    removed: tuple[str, ...] = ()  # names of the query's bodies that were removed before the failure
+    world: str = ""  # name of the query's world, if the failure has another world
 
     @property
     def holds(self) -> bool:
-        """Whether its bodies were unchanged at the failure."""
+        """Whether the query's bodies were unchanged at the failure."""
         return not (self.moved or self.removed or self.world)
 
 
@@ -83,22 +83,22 @@ class Why:
 
     run: Summary  # summary of the whole run
     step: int  # step of the failure
-    failure: Failure | None  # failure of the plan, or of the task; None if nothing failed
+    failure: Failure | None  # failure of the plan or task; None without a failure
     causes: tuple[Cause, ...] = ()  # the causes that explain most come first
-    branches: tuple[FailedBranch, ...] = ()  # the other failures of the same block
+    branches: tuple[FailedBranch, ...] = ()  # other failures of the same block
     thread: str = ""  # name of the plan's thread that failed; "" if the plan failed
     exceptions: tuple[ParsedException, ...] = ()  # exceptions from the failed task to the plan's failure, causes first
-    task: Node | None = None  # the task in which the failure began; None if the plan's own code failed
+    task: Node | None = None  # task in which the failure began; None for the plan's own code
     call_stack: tuple[Line, ...] = ()  # the plan's lines that led to the task, outermost first
     #: Local variables of the plan's functions at the failure, by file and line: names, and values as text.
     variables: Mapping[tuple[str, int], Mapping[str, str]] = field(default_factory=dict)
     world: World | None = None  # the world of the failure; None without an open world
-    is_default: bool = True  # whether verbs use this world without --world
+    is_default: bool = True  # whether it is the default world of verbs
     bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies of the task
     removed: tuple[str, ...] = ()  # names of the task's bodies that were removed before the failure
-    attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, including this attempt
+    attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, with this attempt
     other_failures: int = 0  # number of other tasks that failed before
-    forgotten: int = 0  # number of skipped earlier failures, if there are too many
+    forgotten: int = 0  # number of skipped earlier failures
     choices: tuple[Query, ...] = ()  # the choices of the failed motion's process module
     tried: TriedAction | None = None  # the failed action around the task
     queries: tuple[RelevantQuery, ...] = ()  # the queries on which the plan relied
@@ -109,8 +109,8 @@ class Why:
     endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
     case: FailureCase | None = field(default=None, compare=False)  # the facts in which the causes were found
-    proofs: tuple[Proof, ...] = ()  # the verdict on each cause, if the causes were tested in forks
-    path: str = ""  # path of the recording, for the commands at the end of the text
+    proofs: tuple[Proof, ...] = ()  # verdict on each cause that was tested in forks
+    path: str = ""  # path of the recording in commands
 
     def __repr__(self) -> str:
         from replay.explain import why_report  # noqa: PLC0415  it imports this module
@@ -134,7 +134,7 @@ class Why:
 
     @property
     def is_python_error(self) -> bool:
-        """Whether the plan's code is wrong, rather than the state of the world."""
+        """Whether the plan's code is wrong, and not the state of the world."""
         return self.task is None and self.failure is not None and hasattr(builtins, self.failure.type)
 
     @property
@@ -147,10 +147,10 @@ class Why:
 
 
 def why(log: RecordReader, step: int | None = None) -> Why:
-    """Explain the failed task around a step, or the last failed task before it; by default, explain the root cause.
+    """Explain the failed task around a step, or the last failed task before it. The default is the root cause.
 
     Raises:
-        NoSuchStep: there is no such step, or no task had failed.
+        NoSuchStep: There is no such step, or no task had failed.
     """
     failed = failures(log)
     run = summary(log)
@@ -179,7 +179,7 @@ def why(log: RecordReader, step: int | None = None) -> Why:
 
 
 def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
-    """Return the local variables at a failure, by file and line of their frames.
+    """Return the local variables at a failure by file and line of their frames.
 
     Each frame is only in the first record of its error. The record of a branch has only the branch's own frames.
     """
@@ -193,7 +193,7 @@ def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
 
 
 def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
-    """Return the failed task that contains a step; if no failed task does, the last task that failed before."""
+    """Return the failed task around a step, or else the last task that failed before."""
     record = log[step]
     until = [task for task in failed.origins if task.finished is not None and task.finished.seq <= step]
     of_step = [task for task in failed.origins if any(each.id == record.task for each in task.around())]
@@ -238,7 +238,7 @@ def _task_failure(
 
 
 def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: RootCause) -> Why:
-    """Explain a failure that the plan's own code raised, not a task."""
+    """Explain a failure of the plan's own code."""
     state, last = state_at(log, cause.step), failed.last_success
     window = last.started.seq if last is not None else 0
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
@@ -277,7 +277,7 @@ def _explained(
 
 
 def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tuple[str, str]]) -> bool:
-    """Return whether a task is another attempt with a common body; bodies of a later world are different."""
+    """Return whether a task is another attempt with a common body in the same world."""
     if (task.kind, task.name) != (failed.kind, failed.name):
         return False
     own = set(bodies_in(task.parameters))
@@ -305,11 +305,11 @@ def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> 
 def _queries(
     log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """Return the last queries about some bodies or of some tasks, each question once, and how many were left out.
+    """Return the last different queries about bodies or of tasks, and the number of earlier queries.
 
-    The choices of process modules are left out, as plans don't rely on them.
+    Choices of process modules are left out, because plans don't rely on them.
     """
-    asked: set[int] = set()  # hashes, as there may be very many
+    asked: set[int] = set()  # hashes, because there may be very many queries
     queries: list[Query] = []
     names, ids = {name for name, _ in objects}, set(tasks)
     for query in log.backwards(stop - 1, Query) if stop > start else ():
@@ -373,11 +373,11 @@ class TriedAction:
     """The attempts of a failed action."""
 
     action: Node
-    attempts: tuple[Node, ...]  # attempts at its choices, in order; the chosen values are their parameters
+    attempts: tuple[Node, ...]  # attempts at choices, whose parameters are the chosen values
     imagined: tuple[Node, ...]  # projections of choices, in order
-    places: tuple[Query, ...]  # queries for places, also queries of the action's parts
+    places: tuple[Query, ...]  # queries for places of the action and its parts
     spent: bool  # whether the action has used up its budget of attempts
-    last: str  # why the last choice failed; "" if all choices were tried
+    last: str  # reason for the failure of the last choice; "" if all choices were tried
 
     def lines(self) -> Iterator[str]:
         """Yield the choices of the action with their outcomes, and the reason for its end."""
@@ -434,7 +434,7 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
 
 
 def _choice(task: Node) -> str:
-    """Return the chosen slots with their values; a place is given by its position."""
+    """Return the chosen slots and values. A place is its position."""
     chosen = []
     for slot, value in task.parameters.items():
         if isinstance(value, dict) and isinstance(value.get("position"), list):

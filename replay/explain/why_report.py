@@ -1,4 +1,4 @@
-"""An explanation as JSON data and as text: a summary in a few sentences, then a section for each aspect."""
+"""An explanation as JSON data and as text: a summary, and a section for each aspect."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ if TYPE_CHECKING:
     from replay.explain.why import ChangesSince, Why
     from replay.history.source import Line
 
-_FIRST, _LAST = 2, 5  # number of first and last attempts that are listed
-_MAX_ROWS: Final = 3  # largest number of rows of local variables
-_WIDTH: Final = 100  # largest number of characters of a row of variables
+_FIRST, _LAST = 2, 5  # this many first and last attempts are listed
+_MAX_ROWS: Final = 3  # at most this many rows of local variables are listed
+_WIDTH: Final = 100  # rows of variables have at most this many characters
 _NO_CAUSE: Final = (
     "no cause is on record; these were looked for: failures and refusals before it, moved and removed objects, "
     "wrong beliefs, full or empty hands, obstacles, distances, deadlines, other worlds and gravity"
 )
-_MAX_LINES: Final = 12  # largest number of lines of a difference
-_NEARER: Final = 0.35  # the suggested ``ask --move`` moves the object to this distance in m from the robot
+_MAX_LINES: Final = 12  # differences have at most this many lines
+_NEARER: Final = 0.35  # m; the suggested ``ask --move`` moves the object to this distance from the robot
 
 
 # --- as JSON data ----------------------------------------------------------------------------------------------------
@@ -147,9 +147,9 @@ def _(tried: TriedAction) -> dict[str, object]:
 
 
 def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str]:
-    """Yield the explanation as text, with commands for the recording at ``path``; without a path, no commands.
+    """Yield the explanation as text, with commands for the recording at ``path`` if it is given.
 
-    ``origins`` are lines about the origins of its values; they come first.
+    ``origins`` are lines about the origins of values, which come first.
     """
     causes = [
         line
@@ -197,7 +197,8 @@ def _headline(why: Why) -> Iterator[str]:
     if run.outcome == "failed":
         message, failure = run.failure, why.failure
         if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            message = failure.message  # PyCRAM's messages are clear without the error's type; Python's aren't
+            # PyCRAM's messages are clear without the type of the error; Python's messages aren't.
+            message = failure.message
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
         failed = "a task failed."
@@ -253,7 +254,7 @@ def _where(why: Why) -> Iterator[str]:
 
 
 def _exceptions_lead_to_task(why: Why) -> bool:
-    """Return whether the tracebacks lead to the task; the traceback of a failed block ends at the block."""
+    """Return whether the tracebacks lead to the task. The traceback of a failed block ends at the block."""
     lines = [line for error in why.exceptions for line in error.lines]
     return any(
         line.file == call_site.file and call_site.function in ("", line.function)
@@ -385,7 +386,7 @@ def _since(since: ChangesSince) -> Iterator[str]:
 
 
 def _commands(why: Why, path: str) -> Iterator[str]:
-    """Yield commands for a closer look; ``path`` is quoted for a shell."""
+    """Yield commands for details. ``path`` is quoted for a shell."""
     world = "" if why.world is None or why.is_default else f" --world {shlex.quote(why.world.name)}"
     if why.queries:
         yield f"pycram-replay show {path} {why.queries[-1].query.seq}"
@@ -416,14 +417,14 @@ def _asked_again(query: Query) -> str:
 
 
 def _movable(why: Why) -> list[InvolvedBody]:
-    """Return the robot and the bodies that it can move; all bodies if there are no such bodies."""
+    """Return the robot and the movable bodies, or else all bodies."""
     movable = [each for each in why.bodies if each.is_robot or not each.body.fixed_base]
     return movable if len(movable) > 1 else list(why.bodies)
 
 
 def _nearer(why: Why) -> str:
-    """Return the option that moves the object nearer to the robot; "" if there is no robot."""
-    if not why.bodies:  # a damaged recording may have lost the bodies
+    """Return the option that moves the object nearer to the robot; "" without a robot."""
+    if not why.bodies:  # damaged recordings may lack the bodies
         return ""
     robot = next((involved.body for involved in why.bodies if involved.is_robot), None)
     last = _movable(why)[-1]

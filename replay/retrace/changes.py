@@ -1,13 +1,13 @@
 """Changes of a forked run after a step: new values of objects and fluents, answers of queries, or the seed.
 
-Each change is a line of text, in the command and in the fork's recording: ``milk.position=1,2,0.9``,
+Each change is a text in the command and in the fork's recording: ``milk.position=1,2,0.9``,
 ``reachable_object(milk)=false``. So a fork can run again like any other run. Before the plan runs, changes are checked
 as far as the recording allows; the setters check the rest.
 
 Queries draw no random numbers and change nothing in a world. So a run that takes the recorded answers continues like a
-run that asks. A recorded answer is taken only if the next recorded query is the same: with the same arguments, at the
-same moment, and without records in between. Three kinds of queries are always asked: failed queries, queries about many
-targets (the evidence of their single answers isn't recorded) and the plan's own queries.
+run that asks. A recorded answer is only taken if the next recorded query is the same, at the same moment, without
+records in between. Three kinds of queries are always asked: failed queries, queries about many targets (the evidence of
+their single answers isn't recorded) and the plan's own queries.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ _EXPECTED: Final = (
     "OBJECT.JOINT=VALUE (rad or m), OBJECT.hand=ARM (or none), gravity=X,Y,Z (m/s^2) or FLUENT=VALUE"
 )
 _HAND, _GRAVITY = "hand", "gravity"
-_FLUENT: Final = "fluent:"  # prefix for a fluent whose name looks like an object's part
+_FLUENT: Final = "fluent:"  # prefix for fluents with a name like OBJECT.QUANTITY
 #: Matches an ellipsis, which stands for all further arguments of a query.
 _ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")
 _OF_MANY: Final = "Found[Verdict]"
@@ -74,7 +74,7 @@ _PARTS: Final = ("gripper", "camera")  # arguments that are names of arms or lin
 _OURS: Final = "pycram.reasoning.queries."
 
 ANSWERABLE: Final = tuple(name for name in btr.__all__ if hasattr(getattr(btr, name), "__wrapped__"))
-"""Names of the queries, as in records."""
+"""Recorded names of the queries."""
 
 _ANSWERS: Final = {
     "Verdict": "true or false",
@@ -90,8 +90,8 @@ _ANSWERS: Final = {
 class Setting:
     """A value for a quantity of an object, or for a fluent."""
 
-    text: str  # the setting as given
-    name: str  # name of the object or the fluent; "" for gravity
+    text: str  # text of the setting
+    name: str  # name of the object or fluent; "" for gravity
     quantity: str  # "position", "orientation", "color", "hand" or a joint of the object; "gravity"; "" for a fluent
     value: Any  # list of numbers for an object; name of the arm, or "none", for a hand; any value for a fluent
 
@@ -99,8 +99,8 @@ class Setting:
         """Set the value in a world of this process.
 
         Raises:
-            BadChange: there is no such world or fluent.
-            PycramError: the setter rejects the value.
+            BadChange: There is no such world or fluent.
+            PycramError: The setter rejects the value.
         """
         if not self.quantity:
             self._fluent().set_value(self.value)
@@ -124,7 +124,7 @@ class Setting:
             body.set_joint_position(self.quantity, *self.value)
 
     def _fluent(self) -> Fluent:
-        """Return the fluent of that name, searched among all Python objects, because only the plan refers to it."""
+        """Return the fluent with a name among all Python objects, because only the plan refers to it."""
         named: dict[Variable, Fluent] = {}
         for each in gc.get_objects():
             if issubclass(type(each), Fluent):  # isinstance() would call proxies
@@ -142,15 +142,15 @@ class Setting:
 
 
 def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | None = None) -> list[Change]:
-    """Return settings, such as ``milk.position=1,2,0.9``, as changes after a step; the default world was opened last.
+    """Return settings, such as ``milk.position=1,2,0.9``, as changes after a step. The default world was opened last.
 
     Raises:
-        BadChange: a setting has another form.
-        NoSuchName: there is no such world, object or joint at that step.
+        BadChange: A setting has another form.
+        NoSuchName: There is no such world, object or joint at the step.
     """
     changes = []
     if world is not None:
-        state_at(log, step).world(world)  # raises an error for unknown names, even if there are no settings
+        state_at(log, step).world(world)  # unknown names raise an error even without settings
     for text in texts:
         setting = parse_setting(text, fluent=_is_of_fluent(log, text))
         name = ""
@@ -169,7 +169,7 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
 
 
 def _is_of_fluent(log: RecordReader, text: str) -> bool:
-    """Return whether a setting is for a fluent; a fluent's name may look like OBJECT.QUANTITY."""
+    """Return whether a setting is for a fluent. A fluent's name may look like OBJECT.QUANTITY."""
     quoted, rest = unquoted(text)
     name = text.partition("=")[0].strip()
     if quoted:
@@ -179,13 +179,13 @@ def _is_of_fluent(log: RecordReader, text: str) -> bool:
 
 
 def parse_setting(text: str, *, fluent: bool) -> Setting:
-    """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or, for a fluent, ``battery=20``.
+    """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or (for a fluent) ``battery=20``.
 
-    If a fluent's name has a dot, and isn't recorded up to that step, write ``fluent:left.battery=20``. Any name can be
-    in quotes: ``'milk carton'.position=1,2,0.9``.
+    For an unrecorded fluent with a dot in its name, write ``fluent:left.battery=20``. Any name can be in quotes:
+    ``'milk carton'.position=1,2,0.9``.
 
     Raises:
-        BadChange: the text has another form.
+        BadChange: The text has another form.
     """
     quoted, rest = unquoted(text)
     left, _, right = (part.strip() for part in rest.partition("="))
@@ -238,7 +238,7 @@ def seed_change(step: int, seed: int) -> Change:
     """Return a change of the seed after a step.
 
     Raises:
-        BadChange: the seed is out of range.
+        BadChange: The seed is out of range.
     """
     if not 0 <= seed <= MAX_SEED:
         raise BadChange(f"seed {seed}", f"a seed is a whole number from 0 to {MAX_SEED}")
@@ -251,7 +251,7 @@ def change_text(change: Change) -> str:
 
 
 def object_of(world: BulletWorld, name: str) -> Object:
-    """Return an object of a world by its name; ``robot`` is the world's robot, unless an object has that name."""
+    """Return an object of a world by name. The default meaning of ``robot`` is the world's robot."""
     if name == "robot" and world.robot is not None and not world.get_objects_by_name(name):
         return world.robot
     return world.get_object(name)
@@ -264,10 +264,10 @@ def object_of(world: BulletWorld, name: str) -> Object:
 class GivenAnswer:
     """An answer for the next matching query."""
 
-    text: str  # the answer as given
+    text: str  # text of the answer
     query: str  # name of the query
-    arguments: Mapping[str, Term]  # required arguments, by their names in records
-    answer: Term  # true or false; names of objects; true or false for each target
+    arguments: Mapping[str, Term]  # required arguments by recorded name
+    answer: Term  # true or false, names of objects, or an answer for each target
 
     def fits(self, name: str, arguments: Mapping[str, object]) -> bool:
         """Return whether a query matches."""
@@ -279,7 +279,7 @@ class GivenAnswer:
         """Return the answer with the evidence of the query's own answer.
 
         Raises:
-            BadChange: the query has another number of answers.
+            BadChange: The query has another number of answers.
         """
         if isinstance(own, Verdict):
             return Verdict(self.answer, own.evidence, own.picture, own.considered)
@@ -296,13 +296,13 @@ class GivenAnswer:
 
 
 def parse_answer(text: str) -> GivenAnswer | ForcedDecision:
-    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``; only the given arguments must match.
+    """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``. Only the given arguments must match.
 
     A decision that isn't a query, such as ``grasp(milk)=top``, is parsed by :mod:`replay.retrace.decisions`.
 
     Raises:
-        BadChange: the text has another form, or the query can't have this answer.
-        NoSuchName: there is no such query.
+        BadChange: The text has another form, or the query can't have this answer.
+        NoSuchName: There is no such query.
     """
     left, equals, right = text.rpartition("=")
     if text.partition("(")[0].strip() not in ANSWERABLE or right.strip() == SKIPPED:
@@ -319,12 +319,11 @@ def parse_answer(text: str) -> GivenAnswer | ForcedDecision:
 
 
 def checked_answer(log: RecordReader, step: int, text: str) -> str:
-    """Return the text of an answer after a step, if the recording has the decision and the names in it.
+    """Return the text of an answer after a step. The recording must have its decision and names.
 
     Raises:
-        BadChange: the text has another form, or the decision can't have this answer.
-        NoSuchName: an object is never loaded in the recording, or its robots have no such arm or link; or there is no
-            such decision.
+        BadChange: The text has another form, or the decision can't have this answer.
+        NoSuchName: The recording has no such object, arm, link or decision.
     """
     given = parse_answer(text)
     if isinstance(given, ForcedDecision):
@@ -355,7 +354,7 @@ def _parts(log: RecordReader, loaded: Iterable[LoadBody]) -> Iterator[str]:
 
 
 def _bound(asked: QueryCall, text: str) -> dict[str, Term]:
-    """Return the arguments of a question by their names in records."""
+    """Return the arguments of a question by recorded name."""
     parameters = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
     keywords = {parameters.get(name, name): term for name, term in asked.keywords.items()}
     try:
@@ -384,15 +383,15 @@ def _name(term: Term) -> str:
 
 
 class PendingChanges:
-    """Makes changes after their steps, in the process of the plan.
+    """Changes of a fork, which are made after their steps in the process of the plan.
 
     The record of a step is made within the operation that it describes. So a change waits for the end of the operation:
-    until the main thread has no uninterruptible section open, holds no lock, and has made the deferred calls of a
-    world's lock. The plan can't read the world between the operation and the change. Changes are made outside of the
-    plan's tasks, blocks and branches, by the setters that plans call; their records say that the fork made them.
+    the main thread has no uninterruptible section, no lock and no deferred calls. The plan can't read the world between
+    the operation and the change. Changes are made outside of tasks, by the setters that plans call. Their records name
+    the fork.
 
-    ``answers`` receives the answer overrides; ``make`` makes any other change. If a change is impossible, ``refuse`` is
-    called with the error; it doesn't return.
+    ``answers`` receives the answer overrides. ``make`` makes other changes. An impossible change calls ``refuse`` with
+    the error, which doesn't return.
     """
 
     def __init__(
@@ -409,10 +408,10 @@ class PendingChanges:
         self._process = process()
         self._making = False
         self._done: Callable[[], None] | None = None
-        self.due: list[Change] = []  # changes whose steps have passed, but which aren't yet made
+        self.due: list[Change] = []  # due changes
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
-        """Make the changes after a step as soon as possible; then call ``done``."""
+        """Make the changes after a step as soon as possible, and then call ``done``."""
         for change in self._changes:
             if change.step == step and change.answer:
                 self._answers.given.append(parse_answer(change.answer))
@@ -425,7 +424,7 @@ class PendingChanges:
         interrupts.call_soon(self._try)
 
     def complete(self, record: Record) -> None:
-        """Mark a record that was caused by a change, not by the plan."""
+        """Mark a record of a change."""
         if isinstance(record, Query):
             self._answers.complete(record)
         elif self._making and isinstance(record, Mutation | records.Fluent) and not record.task and not record.cause:
@@ -433,7 +432,7 @@ class PendingChanges:
             record.by_fork = is_set and threading.current_thread() is threading.main_thread()
 
     def _try(self) -> bool:
-        """Make the due changes, if possible; return whether no further attempt is needed."""
+        """Make the due changes if possible, and return whether all are made."""
         if process() != self._process:  # a projection ends before the change
             return True
         if is_held():
@@ -462,9 +461,9 @@ class PendingChanges:
 
 
 class AnswerOracle:
-    """Answers queries with the given answers of a fork, or with the recorded answers (``taken``).
+    """An oracle that answers queries with the given answers of a fork, or with the recorded answers (``taken``).
 
-    If an answer is impossible, ``refuse`` is called with the error; it doesn't return.
+    An impossible answer calls ``refuse`` with the error, which doesn't return.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
@@ -472,14 +471,14 @@ class AnswerOracle:
         self._takes = taken
         self._refuse = refuse
         self._process = process()
-        self._beside: dict[int, Query] = {}  # fields to add to the record of a thread's query, by thread
-        self.taken = 0  # number of recorded answers that were used
-        self.given: list[GivenAnswer | ForcedDecision] = []  # answers for the next matching decisions, in order
+        self._beside: dict[int, Query] = {}  # additional fields of the record of a query by thread
+        self.taken = 0  # number of used recorded answers
+        self.given: list[GivenAnswer | ForcedDecision] = []  # answers for the next matching decisions
 
     def __call__(
         self, question: Asked, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
     ) -> Any:
-        """Answer a query; see :class:`pycram.reasoning.queries.query.Oracle`."""
+        """Answer a query (:class:`pycram.reasoning.queries.query.Oracle`)."""
         if process() != self._process or not function.__module__.startswith(_OURS):
             return ask()
         recorded = self._guide.upcoming() if self._takes else None
@@ -502,7 +501,7 @@ class AnswerOracle:
         return own
 
     def decide(self, decision: str, arguments: Mapping[str, Any]) -> Any:
-        """Return the forced value of a decision; see :class:`pycram.foundation.forcing.Decider`."""
+        """Return the forced value of a decision (:class:`pycram.foundation.forcing.Decider`)."""
         if process() != self._process:
             return None
         kind, _, name = decision.partition(" ")
@@ -516,18 +515,18 @@ class AnswerOracle:
         return None
 
     def missing(self, decision: str, candidate: str, candidates: Sequence[str]) -> None:
-        """End the run: a choice doesn't have the forced candidate."""
+        """End the run, because a choice doesn't have the forced candidate."""
         self._refuse(
             BadChange(f"{decision}={candidate}", f"there is no such candidate; there are {', '.join(candidates)}")
         )
 
     @property
     def unused(self) -> list[str]:
-        """The answers that weren't used."""
+        """The unused answers."""
         return [each.text for each in self.given if not (isinstance(each, ForcedDecision) and each.used)]
 
     def complete(self, record: Query) -> None:
-        """Complete the record of a query whose answer was taken or given instead of being asked."""
+        """Complete the record of a query with a recorded or given answer."""
         beside = self._beside.pop(threading.get_ident(), None)
         if beside is None:
             return
@@ -540,7 +539,7 @@ class AnswerOracle:
 
 
 def _answers(recorded: Query, question: Asked, world: BulletWorld) -> bool:
-    """Return whether a recorded query asks the same question at the same moment, and has its complete own answer."""
+    """Return whether a recorded query has the same question at the same moment, and its own complete answer."""
     known = recorded.name in ANSWERABLE and _kind(recorded.name) != _OF_MANY
     if not known or recorded.HasField("failure") or recorded.by_fork:
         return False

@@ -1,8 +1,8 @@
 """Decisions that a fork forces, as text: ``grasp(object=milk)=top``, ``pick-up.arm(milk)=left``, ``remove(cup)=skip``.
 
 A decision is a choice of a candidate, a solution of a designator, a limit, the order of branches, or whether a call of
-the plan is made. Code that decides considers only the forced value. If this value is impossible, the code fails with
-the true reason.
+the plan is made. Then the deciding code only considers the forced value. If this value is impossible, the code fails
+with the true reason.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ _NUMBER: Final = re.compile(r"#([1-9]\d*)")
 _KEYWORD: Final = re.compile(r"([\w-]+)(\s*=)")
 _ANY: Final = re.compile(r"(^|,)\s*\.\.\.\s*$")
 _LIMIT, _ORDER = "timeout", "order"
-_PLACES: Final = {"standing_places": 2, "free_places": 3}  # decimals in the names of candidates, which are places
-_NEAR: Final = 0.01  # m between a given place and a candidate
-_MOST_IN_A_ROW: Final = 100  # turns of a branch that polls, after which another branch runs
+_PLACES: Final = {"standing_places": 2, "free_places": 3}  # places in names of candidates have this many decimals
+_NEAR: Final = 0.01  # largest distance between a given place and a candidate, m
+_MOST_IN_A_ROW: Final = 100  # after this many turns of a branch that polls, another branch runs
 
 
 class BadChange(ReplayError):
@@ -40,27 +40,27 @@ class BadChange(ReplayError):
 
     def __init__(self, change: str, cause: str) -> None:
         super().__init__(f"{change}: {cause}")
-        self.change = change  # the change, as the user gave it
+        self.change = change  # text of the change
         self.cause = cause  # the cause
 
 
 @dataclass(slots=True)
 class ForcedDecision:
-    """A value for the next matching decision; for the order of branches, for all decisions from now on."""
+    """A value for the next matching decision. An order of branches applies to all later decisions."""
 
-    text: str  # the decision as given
+    text: str  # text of the decision
     name: str  # name of the choice, type of the designator, name of the called function, "timeout" or "order"
-    slot: str  # slot of the designator's solution; "" for the whole solution, or another decision
-    positional: tuple[Term, ...]  # required arguments, in the recorded order
-    keywords: Mapping[str, Term]  # required arguments by name; names have underscores
+    slot: str  # slot of the designator's solution; "" for the whole solution and other decisions
+    positional: tuple[Term, ...]  # required arguments in the recorded order
+    keywords: Mapping[str, Term]  # required arguments by name with underscores
     value: Term
-    number: int  # number of the solution or recorded candidate, from 1; 0 if the value is given
+    number: int  # number of the solution or recorded candidate, from 1; 0 for a given value
     used: bool = False
     _in_a_row: list[str] = field(default_factory=list)
 
     @property
     def lasts(self) -> bool:
-        """Whether it applies to all later decisions."""
+        """Whether the value applies to all later decisions."""
         return self.name == _ORDER
 
     def fits(self, kind: str, name: str, arguments: Mapping[str, Any]) -> bool:
@@ -83,7 +83,7 @@ class ForcedDecision:
         return enough and all(key in given and is_same(term, given[key]) for key, term in wanted.items())
 
     def decide(self, kind: str, arguments: Mapping[str, Any]) -> Any:
-        """Return the forced value; None if it doesn't apply to these branches."""
+        """Return the forced value; None for other branches."""
         if kind == "order":
             return self._first(arguments["ready"])
         if kind == "solution":
@@ -102,9 +102,9 @@ class ForcedDecision:
         return there[0]
 
     def _admitting(self, given: Mapping[str, Any]) -> Callable[[int, dict[str, Any]], dict[str, Any] | None]:
-        """Return a function that returns an admitted solution; None instead of another solution.
+        """Return a function that returns an admitted solution, or None for another solution.
 
-        If the plan gives the slot, the forced value replaces the given value.
+        The forced value replaces a slot that the plan gives.
         """
 
         def admit(number: int, solution: dict[str, Any]) -> dict[str, Any] | None:
@@ -148,8 +148,8 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
     """Return the text of a decision, with the name of the candidate instead of its number.
 
     Raises:
-        NoSuchName: the recording has no such choice, motion or action; or there is no such function to skip.
-        BadChange: no matching choice with so many candidates is recorded after the step.
+        NoSuchName: The recording has no such choice, motion or action, or there is no such function.
+        BadChange: No matching choice with so many candidates is recorded after the step.
     """
     skipped = given.value == Name(SKIPPED)
     choices = {record.name for record in log.records(Query) if record.HasField("chosen")}
@@ -172,7 +172,7 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
 
 
 def _candidates(record: Query) -> Iterator[str]:
-    """Yield the recorded candidates' names; for places, in the order of their scores."""
+    """Yield the names of the recorded candidates. Places are in the order of their scores."""
     if record.name in _PLACES:
         decimals = _PLACES[record.name]
         for spot in record.grid.spots:
@@ -184,7 +184,7 @@ def _candidates(record: Query) -> Iterator[str]:
 
 
 def _place(given: ForcedDecision, record: Query) -> str:
-    """Return the name of the candidate at a given place."""
+    """Return the name of the candidate at a place."""
     for spot, name in zip(record.grid.spots, _candidates(record), strict=False):
         if _is_value(given.value, list(spot.position)):
             return name
@@ -202,7 +202,7 @@ def is_same(term: Term, value: object) -> bool:
 
 
 def _is_value(term: Term, value: Any) -> bool:
-    """Return whether a solution's value is the given value; a place may be 1 cm away."""
+    """Return whether a solution's value is the given value. A place may be 1 cm away."""
     place = value.get("position") if isinstance(value, dict) else getattr(value, "position", value)
     if isinstance(term, list) and term and all(isinstance(each, int | float) for each in term):
         if not isinstance(place, list | tuple) or not all(isinstance(each, int | float) for each in place):

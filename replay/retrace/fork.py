@@ -1,7 +1,7 @@
-"""Forks a run: the plan runs again, guided by the recording up to a step, and continues live after that step.
+"""Fork a run: the plan runs again, guided by the recording up to a step, and then continues live.
 
-So the plan has its variables, blocks and branches again, not only its world. The fork may have an edited plan whose
-records up to the step are the same. It may also change the world after the step, answers of queries, or the seed.
+So the plan has its variables, blocks and branches again. The fork may have an edited plan whose records up to the step
+are the same. A fork may also change the world after the step, answers of queries, or the seed.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ class NotForked(ReplayError):
 class Fork:
     """The result of a fork."""
 
-    file: Path  # the fork's recording, which has all steps from the plan's start
-    step: int  # the last step that both recordings have
+    file: Path  # recording of the fork, with all steps from the plan's start
+    step: int  # last common step of both recordings
     records: int  # number of records
     succeeded: bool  # whether the plan succeeded
     notes: tuple[str, ...]  # differences from the recorded conditions
-    control: Retracing | None = None  # comparison of the unchanged plan with the whole recording; None if not requested
+    control: Retracing | None = None  # comparison of the unchanged plan with the recording; None without a request
     unused: tuple[str, ...] = ()  # given answers of decisions that didn't come
 
 
@@ -75,33 +75,33 @@ def fork(
 ) -> Fork:
     """Run a plan again to a step of its recording, and continue from there into a new recording.
 
-    Effects of the plan outside of its worlds (files, network) happen again. Its output up to the step is dropped; later
+    Effects of the plan outside of its worlds (files, network) happen again. Output up to the step is dropped. Later
     output goes to stderr. The plan has no input.
 
     Args:
         log: the recording.
-        step: the last step that both runs have in common.
-        file: the new recording; an existing file is replaced.
-        plan: an edited plan, instead of the recorded one.
-        arguments: the plan's arguments, instead of the recorded arguments.
-        settings: values to set after that step, such as ``milk.position=1,2,0.9``; see :mod:`replay.retrace.changes`.
-        world: the world of these settings; by default the open world that was opened last.
-        answers: answers for the next matching queries after that step, such as ``reachable_object(milk)=false``.
-        seed: the seed of random numbers and of the order of branches after that step.
-        control: whether the plan also runs again to its end without the changes. If this run repeats the recording, all
-            differences of the fork are due to the changes.
-        recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
-        begun: called after all checks, before the plan runs.
+        step: The last common step of both runs.
+        file: The new recording, which replaces an existing file.
+        plan: An edited plan instead of the recorded plan.
+        arguments: Arguments of the plan instead of the recorded arguments.
+        settings: Values after the step, such as ``milk.position=1,2,0.9`` (:mod:`replay.retrace.changes`).
+        world: The world of the settings, by default the last opened world.
+        answers: Answers for the next matching queries after the step, such as ``reachable_object(milk)=false``.
+        seed: The seed of random numbers and of the order of branches after the step.
+        control: Run the plan also to its end without the changes. If the control run repeats the recording, all
+            differences of the fork come from the changes.
+        recorded_source: Run the source in the recording instead of the files on the disk.
+        begun: A function that is called after all checks, before the plan runs.
 
     Raises:
-        CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated.
-        BadChange, NoSuchName: a setting or an answer is impossible.
-        NotForked: the plan differs before that step; there is no new recording. If another error is raised, the plan
+        CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.
+        BadChange, NoSuchName: A setting or an answer is impossible.
+        NotForked: The plan differs before the step. There is no new recording. If another error is raised, the plan
             hasn't run.
-        Damaged: steps up to that step are lost.
-        ReplayError: the folder of the new recording doesn't exist.
+        Damaged: Steps up to the step are lost.
+        ReplayError: The folder of the new recording doesn't exist.
     """
-    log.check_file()  # all losses are known only after this check
+    log.check_file()  # after the check, all losses are known
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         raise Damaged(log.path, f"the part before step {step}", f"step {gap.start} is lost; fork before it")
@@ -139,7 +139,7 @@ def fork(
 def changes_of(
     log: RecordReader, step: int, given: Sequence[str], world: str | None, answers: Sequence[str], seed: int | None
 ) -> list[Change]:
-    """Return settings, answers and a seed as changes after a step; see :func:`fork`."""
+    """Return settings, answers and a seed of :func:`fork` as changes after a step."""
     changes = settings_of(log, step, given, world)
     for text in answers:
         changes.append(Change(step=step, answer=checked_answer(log, step, text)))
@@ -151,7 +151,7 @@ def changes_of(
 
 
 def _unused(forked: RecordReader, unused: Sequence[str]) -> Iterator[str]:
-    """Yield a note if decisions didn't come to which this fork, or an earlier fork, gives answers."""
+    """Yield a note about unused answers of this fork or an earlier fork."""
     recorded = forked[0]
     wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
     if unused:
@@ -171,8 +171,8 @@ def resume(
     """Continue a plan whose process was killed: a fork at the last step of its recording.
 
     Raises:
-        ReplayError: the plan has ended, or still runs.
-        CantRetrace, NotForked, Damaged: as :func:`fork`.
+        ReplayError: The plan has ended, or still runs.
+        CantRetrace, NotForked, Damaged: Errors of :func:`fork`.
     """
     if log.closed:
         raise ReplayError(f"{log.path}: this run has ended; use fork to run it again from a step")

@@ -1,7 +1,7 @@
-"""Guides a run by its recording: each new record is immediately compared with the recorded record.
+"""Guide a run by its recording: each new record is immediately compared with the recorded record.
 
-The order of records is compared. Clocks, durations, ids of tasks and source lines aren't: they differ between runs
-(see :func:`replay.compare.differing`).
+The order of records is compared, too. Clocks, durations, ids of tasks and source lines aren't compared
+(:func:`replay.compare.differing`).
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
 
-#: Fields with an object's files. If a different file matters, then a pose, a contact or an answer differs, too.
+#: Fields with the files of an object. If a different file matters, then a pose, a contact or an answer differs, too.
 _FILES: Final = re.compile(r"(?:load_body|loaded\[(\d+)\])\.(?:assets|robot_description)\b")
 
-_Stack: TypeAlias = "tuple[str, ...]"  # the plan's lines that called one another, outermost first
+_Stack: TypeAlias = "tuple[str, ...]"  # lines of a call stack, outermost first
 
 
 class Guide(NullSink):
-    """Compares the records of a run with a recording, up to the first difference or the step ``until``.
+    """A sink that compares the records of a run with a recording, up to the first difference or the step ``until``.
 
-    Then ``report`` is called with the number of equal records and the first difference or None; ``report`` need not
-    return. Recordings of the run's projections are written into the folder of ``path``.
+    Then ``report`` is called with the number of equal records and the first difference or None. It need not return.
+    Recordings of the run's projections are written into the folder of ``path``.
     """
 
     def __init__(
@@ -52,24 +52,24 @@ class Guide(NullSink):
         self._log = log
         self._until = until
         self._recorded = log.records()
-        self._ahead: Record | None = None  # the next record, if it was read before its comparison
+        self._ahead: Record | None = None  # the next record that was read in advance
         self._reading = threading.Lock()
         self._report = report
         self._ended = False
         # call stacks of running tasks, recorded and new
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}
-        # the recorded interruptions, by number of the poll; None until they are needed
+        # the recorded interruptions by number of the poll; None before the first use
         self._strikes: dict[int, Collection[int]] | None = None
         self.equal = 0  # number of equal records so far
-        self.recorded_ns = 0  # time of the last equal record, by the recording's clock
-        self._other_files: dict[str, str] = {}  # names of files, by object, that differ from the recorded files
+        self.recorded_ns = 0  # time of the last equal record by the recording's clock
+        self._other_files: dict[str, str] = {}  # names of files that differ from the recorded files, by object
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
         """Compare a record."""
         if self._ended:
             return
         recorded = self._next()
-        if recorded is None or recorded.seq != self.equal:  # the recording ends here, or its next record is lost
+        if recorded is None or recorded.seq != self.equal:  # the recording ends, or its next record is lost
             if recorded is not None or not self._log.closed:
                 self._end(None)
                 return
@@ -92,12 +92,12 @@ class Guide(NullSink):
             self._end(None)
 
     def notes(self) -> tuple[str, ...]:
-        """Return a note if files of objects differ from the recorded files; otherwise nothing."""
+        """Return a note about files of objects that differ from the recorded files, or no note."""
         files = ", ".join(f"{file} of {body}" for body, file in self._other_files.items())
         return (f"other files than recorded: {files}",) if files else ()
 
     def upcoming(self) -> Record | None:
-        """Return the next recorded record; None at the end, or if it is lost."""
+        """Return the next recorded record; None at the end and for a lost record."""
         if self._ended:
             return None
         with self._reading:
@@ -106,9 +106,9 @@ class Guide(NullSink):
             return self._ahead if self._ahead is not None and self._ahead.seq == self.equal else None
 
     def foreseen(self, look: int) -> Collection[int] | None:
-        """Return the interruptions that the recorded run found at a poll; None after the end of the comparison.
+        """Return the recorded interruptions at a poll; None after the end of the comparison.
 
-        All of them are read in advance, because the record of an interruption comes after the interruption.
+        All interruptions are read in advance, because their records come after them.
         """
         if self._ended:
             return None
@@ -141,7 +141,7 @@ class Guide(NullSink):
 
 
 def _other_files(record: Record, fields: Iterable[str]) -> Iterator[tuple[str, LoadBody]]:
-    """Yield the fields that differ because an object's files differ, each with the record that loaded the object."""
+    """Yield the fields that differ because of an object's files, and the records that loaded the object."""
     for path in fields:
         found = _FILES.match(path)
         if found and isinstance(record, Mutation):
@@ -177,7 +177,7 @@ def _words(record: Record) -> str:
 
 
 def _stack(record: Record, tasks: dict[int, _Stack]) -> _Stack:
-    """Return the plan's lines that led to a record, or else to its task; remember the lines of a starting task."""
+    """Return the plan's lines that led to a record, or else to its task. Remember the lines of a starting task."""
     file, line = getattr(record, "source_file", ""), getattr(record, "source_line", 0)
     stack = tasks.get(record.task, ())
     if file and line:
@@ -201,9 +201,9 @@ def _at(stack: _Stack) -> str:
 
 
 class GuidedSink(NullSink):
-    """Completes each record of a guided run, writes it to several sinks, and then reports its step as passed.
+    """A sink that completes each record of a guided run, writes the record to several sinks, and reports its step.
 
-    Sinks are closed in reverse order. If the plan was ``moved`` (see :class:`Guidance`), records name its own folder.
+    Sinks are closed in reverse order. Records of a ``moved`` plan (:class:`Guidance`) name its own folder.
     """
 
     def __init__(
@@ -222,7 +222,7 @@ class GuidedSink(NullSink):
         self._passed = passed
         self._moved = moved
 
-    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  the record is completed first
+    def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  first, the record is completed
         """Complete and forward a record."""
         self._complete(record)
         if self._moved is not None:

@@ -1,9 +1,9 @@
-"""Runs a plan again in this process, guided by its recording; :mod:`.plan_process` starts the process.
+"""Run a plan again in this process, guided by its recording. :mod:`.plan_process` starts the process.
 
 A run without a file ends when the comparison ends. With a file, a fork continues into its own recording. The result is
-one line of JSON on a file descriptor of its own, because stdout and stderr belong to the plan.
+a line of JSON on another file descriptor, because stdout and stderr belong to the plan.
 
-The plan's call stacks end at the frames of this module. So sinks are in :mod:`.guide`, because the plan calls them.
+The plan's call stacks end at the frames of this module. So the sinks, which the plan calls, are in :mod:`.guide`.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ def make_change(change: Change) -> None:
 class GuidedRun:
     """A run of a plan in this process: records are compared, queries answered, and changes made after their steps.
 
-    The folder is for recordings of projections. For ``report`` see :class:`replay.retrace.guide.Guide`; for ``refuse``
-    see :class:`replay.retrace.changes.PendingChanges`.
+    The folder is for recordings of projections. ``report`` is explained at :class:`replay.retrace.guide.Guide`,
+    ``refuse`` at :class:`replay.retrace.changes.PendingChanges`.
     """
 
     def __init__(
@@ -81,9 +81,9 @@ class GuidedRun:
         self.changes = PendingChanges(guidance.changes, self.answers, make_change, refuse)
 
     def sink(self, *sinks: Sink, file: McapSink | None = None, passed: Callable[[], None] = lambda: None) -> GuidedSink:
-        """Return the sink for the run's records: a file if there is one, then the comparison, then other sinks.
+        """Return the sink for the run's records: a file if given, the comparison, and other sinks.
 
-        ``passed`` is called after each step and the changes that follow it.
+        ``passed`` is called after each step and its changes.
         """
         return GuidedSink(
             self.guide.path if file is None else file.path,
@@ -97,9 +97,9 @@ class GuidedRun:
     def run(
         self, plan: str, arguments: Sequence[str], sink_of: Callable[[Run], Sink], file: Path = Path(os.devnull)
     ) -> None:
-        """Run a plan as a program; return even if the plan raises an exception.
+        """Run a plan as a program. Return even if the plan raises an exception.
 
-        When the plan starts the recording again, ``sink_of`` returns its sink, instead of the file.
+        When the plan starts its recording, ``sink_of`` returns the sink instead of the file.
         """
         owner, began, by_program, guided = process(), self.began, self.guidance.by_program, False
 
@@ -108,11 +108,11 @@ class GuidedRun:
             if run.by_program != by_program:
                 return None
             named = run.name in (began.name, escaped(Path(plan).stem))
-            same_number = run.number == (began.number or 1)  # older releases recorded no number
+            same_number = run.number == (began.number or 1)  # older recordings have no number
             if guided or not (named and same_number):
                 return NullSink()  # this is another recording of the program
             guided = True
-            if began.HasField("looks"):  # older releases didn't count the polls
+            if began.HasField("looks"):  # older recordings have no number of polls
                 guide_strikes(lambda look: self.guide.foreseen(look) if process() == owner else None, began.looks)
             return sink_of(run)
 
@@ -122,14 +122,14 @@ class GuidedRun:
             if by_program:
                 sys.argv = [began.called_as or plan, *arguments]
                 sys.path.insert(0, str(Path(plan).parent.resolve()))
-                with contextlib.suppress(BaseException):  # the recording contains any exception that this raises
+                with contextlib.suppress(BaseException):  # the recording has the exception
                     run_program(plan)
             else:
                 running.run(spec_of(self.recorded, plan, arguments), file)
 
 
 def spec_of(recorded: RecordReader, plan: str | Path, arguments: Sequence[str]) -> running.RunSpec:
-    """Return the settings of a recorded run, for this plan and these arguments."""
+    """Return the settings of a recorded run for the plan and the arguments."""
     began = recorded[0]
     if not isinstance(began, Run):
         raise TypeError("the recording doesn't begin with a run")  # the caller has checked this
@@ -147,7 +147,7 @@ def spec_of(recorded: RecordReader, plan: str | Path, arguments: Sequence[str]) 
 
 
 def run_program(plan: str) -> None:
-    """Run a file as Python does. runpy isn't used, because it would name the module by its path."""
+    """Run a file as Python does. :mod:`runpy` would name the module by its path."""
     module = ModuleType("__main__")
     module.__file__ = plan
     sys.modules["__main__"] = module
@@ -155,7 +155,7 @@ def run_program(plan: str) -> None:
 
 
 def main() -> None:
-    """Run a plan again as requested in JSON by the only argument of the process; see :meth:`.PlanProcess.run`."""
+    """Run a plan again as the JSON argument of the process requests (:meth:`.PlanProcess.run`)."""
     request = json.loads(sys.argv[1])
     die_with(request.pop("parent"))
     guidance = Guidance.of_json(request.pop("guidance"))
@@ -176,7 +176,7 @@ class _ReportedRun:
         self._output = output
         self._file = file
         self._sent = False
-        self._equal: int | None = None  # number of equal records, after the end of the comparison
+        self._equal: int | None = None  # number of equal records after the end of the comparison
 
     def run(self, plan: str, arguments: Sequence[str]) -> None:
         """Run the plan to its end, unless the process ends earlier."""
@@ -194,7 +194,7 @@ class _ReportedRun:
 
     def _sink_of(self, run: Run) -> Sink:
         recorded, began, guidance = self._guided.recorded, self._guided.began, self._guided.guidance
-        if guidance.moved is not None:  # the moved plan is in no repository
+        if guidance.moved is not None:  # a moved plan is in no repository
             run.plan.CopyFrom(began.plan)
         file = None
         if self._file is not None:
@@ -221,7 +221,7 @@ class _ReportedRun:
         for stream, descriptor in ((sys.__stdout__, _STDOUT), (sys.__stderr__, _STDERR)):
             if stream is not None:
                 stream.flush()
-            os.dup2(self._output, descriptor)  # from now on, the plan's output isn't a repetition
+            os.dup2(self._output, descriptor)  # from now on, the plan's output is new
 
     def _refuse(self, error: Exception) -> NoReturn:
         self._send(error=str(error) if isinstance(error, PortableError) else format_error(error))

@@ -95,13 +95,13 @@ class PlanProcess:
 
     Args:
         log: the recording.
-        plan: a file to run instead of the recorded plan.
-        arguments: the plan's arguments, instead of the recorded arguments.
-        until: the last compared step; by default, the last step of the recording.
-        recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
+        plan: A file that runs instead of the recorded plan.
+        arguments: Arguments of the plan instead of the recorded arguments.
+        until: The last compared step, by default the last step of the recording.
+        recorded_source: Run the source in the recording instead of the files on the disk.
 
     Raises:
-        CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated.
+        CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.
     """
 
     def __init__(
@@ -126,7 +126,7 @@ class PlanProcess:
         self._edited = plan is not None
         self._source: _RecordedSource | None = None
         if recorded_source:
-            self.program = _recorded_program(log, began)  # the file that runs, or whose recorded source runs
+            self.program = _recorded_program(log, began)  # file of the plan
             self._source = _RecordedSource(log, self.program)
         else:
             program = _recorded_program(log, began) if plan is None else Path(plan)
@@ -150,7 +150,7 @@ class PlanProcess:
         self._stopped = False
 
     def notes(self) -> Iterator[str]:
-        """Yield the differences from the conditions of the recorded run, in words."""
+        """Yield the differences from the recorded conditions in words."""
         began = self._began
         if self._source is not None:
             yield str(self._source)
@@ -179,17 +179,16 @@ class PlanProcess:
     ) -> GuidedResult:
         """Run the plan to the first difference, or as a fork to the plan's end.
 
-        With a ``file``, the plan continues after the last compared step into this new recording, and prints to stderr,
-        unless it is ``quiet``.
-        If the recorded run is a fork itself, its changes are made again, each after its step. With ``changes``, only
-        its changes up to the last compared step are made again.
+        With a ``file``, the plan continues into this new recording, and prints to stderr, unless it is ``quiet``. If
+        the recorded run is a fork, its changes are made again. With ``changes``, only changes up to the last compared
+        step are made again.
 
         Raises:
-            CantRetrace: the process ended without a result.
-            ReplayError: a change can't be made.
+            CantRetrace: The process ended without a result.
+            ReplayError: A change can't be made.
         """
         until = self._until
-        if until is None:  # after its last own step, the plan may hang
+        if until is None:  # the plan may hang after its last step
             until = self._interrupted_after if self.log.closed else len(self.log) - 1
         reading, writing = os.pipe()
         output = os.open(os.devnull, os.O_WRONLY) if quiet else os.dup(_STDERR)
@@ -208,7 +207,7 @@ class PlanProcess:
             self._running = process
             with process, ExitStack() as undoing:
                 undoing.callback(process.kill)
-                if self._stopped:  # the run was stopped before the process started
+                if self._stopped:  # the run was stopped before its start
                     process.kill()
                 line = results.readline()  # processes of the plan may keep the pipe open
                 code = process.wait()
@@ -230,20 +229,20 @@ class PlanProcess:
         )
 
     def stop(self) -> None:
-        """Stop the run from another thread; :meth:`run` then raises `CantRetrace`."""
+        """Stop the run from another thread. Then :meth:`run` raises `CantRetrace`."""
         self._stopped = True
         if self._running is not None:
             self._running.kill()
 
     @property
     def recorded_files(self) -> Mapping[Path, bytes]:
-        """The recorded source by its files' paths; empty if the files on the disk run."""
+        """The recorded source by path; empty if the files on the disk run."""
         return {} if self._source is None else self._source.texts
 
     def guidance(
         self, until: int | None = None, changes: Sequence[Change] = (), *, take_answers: bool = False
     ) -> Guidance:
-        """Return how the recording guides the run, with its recorded changes and further changes.
+        """Return the guidance of the run, with recorded changes and further changes.
 
         With further changes or an edited plan, only recorded changes up to the last compared step are made again.
         """
@@ -265,12 +264,12 @@ class PlanProcess:
         """Start the ``main`` function of a module in a process with the recorded conditions, without input and output.
 
         Args:
-            module: its main function receives the run and the facts as one JSON text.
-            guidance: how the recording guides the run.
-            folder: folder for the recordings of projections and for the recorded source.
-            errors: file for the stderr of the process.
-            descriptors: open files that the process inherits.
-            facts: data for the main function.
+            module: A module whose main function receives the run and the facts as a JSON text.
+            guidance: The guidance of the run.
+            folder: A folder for the recordings of projections and for the recorded source.
+            errors: A file for stderr of the process.
+            descriptors: Open files that the process inherits.
+            facts: Data for the main function.
         """
         began = self._began
         program = self.program
@@ -290,7 +289,7 @@ class PlanProcess:
             environment["PYTHONHASHSEED"] = began.hash_seed
         else:
             environment.pop("PYTHONHASHSEED", None)
-        return subprocess.Popen(  # noqa: S603  no text of users is a command
+        return subprocess.Popen(  # noqa: S603  the command is constant
             [sys.executable, "-P", "-c", f"from {module} import main; main()", json.dumps(request)],
             cwd=self._folder,
             env=environment,
@@ -317,7 +316,7 @@ def _is_end(record: Record) -> bool:
 
 
 def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
-    """Reject worlds with a window or in real time, because a run with them can't be repeated."""
+    """Reject worlds with a window or in real time, because their runs can't be repeated."""
     for record in log.records(Mutation, 0, len(log) if until is None else until + 1):
         window = record.HasField("open_world") and record.open_world.mode == "GUI"
         if window or (record.HasField("set_realtime") and record.set_realtime.enabled):
@@ -338,7 +337,7 @@ class _RecordedSource:
     """The recorded source of the plan ``program``.
 
     Raises:
-        CantRetrace: the plan's source isn't attached.
+        CantRetrace: The plan's source isn't attached.
     """
 
     def __init__(self, log: RecordReader, program: Path) -> None:
@@ -350,8 +349,8 @@ class _RecordedSource:
         if len(main) != 1:
             raise CantRetrace(f"{log.path}: it lacks the source of {program.name}")
         places = _places(log) - {program}
-        self.files = {Path(program.name): log.assets[main[0]]}  # attached files by their paths in the plan's folder
-        self.left_out: list[str] = []  # names of attached files whose paths are unknown or outside of the plan's folder
+        self.files = {Path(program.name): log.assets[main[0]]}  # attached files by path in the plan's folder
+        self.left_out: list[str] = []  # attached files with paths that are unknown or outside of the plan's folder
         for key in keys:
             fitting = [place for place in places if place.name == name_of(key)]
             shared = sum(name_of(other) == name_of(key) for other in keys) > 1
@@ -364,13 +363,16 @@ class _RecordedSource:
 
     @property
     def texts(self) -> dict[Path, bytes]:
-        """The attached files by their original paths."""
+        """The attached files by original path."""
         return {self.program.parent / place: text for place, text in self.files.items()}
 
     def write(self, folder: Path) -> Path:
-        """Write the source, with links to the other files next to it, into a folder; return the plan's file in it."""
+        """Write the source and links to the other files next to it into a folder.
+
+        Return the plan's file in the folder.
+        """
         name = self.program.parent.name
-        target = folder / (name if name not in ("", "..") else "plan")  # the plan may have been run as ../plan.py
+        target = folder / (name if name not in ("", "..") else "plan")  # a plan may run as ../plan.py
         lay(self.files, self.program.parent, target)
         return target / self.program.name
 

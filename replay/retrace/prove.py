@@ -1,8 +1,8 @@
-"""Tests the causes of a failure: each cause is taken away in forks, beside a control run without changes.
+"""Test the causes of a failure: forks take each cause away, and a control run has no changes.
 
 A fork without a cause that fails as the original refutes the cause. A fork in which the failure doesn't come confirms
-the cause. So does a fork in which another failure comes later. This holds only if the control run, in which nothing is
-changed, repeats the whole recording.
+the cause. A fork with another, later failure confirms the cause, too. The verdicts only hold if the control run repeats
+the whole recording.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 BUDGET: Final = 12
 """Default number of forks."""
 
-_AT_ONCE: Final = 2  # forks that run at the same time
-_MAX_TRIALS: Final = 3  # forks of a cause
-_SECONDS: Final = (30.0, 10.0)  # s that a fork may take: at least, and as a multiple of the original run
+_AT_ONCE: Final = 2  # number of parallel forks
+_MAX_TRIALS: Final = 3  # largest number of forks of a cause
+_SECONDS: Final = (30.0, 10.0)  # largest duration of a fork: in s, and as a multiple of the original run
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?")
 _RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
 
@@ -56,13 +56,13 @@ def prove(
 ) -> tuple[Why, Retracing]:
     """Test the causes of an explanation in forks.
 
-    The plan's effects outside of its worlds (files, network) happen again in each run.
+    Effects outside of the plan's worlds (files, network) happen again in each run.
 
     Args:
         log: the recording.
-        why: the explanation of a failure in it.
-        budget: the largest number of forks.
-        keep: a folder for the recordings of the forks; by default, they are deleted.
+        why: The explanation of a failure in the recording.
+        budget: The largest number of forks.
+        keep: A folder for the recordings of the forks. By default, the recordings are deleted.
         arguments: the plan's arguments, instead of the recorded arguments.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
@@ -70,7 +70,7 @@ def prove(
         The explanation with its verdicts, confirmed causes first, and the control run.
 
     Raises:
-        CantRetrace: the plan can't run again.
+        CantRetrace: The plan can't run again.
     """
     unchanged = PlanProcess(log, None, arguments, recorded_source=recorded_source)
     with (
@@ -128,20 +128,20 @@ def _uncontrolled(proof: Proof, control: Retracing) -> Proof:
 
 @dataclass(frozen=True, slots=True)
 class _Failed:
-    """A failed task of a run, to find it again in another run."""
+    """The features of a failed task, which identify the task in another run."""
 
     kind: str
     name: str
     site: tuple[str, int]  # file name and line
     parameters: str  # as recorded
-    number: int  # how often such a task had begun before, from 0
-    among_same: int  # likewise with the same parameters
+    number: int  # number of earlier tasks with this name
+    among_same: int  # number of earlier tasks with this name and the same parameters
     size: int  # number of records from its begin to its end
     signature: tuple[str, str]  # of its failure
 
 
 class _Prover:
-    """Runs trials of one explanation as forks."""
+    """A runner of an explanation's trials as forks."""
 
     def __init__(
         self,
@@ -159,7 +159,7 @@ class _Prover:
         self._arguments = arguments
         self._recorded_source = recorded_source
         self._kept = kept
-        self._reading = threading.Lock()  # the recording is read by one thread at a time
+        self._reading = threading.Lock()  # a single thread at a time reads the recording
         self._task = _failed_task(log, why)
         self._end = _end(log, uncaught_failure(log))
         self._steps = len(log)
@@ -169,7 +169,7 @@ class _Prover:
         self._stopped = False
 
     def stop(self) -> None:
-        """Stop all forks, and start no others."""
+        """Stop all forks, and start no more forks."""
         self._stopped = True
         for process in [*self._running]:
             process.stop()
@@ -216,7 +216,7 @@ class _Prover:
             return self._judged(forked, len(changes))
 
     def _judged(self, forked: RecordReader, added: int) -> tuple[str, str]:
-        """Return the verdict of a fork, with its outcome in words."""
+        """Return the verdict of a fork, and its outcome in words."""
         if not isinstance(forked[-1], Run):
             return UNTESTED, "the fork ended without an end of its recording"
         end = uncaught_failure(forked)
@@ -253,7 +253,7 @@ def _signature(failure: Failure) -> tuple[str, str]:
 
 
 def _end(log: RecordReader, end: Run | None) -> object:
-    """Return the signature of a plan's failure, with its innermost line; None if the plan succeeded."""
+    """Return the signature and the innermost line of a plan's failure; None if the plan succeeded."""
     if end is None:
         return None
     parsed = list(parse_traceback(end.failure.traceback, PlanSource(log)))
@@ -283,7 +283,7 @@ def _failed_task(log: RecordReader, why: Why) -> _Failed | None:
 def _same_task(log: RecordReader, wanted: _Failed) -> tuple[Task, Task] | None:
     """Return the start and the end of the same task in another run.
 
-    A task with the same parameters counts first, then a task that had begun as often before.
+    Prefer a task with the same parameters, and then a task with the same number of earlier tasks.
     """
     found = list(_alike(log, wanted.kind, wanted.name, wanted.site))
     same = [each for each in found if _given(each) == wanted.parameters]

@@ -1,9 +1,9 @@
-"""Retraces a recording: runs the plan again, and compares it with the recording, record by record.
+"""Retrace a recording: run the plan again, and compare it with the recording, record by record.
 
 The same plan, seed, arguments and working directory give the same records in the same order. So the first difference is
 due to a later change of the plan, of PyCRAM or of the engine, or to data from the outside world, such as clocks, files
-or the network. Lines that may read such data are found in the source by the names of common functions, but a plan may
-also read it in other ways.
+or the network. The names of common functions show lines that may read such data, but plans may also read data in other
+ways.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from replay.retrace.plan_process import FirstDifference
 
 
-_MAX_LINES: Final = 3  # largest number of named lines of a file
+_MAX_LINES: Final = 3  # at most this many lines of a file are named
 _CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
 _PROGRAM, _RANDOM, _INPUT = "another program", "random numbers without a seed", "its input"
 
-#: Sources of outside data, by the name of the call or the beginning of that name.
+#: Sources of outside data by name of the call or beginning of the name.
 _READS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("time.time", "time.monotonic", "time.perf_counter", "time.process_time"), _CLOCK),
     **dict.fromkeys((f"{name}_ns" for name in ("time.time", "time.monotonic", "time.perf_counter")), _CLOCK),
@@ -43,7 +43,7 @@ _READS: Final[Mapping[str, str]] = {
     "input": _INPUT,
     "fileinput": _INPUT,
 }
-_STDIN: Final = "sys.stdin"  # a call or a loop reads from it
+_STDIN: Final = "sys.stdin"  # calls and loops read from it
 _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # methods of any object
 
 
@@ -51,18 +51,18 @@ _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # methods o
 class Retracing:
     """The result of retracing a recording."""
 
-    plan: Path  # the file that ran
+    plan: Path  # file of the plan
     steps: int  # number of steps of the recording
     equal: int  # number of equal records before the first difference
-    #: None if all records are equal, up to the point where the recording was cut off or damaged
+    #: None if all intact records are equal
     difference: FirstDifference | None
-    notes: tuple[str, ...]  # differences from the recorded conditions, which are possible causes
+    notes: tuple[str, ...]  # differences from the recorded conditions
     seconds: float  # duration of the run in s
-    taken: int = 0  # number of queries whose answers were taken from the recording, instead of being asked again
+    taken: int = 0  # number of queries with recorded answers
 
     @property
     def identical(self) -> bool:
-        """Whether no record differs."""
+        """Whether all records are equal."""
         return self.difference is None
 
 
@@ -74,22 +74,21 @@ def retrace(
     answers: Literal["asked", "recorded"] = "asked",
     recorded_source: bool = False,
 ) -> Retracing:
-    """Run a recorded plan again in a process of its own, and compare record by record up to the first difference.
+    """Run a recorded plan again in another process, and compare records up to the first difference.
 
-    The plan's effects outside of its worlds (files, network) happen again. The plan has no input, and its output
-    isn't shown.
+    Effects outside of the plan's worlds (files, network) happen again. The plan has no input, and its output isn't
+    shown.
 
     Args:
         log: the recording.
         plan: a file to run instead of the recorded plan.
         arguments: the plan's arguments, instead of the recorded arguments.
-        answers: "asked" asks reasoning queries again and compares their answers. "recorded" takes the answers from the
-            recording, which is faster: only the queries and their moments are compared.
+        answers: "asked" repeats reasoning queries, and compares their answers. "recorded" takes the answers from the
+            recording, which is faster. Then only the queries and their moments are compared.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Raises:
-        CantRetrace: the plan is missing, the recording lacks the run's conditions, or they can't be repeated; nothing
-            has run.
+        CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.
     """
     process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
     return compared(process, log, take_answers=answers == "recorded")
@@ -111,13 +110,13 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
 
 
 def likely_reasons(log: RecordReader, difference: FirstDifference) -> Iterator[str]:
-    """Yield possible causes of a difference that are outside of the plan, in words."""
+    """Yield possible causes of a difference outside of the plan in words."""
     yield from reads_before(difference)
     yield from decided_outside(log, difference.step)
 
 
 def reads_before(difference: FirstDifference) -> Iterator[str]:
-    """Yield the lines before a difference that read outside data, in words, nearest first."""
+    """Yield the lines before a difference that read outside data in words, nearest line first."""
     files = set()
     for place in (difference.line, *difference.callers):
         file, _, number = place.rpartition(":")
@@ -130,12 +129,12 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield, in words, tasks around a step of an old recording that the clock or a worker thread ended.
+    """Yield the tasks around a step of an old recording that the clock or a worker thread ended, in words.
 
     Newer recordings have the moments of these ends.
     """
     began = log[0]
-    if isinstance(began, Run) and began.HasField("looks"):  # in this case, the recorded moments guide the run
+    if isinstance(began, Run) and began.HasField("looks"):  # the recorded moments guide the run
         return
     begun: dict[int, int] = {}
     for record in log.records(Task):
@@ -147,7 +146,7 @@ def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
-    """Yield, for each read of outside data in a file: the line, its text, and the source of the data."""
+    """Yield the line, the text and the source of the data for each read of outside data in a file."""
     try:
         nodes = syntax_nodes(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -17,7 +17,7 @@ from replay.explain.causes.worlds import NoGravity, OtherWorld
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
 
-#: All kinds; the kinds that explain most come first.
+#: All kinds. The kinds that explain most come first.
 KINDS: Final[tuple[type[Cause], ...]] = (
     OtherWorld,
     NoGravity,
@@ -37,7 +37,7 @@ KINDS: Final[tuple[type[Cause], ...]] = (
 
 
 def find(case: FailureCase) -> tuple[Cause, ...]:
-    """Return the recorded causes of a failure; the causes that explain most come first.
+    """Return the recorded causes of a failure. The causes that explain most come first.
 
     Causes that a deeper cause explains are left out.
     """

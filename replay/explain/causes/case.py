@@ -1,4 +1,4 @@
-"""A failure, with the facts for finding its causes, and the base class of all kinds of causes.
+"""A failure with the facts about its causes, and the base class of all kinds of causes.
 
 Data, finder and text of a kind are in one file. The ``kind`` and the field names are keys of ``why --json``
 (docs/why.md), so they don't change.
@@ -59,11 +59,11 @@ class Cause:
         raise NotImplementedError
 
     def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds ignore it
-        """Return whether another cause among ``found`` explains this cause."""
+        """Return whether another cause in ``found`` explains this cause."""
         return False
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:  # noqa: ARG002  most kinds need it
-        """Yield forks in which the cause is taken away, the most direct first; nothing if no fork can do that."""
+        """Yield forks that take the cause away, the most direct fork first."""
         yield from ()
 
     def lines(self) -> Iterator[str]:
@@ -79,16 +79,14 @@ class CausingChange:
 
     step: int
     body: str
-    joint: str = ""  # name of the joint; "": the body's pose changed
-    #: As in :class:`replay.history.blame.Blame`, or "attached", "detached", "joints", "gravity", or "in-hand": a
-    #: command moved it while a hand held it, and it is still attached to the hand.
+    joint: str = ""  # name of the joint; "" for the body's pose
+    #: How the body changed: a value of :class:`replay.history.blame.Blame`, or "attached", "detached", "joints",
+    #: "gravity", or "in-hand" (a command moved the body within the hand).
     how: str = ""
-    task: Task | None = (
-        None  # the start of its innermost motion or handler, or else of its task; None: outside of tasks
-    )
+    task: Task | None = None  # start of the innermost motion, handler or task; None outside of tasks
     line: Line | None = None  # the plan's line that requested the change
-    mover: str = ""  # the moved body, or ``JOINT of BODY``, if the command moved something else
-    distance: float = 0.0  # size of the move in m; for a revolute joint in rad
+    mover: str = ""  # moved body, or ``JOINT of BODY``, of a command for another body
+    distance: float = 0.0  # size of the move in m, or of a revolute joint in rad
     angle: float = 0.0  # size of the turn in rad
     handler: Task | None = None  # the start of the handler's call around the change
     by_fork: bool = False  # the fork made the change, not the plan
@@ -131,14 +129,14 @@ class FailureCase:
 
     log: RecordReader
     step: int  # the step of the failure
-    failure: Failure  # the exception that was raised
-    task: Node | None  # the task in which it began; None: the plan's own code failed outside of all tasks
+    failure: Failure  # raised exception
+    task: Node | None  # task in which the failure began; None for the plan's own code
     failed: Failures  # failed and successful tasks before the failure
     state: State  # states of all worlds at the failure
-    world: World | None  # the world of the failure; None if no world was open
+    world: World | None  # world of the failure; None without an open world
     exceptions: tuple[ParsedException, ...] = field(
         default=(), repr=False
-    )  # the exceptions that led to it, causes first
+    )  # exceptions that led to the failure, causes first
 
     # --- the failed task ---------------------------------------------------------------------------------------------
 
@@ -149,14 +147,14 @@ class FailureCase:
 
     @cached_property
     def motion(self) -> Node | None:
-        """The failed motion; None if the failure began outside of motions, or in the plan's code inside a motion."""
+        """The failed motion; None if the failure began outside of motions or in the plan's code."""
         if self.task is None or self.task.kind not in _WITH_MOTIONS or self.task.motion.kind != "motion":
             return None
         return self.task.motion
 
     @cached_property
     def began(self) -> int:
-        """The step at which the failed motion began; without a motion, the step of the failure."""
+        """The step at which the failed motion began, or without a motion the step of the failure."""
         return self.motion.started.seq if self.motion is not None else self.step
 
     @cached_property
@@ -196,7 +194,7 @@ class FailureCase:
 
     @cached_property
     def traced(self) -> tuple[ParsedException, ...]:
-        """The exceptions of the task's failure, causes first; without a task, of the plan's failure."""
+        """The exceptions of the failure of the task, or without a task of the plan; causes first."""
         if self.task is not None and self.task.failure is not None and self.task.failure.traceback:
             return tuple(parse_traceback(self.task.failure.traceback, self.source))
         return self.exceptions
@@ -210,7 +208,7 @@ class FailureCase:
 
     @cached_property
     def hands(self) -> Mapping[str, str]:
-        """The tool frames of the robot's arms, by the names of the arms."""
+        """The tool frames of the robot's arms by arm."""
         return hands(self.robot)
 
     @cached_property
@@ -228,12 +226,12 @@ class FailureCase:
         return next((each for each in held if each.carrier_link == self.hands.get(arm, "")), None)
 
     def free_body(self, name: str) -> Body | None:
-        """Return a movable body; None if it is fixed, the robot, or unknown."""
+        """Return a movable body; None for fixed bodies, the robot, and unknown names."""
         body = self.world.bodies.get(name) if self.world is not None else None
         return None if body is None or body.fixed_base or body is self.robot else body
 
     def joints_to(self, name: str, link: str) -> tuple[str, ...]:
-        """Return the movable joints between a body's base and a link, from the link inwards."""
+        """Return the movable joints from a link to the body's base."""
         if self.world is None or not link:
             return ()
         body = self.world.bodies[name]
@@ -250,7 +248,7 @@ class FailureCase:
         return tuple(found)
 
     def holder(self, body: str, step: int | None = None) -> str:
-        """Return the holder of an object: the robot's arm, or the carrier with its link; "" if nothing holds it."""
+        """Return the holder of an object: the robot's arm, or the carrier with its link; "" without a holder."""
         state = self.state if step is None else state_at(self.log, step)
         world = state.worlds.get(self.world.name) if self.world is not None else None
         held = world.carrier(body) if world is not None else None
@@ -263,28 +261,28 @@ class FailureCase:
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
-        """Yield this world's motions that have certain names and ended before the failed motion began, last first."""
+        """Yield earlier motions of this world with given names, last motion first."""
         for motion in reversed(self.failed.motions):
             earlier = motion.last_step < self.began and motion is not self.motion
             if earlier and motion.name in names and self.is_here(motion.started):
                 yield motion
 
     def is_here(self, record: Task | Refusal | Mutation) -> bool:
-        """Return whether a record belongs to the world of the failure, not to an earlier world with the same name."""
+        """Return whether a record is about the world of the failure. Earlier worlds may have the same name."""
         if self.world is None:
             return True
         lifetime = self.log.lifetime_at(record.world, record.seq)
         return (record.world, lifetime.number if lifetime is not None else 0) == (self.world.name, self.world.lifetime)
 
     def blame(self, target: str) -> Blame | None:
-        """Return the last change of a body or a joint (``BODY.JOINT``); None if no change is on record."""
+        """Return the last change of a body or a joint (``BODY.JOINT``); None without a recorded change."""
         try:
             return blame(self.log, target, self.step, self.world.name if self.world is not None else None)
         except NoSuchName:
             return None
 
     def changed(self, target: str) -> CausingChange | None:
-        """Return the last change of a body or joint; None if that was before the first motion."""
+        """Return the last change of a body or joint; None before the first motion."""
         last = self.blame(target)
         if last is None:
             return None
@@ -317,7 +315,7 @@ class FailureCase:
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
         handler = next((each for each in tasks if each.kind == HANDLER), None)
         if task is not None and task is handler:
-            stack = because.call_stack or stack  # the handler's line, not the line that fired the event
+            stack = because.call_stack or stack  # the line of the handler
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork
@@ -327,14 +325,14 @@ class FailureCase:
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
     def line_of(self, record: Task | Mutation | Refusal) -> Line | None:
-        """Return the plan's line that caused a record; None if the line is unknown."""
+        """Return the plan's line that caused a record; None for an unknown line."""
         return self.line(self.source.call_stack(record))
 
     def line(self, stack: Sequence[Line]) -> Line | None:
         """Return the innermost informative line of a call stack.
 
-        Lines of helpers that only pass values on are left out. Of the others, a line is informative if it requested a
-        single motion, or only motions with one name.
+        Lines of helpers that only pass values on are left out. Other lines are informative if they requested a single
+        motion, or only motions of the same name.
         """
         inner = [(line.file, line.number) for line in reversed(stack)]
         stack = stack[: len(stack) - deciding(inner, self.source.text)]
@@ -345,7 +343,7 @@ class FailureCase:
 
     @cached_property
     def _motions_by_line(self) -> Mapping[tuple[str, int], set[tuple[str, str]]]:
-        """Names and parameters of the motions that each line requested."""
+        """The names and parameters of the motions that each line requested."""
         found: dict[tuple[str, int], set[tuple[str, str]]] = defaultdict(set)
         for motion in self.failed.motions:
             for line in self.source.call_stack(motion.started):
@@ -370,7 +368,7 @@ class FailureCase:
         return found
 
 
-_SETTLED = 0.02, math.radians(15)  # m and rad; smaller moves in simulation mean that an object settles
+_SETTLED = 0.02, math.radians(15)  # m and rad; an object with smaller moves in simulation settles
 
 
 def _mover(record: Mutation | Keyframe) -> str:
@@ -427,7 +425,7 @@ def _filled_containers(statement: ast.stmt) -> Iterator[str]:
 
 
 def hands(robot: Body | None) -> dict[str, str]:
-    """Return the tool frames of a robot's arms, by the arms' names."""
+    """Return the tool frames of a robot's arms by arm."""
     return {name: str(arm.get("tool_frame", "")) for name, arm in _arms(_description(robot)).items()}
 
 
@@ -451,14 +449,14 @@ def _arms(description: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def about(task: Node, *, body: str = "", arm: str = "") -> bool:
-    """Return whether a motion's parameters contain a given object and a given arm."""
+    """Return whether a motion's parameters contain an object and an arm."""
     given = values(task)
     own = str(given.get("arm") or given.get("gripper") or "")
     return (not body or body in objects_in(list(given.values()))) and (not arm or not own or own == arm)
 
 
 def values(task: Node) -> dict[str, Plain]:
-    """Return the parameters of a motion, including inferred parameters if it was resolved."""
+    """Return the parameters of a motion. Resolved motions have inferred parameters, too."""
     inferred = [part.parameters for part in task.children if part.kind == "process-module"]
     return task.parameters | (inferred[0] if inferred else {}) | task.solution
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
-#: Queries that contradict a failure: those in this table by the answer yes, those in ``_NOTHING`` by finding nothing.
+#: Queries that contradict a failure: by the answer yes, or for queries in ``_NOTHING`` by an empty answer.
 _YES: Final = {
     "Unreachable": _REACH,
     "HandleUnreachable": _REACH,
@@ -39,15 +39,15 @@ _YES: Final = {
     "PlaceFailed": ("stable",),
 }
 _NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
-_MOVED: Final = (1e-3, 5e-3)  # in m and rad; smaller moves don't count as changes
-_LOADED: Final = ("load", "removed")  # changes after which there is another body
-_IN_HAND: Final = 0.05  # in m; smaller moves are adjustments
-_SEARCHED: Final = 5_000  # number of records before the failure that are searched
+_MOVED: Final = (1e-3, 5e-3)  # m and rad; smaller moves don't count as changes
+_LOADED: Final = ("load", "removed")  # these changes give or take a body
+_IN_HAND: Final = 0.05  # m; smaller moves are adjustments
+_SEARCHED: Final = 5_000  # this many records before the failure are searched
 _BELIEVED: Final = frozenset(
     ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
 )
-_AWAY: Final = 0.02  # in m; if an object moves less, it only settles
-#: Matches messages of WorldClosed, also from other releases.
+_AWAY: Final = 0.02  # m; an object with a smaller move only settles
+#: Matches messages of WorldClosed of all releases.
 _GONE: Final = re.compile(r": object (.+) (?:is gone|was removed|has been removed|no longer exists)$")
 
 
@@ -61,7 +61,7 @@ class NoLonger(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoLonger]:
-        """Yield the last outdated answer or perception, or the pick-up of an object that then moved in the hand."""
+        """Yield the last outdated answer or perception, or the pick-up of an object that later moved in the hand."""
         yield from _moved_in_hand(case)
         asked: Query | Node | None = _contradicted_query(case)
         if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
@@ -102,10 +102,10 @@ class Misbelief(Cause):
     kind = "misbelief"
     body: str
     source: str  # "seen", "told" (read from the world's state), or "placed" (the robot released it there)
-    learned: int  # the step at which the robot learned it; -1: before the recording
-    position: tuple[float, ...]  # position in the belief, in m
-    distance: float  # distance in m between the belief and the object
-    change: CausingChange | None  # the last change of the object since the belief; None if unknown
+    learned: int  # step at which the robot learned the belief; -1 before the recording
+    position: tuple[float, ...]  # position in the belief, m
+    distance: float  # distance between the belief and the object, m
+    change: CausingChange | None  # last change of the object since the belief; None if unknown
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Misbelief]:
@@ -149,7 +149,7 @@ class Gone(Cause):
     kind = "removed"
     body: str
     change: CausingChange  # removal of the object
-    loaded: CausingChange | None = None  # the later loading of another object with its name
+    loaded: CausingChange | None = None  # later loading of another object with the same name
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Gone]:
@@ -166,7 +166,7 @@ class Gone(Cause):
         yield Gone(steps, name, removed, loaded)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials in which the object isn't removed, or the motion uses the object that was loaded since."""
+        """Yield the trials in which the object isn't removed, or the motion uses the object that was loaded later."""
         if self.loaded is None:
             yield from trials.put_back(case, self.change)
         elif case.holder(self.body, self.change.step - 1):
@@ -190,7 +190,7 @@ class HandState(Cause):
     body: str
     arm: str  # the arm of the failed motion
     holder: str  # the holder at the failure: an arm, or ``CARRIER (LINK)``; "" without a holder
-    change: CausingChange | None  # the change that led to this state; None without a change
+    change: CausingChange | None  # change that led to this state; None without a change
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[HandState]:
@@ -205,7 +205,7 @@ class HandState(Cause):
             yield HandState(steps, lack.precondition, lack.subject, arm, holder, change)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether the object was removed, or an earlier failure or refusal explains the state."""
+        """Return whether a removal of the object, or an earlier failure or refusal, explains the state."""
         return any(
             (isinstance(each, Gone) and each.body == self.body)
             or (
@@ -295,12 +295,12 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         ):
             continue
         removal = removal_of(case, name, step) if before is not None else None
-        if removal is not None:  # the present body with that name is another body
+        if removal is not None:  # another body has the name now
             yield case.change(removal, name, "removed")
         yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
     if named and isinstance(asked, Query) and before is not None and after is not None:
-        # other queries choose a posture of the head on their own
+        # other queries choose the head's posture
         head = joints_of(after, "head") if asked.name in ("visible", "occluding") else ()
         for joint in (*joints_of(after, "torso"), *head):
             if abs(before.joints.get(joint, 0.0) - after.joints.get(joint, 0.0)) > _MOVED[1]:
@@ -312,13 +312,13 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
 def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingChange]:
     change = case.blame(name)
     if change is not None and change.how == "physics" and change.earlier is not None:
-        change = change.earlier  # changes by physics are a different kind of cause
+        change = change.earlier  # changes by physics are another kind of cause
     if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
         yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
 
 
 def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
-    """Yield the pick-ups of held objects that the plan moved away from the hand afterwards."""
+    """Yield the pick-ups of held objects that the plan later moved away from the hand."""
     if case.motion is None or case.before is None or case.robot is None:
         return
     moved = {pair.get("mover") for pair in case.pairs} | set(case.subjects if case.motion.name == "place" else ())
@@ -348,7 +348,7 @@ def _commanded_moves(case: FailureCase, name: str, start: int) -> Iterator[Causi
 def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
     """Return the name of the failure's object, and the record that removed the object.
 
-    If a hand should have held the object, the removal counts only if a hand held the object at that time.
+    If a hand should have held the object, the removal only counts if a hand held the object.
     """
     kind, sought = case.failure.type, case.data.get("name")
     for lack in lacking(case):
@@ -368,7 +368,7 @@ def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
 
 
 def removal_of(case: FailureCase, name: str, start: int = 0) -> Mutation | None:
-    """Return the last record, at or after a step, that removed an object; None if the object wasn't removed."""
+    """Return the last record from a step on that removed an object; None without such a record."""
     for record in case.log.backwards(case.step, Mutation, naming=name):
         if record.seq < start:
             break

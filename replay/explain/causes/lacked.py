@@ -1,9 +1,9 @@
 """A failed motion lacked a precondition: an earlier motion failed, or a request was refused, and the plan continued.
 
 The last motion of the same object, arm or joint that should have established the precondition failed, was cancelled, or
-was skipped because a perception had found nothing. It isn't a cause if a later motion succeeded, or if the object or
-joint changed in another way. A refused request is a cause until it is fulfilled, or until the object or joint changes
-in another way.
+was skipped because a perception had found nothing. The failed motion isn't a cause if a later motion succeeded, or if
+the object or joint changed in another way. A refused request is a cause until it is fulfilled, or until the object or
+joint changes in another way.
 """
 
 from __future__ import annotations
@@ -38,23 +38,23 @@ if TYPE_CHECKING:
 _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
-_NEARER: Final = 0.05  # in m; if places differ less, neither is nearer to the target
-_IN: Final = 0.03  # in m; an object is in a drawer if its base is within this distance of the drawer's boxes
+_NEARER: Final = 0.05  # m; with a smaller difference, no place is nearer to the target
+_IN: Final = 0.03  # m; objects in a drawer are within this distance of its boxes
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = (
     "DesignatorError",
     "BadArgument",
-)  # errors that a None in the plan causes, in addition to Python's errors
-_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing value in a container causes
+)  # errors of a None in the plan, in addition to Python's errors
+_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors of a missing value in a container
 _MAX_ALSO: Final = 3
-_MAX_SETTING: Final = 100  # largest number of motions that may have filled a list
-_GOES_ON: Final = 2000  # number of records that are searched for the plan's next step
+_MAX_SETTING: Final = 100  # at most this many motions may have filled a list
+_GOES_ON: Final = 2000  # this many records are searched for the plan's next step
 _POSES: Final = ("set_position", "set_orientation", "set_position_and_orientation")
 _JOINTS: Final = ("set_joint_position", "set_joint_positions")
 _SEEN: Final = ("PerceptionError", "LookingFailed")
 _HANDS: Final = ("held", "hand-free")
-_REFUSALS: Final = 200  # number of refusals before the failure that are searched
+_REFUSALS: Final = 200  # this many refusals before the failure are searched
 #: Phrases for missing preconditions.
 _LACKED: Final = {
     "held": "so the {arm} gripper didn't hold {subject}",
@@ -83,13 +83,13 @@ class Swallowed(Cause):
     #: object isn't in the way), "joint-moved", "at-pose" (the robot stands at its target), "posture" (of the arm),
     #: "camera-directed", "result" (of a task, in a variable)
     precondition: str
-    subject: str  # the object, joint or variable, or ""
+    subject: str  # object, joint or variable, or ""
     arm: str  # name of the arm, or ""
     failed: Node  # the earlier task
     line: Line | None  # the plan's line that requested the task
     went_on: Line | None  # the plan's next line
-    also: tuple[Node, ...] = ()  # other failed attempts, such as with the other arm
-    skipped: Line | None = None  # the line that skipped the use of the variable, such as a loop over an empty list
+    also: tuple[Node, ...] = ()  # other failed attempts, for example with the other arm
+    skipped: Line | None = None  # line that skipped the use of the variable, such as a loop over an empty list
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Swallowed]:
@@ -141,7 +141,7 @@ class RefusedRequest(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
-        """Yield refusals whose missing effects made the motion or line fail; for each subject, only the last one."""
+        """Yield refusals whose missing effects made the motion or line fail: the last refusal of each subject."""
         if not case.log.counts().get("refusal"):
             return
         found: set[tuple[str, str]] = set()
@@ -158,7 +158,7 @@ class RefusedRequest(Cause):
                     yield _refusal(case, refusal, *missed)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial with the effect of the refused request, as far as that is possible."""
+        """Yield the trial with the effect of the refused request, if it is possible."""
         given, failure = argument_values(self.asked.arguments), argument_values(self.asked.failure.data)
         hands = [arm for arm in case.hands if arm == case.given.get("arm")] or list(case.hands)
         position = given.get("position")
@@ -184,7 +184,7 @@ class RefusedRequest(Cause):
 
 
 def _effect(case: FailureCase, precondition: str, subject: str, arm: str, failed: Node | None) -> Iterator[Trial]:
-    """Yield the trial with a precondition fulfilled just before the failure."""
+    """Yield the trial in which a precondition holds just before the failure."""
     given = values(failed) if failed is not None else {}
     target = given.get("target")
     if precondition == "held":
@@ -227,12 +227,12 @@ class Lacking:
     subject: str  # the object or joint, or ""
     arm: str  # name of the arm, or ""
     motions: tuple[str, ...]  # names of motions that establish the precondition
-    fits: Callable[[Node], bool]  # whether a motion with such a name is about the same object, joint and arm
-    owner: str = ""  # the body with the joints, or the robot if it is at the wrong place, or ""
+    fits: Callable[[Node], bool]  # whether a motion is about the same object, joint and arm
+    owner: str = ""  # body with the joints, or the robot at a wrong place, or ""
     joints: tuple[str, ...] = ()  # the joints that should have been moved
 
     def done_by(self, record: Mutation) -> bool:
-        """Return whether a change affected the same object or joint, so that earlier failures don't matter."""
+        """Return whether a change affected the same object or joint. Then earlier failures don't matter."""
         if self.precondition in ("held", "hand-free"):
             return record.HasField("attach_body") and self.subject in [each.body for each in record.effect.attached]
         if self.joints:
@@ -260,7 +260,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
 
 def _hands(case: FailureCase, name: str) -> Iterator[Lacking]:
     if case.task is None or case.task.kind != "process-module" or case.before is None:
-        return  # the motion wasn't resolved, so its arm is unknown
+        return  # the arm of an unresolved motion is unknown
     arm = str(case.given.get("arm") or "")
     held = case.held_by(arm)
     body = next(iter(objects_in(case.given.get("object"))), "")
@@ -322,7 +322,7 @@ def _closed(case: FailureCase) -> Iterator[Lacking]:
 
 
 def _accessed_joint(case: FailureCase, given: Mapping[str, Plain]) -> tuple[str, str]:
-    """Return the furniture and joint of an accessing motion; if the joint is unknown, the joint of the handle."""
+    """Return the furniture and joint of an accessing motion. The default joint is the joint of the handle."""
     owner, joint = next(objects_in(given.get("part-of")), ""), str(given.get("drawer-joint") or "")
     body = case.world.bodies.get(owner) if case.world is not None else None
     if body is not None and joint not in body.joints:
@@ -388,7 +388,7 @@ def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
 
 
 def _at_pose(case: FailureCase) -> Iterator[Lacking]:
-    """Yield that the robot should have been at another place, if that place is nearer to the target."""
+    """Yield that the robot should have been at another place that is nearer to the target."""
     target = case.data.get("target")
     if isinstance(target, list) and len(target) == 3:
         goal = [float(str(part)) for part in target[:2]]
@@ -454,9 +454,9 @@ def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tupl
 def _next_step(
     case: FailureCase, end: int, around: Collection[int], thread: str, stack: Sequence[Line]
 ) -> tuple[int, Line | None]:
-    """Return the plan's first own step after a given step, and its line; 0 and None if there is none.
+    """Return the plan's first own step after a step, and its line; 0 and None without such a step.
 
-    ``around`` are the ids of the tasks around that step, 0 for the plan itself. ``stack`` is its call stack.
+    ``around`` are the ids of the tasks around the step, 0 for the plan itself. ``stack`` is the call stack of the step.
     """
     for record in case.log.records((Task, Mutation), end + 1, min(case.began + 1, end + _GOES_ON)):
         if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
@@ -488,7 +488,7 @@ def _results(case: FailureCase) -> Iterator[Swallowed]:
 
 
 def _motions_setting_variables(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
-    """Yield earlier motions, last first, with the variables that these motions set and the failed line reads."""
+    """Yield earlier motions, last motion first, with their variables that the failed line reads."""
     for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
             names = _variables_from(case, case.source.call_stack(motion.started))
@@ -507,7 +507,7 @@ def _lacks_value(case: FailureCase) -> bool:
 
 
 def _variables_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
-    """Return the variables that the given lines set and the failed lines read."""
+    """Return the variables that the lines set and the failed lines read."""
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
@@ -537,7 +537,7 @@ def _skipped_use(case: FailureCase, lack: Lacking) -> tuple[Node, str, Line] | N
 
 
 def _heads(case: FailureCase, line: Line, function: str, name: str) -> Iterator[tuple[Line, int]]:
-    """Yield later ``for``, ``while`` and ``if`` lines that read a variable, each with the last line of its body."""
+    """Yield later ``for``, ``while`` and ``if`` lines that read a variable, and the last lines of their bodies."""
     for node in syntax_nodes(case.source.text(line.file)):
         if not isinstance(node, ast.For | ast.While | ast.If) or node.lineno <= line.number:
             continue
@@ -556,7 +556,7 @@ def _names_below(node: ast.AST) -> set[str]:
 
 
 def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
-    """Return whether the body of a head line ran after a motion; True if there are too many records for a check."""
+    """Return whether the body of a head line ran after a motion. Return True if there are too many records."""
     records = list(islice(case.log.records((Task, Mutation, Query), motion.last_step + 1, case.began), _GOES_ON))
     if len(records) == _GOES_ON:
         return True
@@ -623,7 +623,7 @@ def _refused_joints(
 
 
 def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]:
-    """Yield the joints of a refused request; a misspelt name stands for the first suggestion."""
+    """Yield the joints of a refused request. A misspelt name means the first suggestion."""
     positions = given.get("positions")
     error = argument_values(refusal.failure.data) if refusal.failure.type == "UnknownName" else {}
     near = error.get("nearest")
@@ -633,7 +633,7 @@ def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]
 
 
 def _was_fulfilled_later(case: FailureCase, refusal: Refusal) -> bool:
-    """Return whether the request was fulfilled after its refusal, or whether the object was moved in another way."""
+    """Return whether the request was fulfilled after its refusal, or the object was moved in another way."""
     given = argument_values(refusal.arguments)
     subject, joints = next(objects_in(given.get("object")), ""), set(_joints_meant(refusal, given))
     for record in case.log.records(Mutation, refusal.seq + 1, case.began) if subject else ():

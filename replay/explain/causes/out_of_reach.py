@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 
-_OPEN: Final = 0.01  # rad or m of a door or drawer that isn't closed
-_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # causes that explain the causes in this module
+_OPEN: Final = 0.01  # rad or m; doors and drawers with a larger position aren't closed
+_DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # these causes explain the causes in this module
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class ObstructingBody(Cause):
     kind = "in-the-way"
     untestable = "no fork moves fixed furniture"
     body: str
-    link: str  # name of the link; "" for a body with a single link, or an unknown link
-    mover: str  # the link or held object that would have touched the body; "" if the body hid an object from the camera
-    change: CausingChange | None  # the change that put the body there; None without a change
+    link: str  # name of the link; "" for a single link or an unknown link
+    mover: str  # the link or held object that would have touched the body; "" for a body that hid an object
+    change: CausingChange | None  # the change that moved the body there; None without a change
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[ObstructingBody]:
@@ -47,7 +47,7 @@ class ObstructingBody(Cause):
             body, link = pair.get("body", ""), pair.get("body_link", "")
             if body in case.world.bodies and body != case.world.robot:
                 yield _obstacle(case, body, link, pair.get("link") or pair.get("mover", ""))
-        touching = case.data.get("touching")  # the bodies at the place where the object would rest
+        touching = case.data.get("touching")  # the bodies at the new place of the object
         for met in touching if isinstance(touching, list) else []:
             body = str(met.get("body", "")) if isinstance(met, dict) else ""
             if case.free_body(body) is not None:
@@ -86,9 +86,9 @@ class UnreachedTarget(Cause):
     kind = "out-of-reach"
     arm: str
     body: str  # "" for a target that isn't a body
-    distance: float  # distance on the ground in m from the robot's base to the target
-    miss: float | None  # distance in m between the nearest reachable posture and the target
-    orientation: tuple[float, ...]  # requested orientation of the tool, xyzw; empty if any orientation was allowed
+    distance: float  # distance from the robot's base to the target on the ground, m
+    miss: float | None  # distance between the nearest reachable posture and the target, m
+    orientation: tuple[float, ...]  # requested orientation of the tool, xyzw; empty for every orientation
     changes: tuple[CausingChange, ...]  # the last changes of the robot, its torso and the object
 
     @classmethod
@@ -140,7 +140,7 @@ class NoCandidate(Cause):
 
     kind = "no-candidate"
     untestable = "nothing that a fork can move bars the candidates"
-    asked: Query  # the choice, with its candidates and the reasons for their rejection
+    asked: Query  # the choice with its candidates and the reasons for their rejection
     count: int  # number of candidates
 
     @classmethod

@@ -1,8 +1,8 @@
 """An object fell, tipped or moved in simulation; the cause lists the plan's changes that let the object move.
 
-An object's motion is measured from the plan's last change of the object, or from the last success with it, whichever is
-later. If the object wasn't at rest after that change, the change let it move. Otherwise, changes near the object after
-it was at rest let it move.
+The motion of an object is measured from the plan's last change of the object or the last success with the object. If
+the object wasn't at rest after the change, the change let the object move. Otherwise, later changes near the resting
+object let it move.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from replay.state.state import Body, State
 
 
-_MOVED: Final = 0.05  # in m; if an object moves less, it only settles
+_MOVED: Final = 0.05  # m; an object with a smaller move only settles
 _TILTED: Final = math.radians(15)
 _FELL: Final = 0.05  # in m, downwards
-_PART: Final = 0.3  # fraction of the whole move after which the motion counts as begun
-_NEAR: Final = 0.6  # largest distance in m between the bases of an object and its possible support
-_ABOVE: Final = 0.15  # largest distance in m on the ground between the bases of stacked objects
-_PUSHED: Final = 0.35  # largest distance in m between an object and the frame of a link that may push it
-_QUIET: Final = STEPS_PER_SECOND // 10  # number of steps without motion after which an object is at rest
+_PART: Final = 0.3  # after this fraction of the whole move, the motion has begun
+_NEAR: Final = 0.6  # largest distance between the bases of an object and its possible support, m
+_ABOVE: Final = 0.15  # largest distance between the bases of stacked objects on the ground, m
+_PUSHED: Final = 0.35  # largest distance between an object and the frame of a link that may push it, m
+_QUIET: Final = STEPS_PER_SECOND // 10  # an object is at rest after this many steps without motion
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
-#: Verbs for the effects of commands on the object; all other commands move it.
+#: Verbs for the effects of commands on the object. Other commands move the object.
 _HOW: Final = {
     "load_body": "load",
     "detach_body": "detached",
@@ -47,8 +47,8 @@ _HOW: Final = {
     "remove_body": "detached",
     "move_joints": "along",
 }
-_FAST: Final = 0.1  # in m/s; lower speeds at a release aren't mentioned
-_SPINNING: Final = 1.0  # in rad/s; lower speeds at a release aren't mentioned
+_FAST: Final = 0.1  # m/s; lower speeds at a release aren't mentioned
+_SPINNING: Final = 1.0  # rad/s; lower speeds at a release aren't mentioned
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +59,16 @@ class Physics(Cause):
     body: str
     how: str  # "fell", "tipped" or "moved"
     distance: float  # size of the move in m
-    fall: float  # size of the move downwards in m
+    fall: float  # downward part of the move in m
     tilt: float  # increase of the object's lean in rad
-    moved_at: int  # the step of the simulation in which the motion began
-    line: Line | None  # the plan's line that simulated
-    since: int  # the step of the plan's success or change before the motion
-    stood_on: str = ""  # its support, if that was moved; "" if it wasn't moved, or is unknown
-    lets: tuple[CausingChange, ...] = ()  # changes after which it may have begun to move; empty if only time passed
-    speed: float | None = None  # speed in m/s at its release; None if it wasn't released
-    spin: float | None = None  # angular speed in rad/s at its release; None if it wasn't released
-    hand: str = ""  # the arm that released it; "" without a release
+    moved_at: int  # step of the simulation in which the motion began
+    line: Line | None  # the plan's line of the simulation
+    since: int  # step of the plan's success or change before the motion
+    stood_on: str = ""  # moved support of the object; "" without a moved support
+    lets: tuple[CausingChange, ...] = ()  # changes that may have let the object move; empty if only time passed
+    speed: float | None = None  # speed at the release in m/s; None without a release
+    spin: float | None = None  # angular speed at the release in rad/s; None without a release
+    hand: str = ""  # arm that released the object; "" without a release
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Physics]:
@@ -80,12 +80,12 @@ class Physics(Cause):
                     yield from fate.explained()
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials without the changes that let it move, and with the object where it was before it moved."""
+        """Yield the trials without the changes that let the object move, and with the object at its earlier place."""
         for change in self.lets:
             yield from trials.put_back(case, change)
         if self.moved_at < case.began:
             for trial in trials.restored(case, [self.body], self.since, case.began):
-                yield replace(trial, decisive=not self.lets)  # a change before may have tilted it already
+                yield replace(trial, decisive=not self.lets)  # an earlier change may have tilted the object
 
     def _words(self) -> Iterator[str]:
         size = f"by {phrases.length(self.fall if self.how == 'fell' else self.distance)}"
@@ -116,8 +116,8 @@ class Physics(Cause):
 class _Fate:
     """The motion of an object in simulation since the plan's last change of the object.
 
-    ``base`` is the record of that change. ``since`` is its step, or the step of the last success with the object,
-    whichever is later. ``moves`` are the later stretches of simulation that moved the object.
+    ``base`` is the record of this change. ``since`` is the step of this change or of a later success with the object.
+    ``moves`` are the later simulations that moved the object.
     """
 
     def __init__(self, case: FailureCase, name: str) -> None:
@@ -149,7 +149,7 @@ class _Fate:
         self.moves = [record for record in self.moves if record.seq > self.since]
 
     def explained(self) -> Iterator[Physics]:
-        """If the motion is more than settling, yield it with the changes that let the object move."""
+        """Yield a motion that is more than settling, with the changes that let the object move."""
         before, after = self._pose(self.since), self._pose(self._case.step)
         if before is None or after is None or not self.moves:
             return
@@ -157,7 +157,7 @@ class _Fate:
         tilt = geometry.lean(after[1], before[1])
         is_outcome = (
             self._name in self._case.subjects and self._case.data.get("rest") is not None
-        )  # the result of a placing
+        )  # a placing settled the object
         if distance < _MOVED and tilt < _TILTED and not is_outcome:
             return
         shifts = []
@@ -189,7 +189,7 @@ class _Fate:
         )
 
     def _lets(self, first: Mutation) -> tuple[CausingChange, ...]:
-        """Return the changes that may have let the object move in a stretch of simulation."""
+        """Return the changes that may have let the object move in a simulation."""
         assert self.base is not None  # noqa: S101  for mypy
         case, start, candidates = self._case, self.base.seq, []
         for record in case.log.backwards(first.seq - 1, Mutation):
@@ -200,7 +200,7 @@ class _Fate:
             if record.seq == start:
                 candidates.append(case.change(record, self._name, _HOW.get(record.WhichOneof("command"), "command")))
             elif record.HasField("simulate") and record.simulate.steps >= _QUIET and record not in self.moves:
-                break  # the object was at rest after this change
+                break  # the object rested after the change
             elif record in self.moves and record.simulate.steps >= _QUIET and not self._is_moving(record):
                 break
             else:
@@ -212,7 +212,7 @@ class _Fate:
         return tuple(candidates[:_MAX_LETS][::-1])
 
     def _support(self, first: Mutation) -> str:
-        """Return the support that was moved or removed after the object was at rest; "" if there is none."""
+        """Return the support that was moved or removed after the object was at rest; "" without such a support."""
         own = self._pose(self.since)
         world = state_at(self._case.log, self.since).worlds.get(self._world)
         if own is None or world is None:
@@ -227,7 +227,7 @@ class _Fate:
         return min(below, key=lambda name: own[0][2] - world.bodies[name].position[2], default="")
 
     def _is_moving(self, record: Mutation) -> bool:
-        """Return whether the object still moves at the end of a stretch of simulation."""
+        """Return whether the object moves at the end of a simulation."""
         state = next((each for each in record.effect.bodies if each.body == self._name), None)
         return state is not None and math.hypot(*state.velocity) > _MOVED
 
@@ -267,7 +267,7 @@ class _Fate:
         return any(math.dist(each[link][0], own[0]) < _PUSHED for link in moved for each in poses)
 
     def _velocity(self, released: int, first: Mutation) -> tuple[float, float]:
-        """Return speed and spin of the object at its release, or soon after."""
+        """Return speed and spin of the object at its release or soon after."""
         body = self._body(state_at(self._case.log, released), self._name)
         velocities = [body.velocity] if body is not None else []
         for sample in first.effect.samples[:1]:
@@ -289,7 +289,7 @@ class _Fate:
 
 
 def _shift(before: Pose | None, after: Pose) -> float:
-    """Return the size of the change of a pose in m; a radian counts as 0.1 m."""
+    """Return the size of the change of a pose in m. A radian counts as 0.1 m."""
     if before is None:
         return 0.0
     return math.dist(before[0], after[0]) + 0.1 * geometry.angle(before[1], after[1])

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 
 _MAX_ANSWERS: Final = 3
-_SEARCHED: Final = 1_000  # number of changes of fluents that are searched
-#: A ``raise`` or ``assert`` of a line; it may also follow the head of a compound statement.
+_SEARCHED: Final = 1_000  # this many changes of fluents are searched
+#: A ``raise`` or ``assert`` of a line, also after the head of a compound statement.
 _RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")
-#: PyCRAM's usage errors. They mean that the plan's line has a mistake, even if the error is raised inside a motion.
+#: PyCRAM's usage errors. These errors mean a mistake in the plan's line, even if they are raised inside a motion.
 USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
@@ -49,9 +49,9 @@ class Raised(Cause):
     untestable = "the plan's own code would have to change"
     type: str  # type of the exception
     line: Line  # the plan's line
-    own: bool  # whether the line is a ``raise`` or ``assert``; otherwise it has a mistake
-    task: Node | None  # the branch or other task around the line; None outside of tasks
-    #: The answers on which the line may depend: the last queries and waits of the task. If the task's last motion
+    own: bool  # whether the line is a ``raise`` or ``assert``, and not a mistake
+    task: Node | None  # the task around the line; None outside of tasks
+    #: The answers on which the line may depend: the last queries and waits of the task. If the last motion of the task
     #: before them failed, its end comes first. For a ``whenever``, the last change of its fluents.
     answers: tuple[Query | Task | Fluent, ...] = ()
 
@@ -75,7 +75,7 @@ class Raised(Cause):
         yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials with other answers, longer waits or another arm; for a mistake, without the refused call."""
+        """Yield the trials with other answers, longer waits, another arm, or without the refused call of a mistake."""
         if not self.own:
             yield from (each for refusal in _refusals(case) for each in trials.skipped(refusal))
             return
@@ -139,7 +139,7 @@ def is_mistake(case: FailureCase) -> bool:
 
 
 def _refusals(case: FailureCase) -> Iterator[Refusal]:
-    """Yield the last refusal, if it is the failure."""
+    """Yield the last refusal if it is the failure."""
     for refusal in case.log.backwards(case.step, Refusal) if case.log.counts().get("refusal") else ():
         if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
             yield refusal
@@ -147,7 +147,7 @@ def _refusals(case: FailureCase) -> Iterator[Refusal]:
 
 
 def _failed_before(case: FailureCase) -> Iterator[Task]:
-    """Yield the end of the last motion in the same task, if that motion failed."""
+    """Yield the end of the last motion in the same task if the motion failed."""
     scope = None if case.task is None else case.task.id
     ended = [
         motion

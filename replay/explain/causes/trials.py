@@ -29,48 +29,48 @@ if TYPE_CHECKING:
     from replay.explain.causes.case import CausingChange, FailureCase
     from replay.state.state import Body
 
-_MOVED: Final = 1e-6  # rad or m by which a joint counts as moved
-_FAR: Final = 30.0  # m to which an obstacle is moved away
-_BEFORE: Final = 0.65  # m from a target within which arms work well
-_ROOM: Final = 0.1  # m by which the robot is moved nearer than the arm's miss
+_MOVED: Final = 1e-6  # rad or m; joints with a larger change have moved
+_FAR: Final = 30.0  # m; an obstacle is moved this far away
+_BEFORE: Final = 0.65  # m; arms work well within this distance of a target
+_ROOM: Final = 0.1  # m; the robot moves nearer by the arm's miss and this distance
 _LONGER: Final = 10.0  # factor of a limit
 NONE: Final = "none"
 _FLUENT: Final = "fluent:"
 _COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
 _JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # a fluent that follows a joint
-_BEYOND: Final = 0.01  # by which a number is beyond a bound, also as a share of it
-_WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls that return nothing, besides setters
+_BEYOND: Final = 0.01  # a number exceeds a bound by this amount, or by this share of the bound
+_WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls without a result, in addition to setters
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A fork without a cause."""
+    """A fork that takes a cause away."""
 
     step: int  # the last unchanged step
-    words: str  # the change in words
-    settings: tuple[str, ...] = ()  # as for ``fork --set``
-    answers: tuple[str, ...] = ()  # as for ``fork --answer``
+    words: str  # change in words
+    settings: tuple[str, ...] = ()  # values of ``fork --set``
+    answers: tuple[str, ...] = ()  # values of ``fork --answer``
     world: str = ""  # the world of the settings
-    decisive: bool = True  # whether the same failure refutes the cause; otherwise, only if it comes in all forks
-    needs: str = ""  # name of the motion that has to succeed because of the change; otherwise, the fork decides nothing
+    decisive: bool = True  # whether the same failure refutes the cause even in a single fork
+    needs: str = ""  # motion that must succeed because of the change; otherwise, the fork decides nothing
 
 
 @dataclass(frozen=True, slots=True)
 class TriedTrial:
-    """A fork that ran."""
+    """A finished fork."""
 
     trial: Trial
     verdict: str  # as of a proof
-    text: str  # the outcome in words
-    file: str = ""  # the fork's recording; "" if it wasn't kept
+    text: str  # outcome in words
+    file: str = ""  # recording of the fork; "" if it was deleted
 
 
 @dataclass(frozen=True, slots=True)
 class Proof:
     """The verdict on a cause."""
 
-    #: "confirmed" (without the cause, the failure doesn't come, or another failure comes later), "refuted" (without the
-    #: cause, the same failure comes), or "untested" (no fork decides it)
+    #: "confirmed" (without the cause, there is no failure, or another, later failure), "refuted" (without the cause,
+    #: the same failure comes), or "untested" (no fork decides)
     verdict: str
     text: str  # the verdict in words
     forks: tuple[TriedTrial, ...] = ()
@@ -80,7 +80,7 @@ CONFIRMED, REFUTED, UNTESTED = "confirmed", "refuted", "untested"
 
 
 def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
-    """Yield the trial that undoes a change right after it; other changes may have the same effect."""
+    """Yield the trial that undoes a change right after it. Other changes may have the same effect."""
     for trial in _undone(case, change):
         yield replace(trial, decisive=False)
 
@@ -107,7 +107,7 @@ def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
 
 
 def restored(case: FailureCase, names: Sequence[str], then: int, step: int, words: str = "") -> Iterator[Trial]:
-    """Yield the trial that puts bodies and their joints after a step to their state at an earlier step."""
+    """Yield the trial that gives bodies and their joints the state of an earlier step."""
     poses: dict[str, object] = {}
     joints: dict[str, object] = {}
     for name in names:
@@ -120,11 +120,11 @@ def restored(case: FailureCase, names: Sequence[str], then: int, step: int, word
         joints |= {f"{written(name)}.{joint}": body.joints[joint] for joint in changed}
     if poses or joints:
         where = f"{phrases.names(names)} {'is' if len(names) == 1 else 'are'} as at step {then}"
-        yield _set(case, step, words or where, joints | poses)  # what joints carry along is put back after them
+        yield _set(case, step, words or where, joints | poses)  # joints first, because they carry bodies along
 
 
 def _changed_by(case: FailureCase, change: CausingChange) -> list[str]:
-    """Return the bodies that a change moved; the commanded body comes first."""
+    """Return the bodies that a change moved, the commanded body first."""
     record = case.log[change.step]
     moved = [each.body for each in record.effect.bodies] if isinstance(record, Mutation) else []
     owner = commanded(record) if isinstance(record, Mutation) else ""
@@ -138,7 +138,7 @@ def placed(case: FailureCase, body: str, position: Sequence[float], step: int | 
 
 
 def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Trial]:
-    """Yield the trial without a body in the way: it is moved far away."""
+    """Yield the trial with an obstacle far away."""
     if case.free_body(body) is None or case.world is None:
         return
     x, y, z = case.world.bodies[body].position
@@ -149,7 +149,7 @@ def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Tria
 
 
 def freed(case: FailureCase, body: str) -> Iterator[Trial]:
-    """Yield the trial in which nothing holds a body; if the motion isn't about the body, it is far away."""
+    """Yield the trial in which nothing holds a body. A body that the motion doesn't need is moved far away."""
     if body in case.subjects:
         yield _set(case, _before(case), f"nothing holds {body}", {f"{written(body)}.hand": NONE})
     else:
@@ -228,8 +228,8 @@ def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
     """Yield the trial in which the condition of a wait becomes true: a single fluent, perhaps compared with a number.
 
     Args:
-        started: the record of the wait's start; its name is the condition.
-        values: the fluents in the condition.
+        started: The record of the wait's start, whose name is the condition.
+        values: The fluents in the condition.
     """
     compared = _COMPARED.fullmatch(started.name)
     leaf = compared[1] if compared else started.name
@@ -281,7 +281,7 @@ def _set(case: FailureCase, step: int, words: str, values: Mapping[str, object])
 
 
 def _before(case: FailureCase) -> int:
-    """Return the step at which the failed motion began; without a motion, the step before the failure."""
+    """Return the step at which the failed motion began, or without a motion the step before the failure."""
     return case.began if case.motion is not None else case.began - 1
 
 

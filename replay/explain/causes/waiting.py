@@ -1,4 +1,4 @@
-"""A deadline was missed, or the plan was interrupted: the pending tasks, and what could have ended the waits."""
+"""A deadline was missed, or the plan was interrupted: the pending tasks, and possible ends of their waits."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ _NO_LEAF: Final = "timeout"  # the only parameter of a wait that doesn't name a 
 _MAX_CHANGES: Final = 5
 _MAX_TASKS: Final = 10_000
 _SETTERS: Final = ("set_value", "pulse")
-_SIMULATED_TIME: Final = "simulated"  # value of a timeout's ``clock`` if the limit is in simulated time
+_SIMULATED_TIME: Final = "simulated"  # ``clock`` of a timeout in simulated time
 _MAX_TOOK: Final = 3
 _NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the signal
-_MAX_NAMED: Final = 3  # largest number of pending tasks that are named
+_MAX_NAMED: Final = 3  # at most this many pending tasks are named
 
 
 @dataclass(frozen=True, slots=True)
 class Fulfiller:
     """A line or task of the plan that could have made a fluent true."""
 
-    line: Line | None  # the line that sets the fluent; None if only a record shows it
-    task: Node | None  # the task that ran the line, or should have run it
+    line: Line | None  # the line that sets the fluent; None if only a record shows the setter
+    task: Node | None  # the task that ran the line or should have run the line
     step: int | None = None  # step of the task's last record that set the fluent; None without a record
     failed: Node | None = None  # the last failed motion in the task
     refused: Refusal | None = None  # the last refusal in the task
@@ -70,15 +70,15 @@ class Fulfiller:
 
 @dataclass(frozen=True, slots=True)
 class PendingTask:
-    """A task that hadn't ended when its part of the plan was stopped."""
+    """A task that was unfinished when its part of the plan was stopped."""
 
     task: Node  # a wait for a fluent, a motion, or another task
-    began: bool  # whether the task began; a task that hadn't begun waited for its turn or for parts of the robot
+    began: bool  # whether the task began; otherwise it waited for its turn or for parts of the robot
     line: Line | None  # the plan's line
-    values: Mapping[str, Plain] = field(default_factory=dict)  # for a wait: values of its fluents at the stop, by name
-    changed: tuple[int, ...] = ()  # for a wait: the last steps that set its fluents
-    fulfillers: tuple[Fulfiller, ...] = ()  # for a wait: possible setters of its fluents
-    holders: tuple[Node, ...] = ()  # for a motion that hadn't begun: the running motions
+    values: Mapping[str, Plain] = field(default_factory=dict)  # values of a wait's fluents at the stop by name
+    changed: tuple[int, ...] = ()  # last steps that set a wait's fluents
+    fulfillers: tuple[Fulfiller, ...] = ()  # possible setters of a wait's fluents
+    holders: tuple[Node, ...] = ()  # running motions, if this motion hadn't begun
 
     def __str__(self) -> str:
         if self.task.kind == "wait":
@@ -87,7 +87,7 @@ class PendingTask:
         return f"{'in' if self.began else 'waiting for the turn of'} {phrases.node(self.task)}"
 
     def steps(self) -> Iterator[int]:
-        """Yield the steps of its records."""
+        """Yield the steps of the task's records."""
         yield self.task.started.seq
         yield from self.changed
         for each in self.fulfillers:
@@ -143,8 +143,8 @@ class Timeout(Cause):
     clock: str  # "wall" or "simulated"
     pending: tuple[PendingTask, ...]  # the pending tasks at the deadline
     line: Line | None  # the plan's line at the stop
-    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first (by the limit's clock)
-    simulated: tuple[SimulatedLine, ...] = ()  # for a limit in simulated time: the lines that simulated longest
+    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first by the limit's clock
+    simulated: tuple[SimulatedLine, ...] = ()  # lines with the longest simulations, for a limit in simulated time
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
@@ -157,7 +157,7 @@ class Timeout(Cause):
             took = sorted(_ended(scope), key=lambda node: -_duration(node, clock))[:_MAX_TOOK]
             simulated = _longest_simulated(case, scope) if clock == _SIMULATED_TIME else ()
             stop = next((error for error in case.traced if error.type == "Cancelled" and error.lines), None)
-            line = case.line(stop.lines) if stop is not None else None  # the line that the deadline stopped
+            line = case.line(stop.lines) if stop is not None else None  # the deadline stopped this line
             yield _timeout(case, seconds, clock, doing, tuple(took), line, simulated)
             return
         for wait in list(answers(case))[-1:]:
@@ -192,7 +192,7 @@ class Timeout(Cause):
 
 @dataclass(frozen=True, slots=True)
 class Interruption(Cause):
-    """The plan was interrupted, or its process ended; neither is a failure of the plan."""
+    """The plan was interrupted, or its process ended."""
 
     kind = "interrupted"
     by: str  # "Ctrl-C", "SIGTERM"; "" if the process ended without closing its recording
@@ -236,7 +236,7 @@ def _interrupted(tree: Tree) -> list[Node]:
 
 
 def _tree(case: FailureCase, stop: int) -> Tree:
-    """Return the tasks before a step; if there are too many, only the last tasks."""
+    """Return the tasks before a step, or only the last tasks of many."""
     tree = Tree(limit=_MAX_TASKS)
     for record in case.log.records(Task, stop=stop):
         tree.apply(record)
@@ -244,7 +244,7 @@ def _tree(case: FailureCase, stop: int) -> Tree:
 
 
 def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
-    """Return the innermost tasks, in a tree or below a task, that were cancelled or never ended."""
+    """Return the innermost cancelled or unfinished tasks in a tree or below a task."""
     nodes = [node for _, node in (root.walk() if root is not None else tree.walk())]
 
     def is_open(node: Node) -> bool:
@@ -254,7 +254,7 @@ def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
 
 
 def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTask:
-    """Return a pending task as it was at a step; ``tree`` contains the concurrent tasks."""
+    """Return a pending task at a step. ``tree`` contains the parallel tasks."""
     line = case.line_of(node.asked or node.started)
     motion = node.motion if node.motion.kind == "motion" else node
     if node.kind == "wait":
@@ -276,7 +276,7 @@ def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTas
 def _values(
     case: FailureCase, leaves: Mapping[str, Plain], start: int, step: int
 ) -> tuple[dict[str, Plain], tuple[int, ...]]:
-    """Return the values of fluents at a step, and the last steps at or after ``start`` that set the fluents."""
+    """Return the values of fluents at a step, and the last steps from ``start`` on that set the fluents."""
     values, changed = dict(leaves), []
     for record in case.log.records(Fluent, start, step + 1):
         if record.name in leaves:
@@ -286,7 +286,7 @@ def _values(
 
 
 def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
-    """Yield the setters of the fluents in the plan's source; if there are none, yield the recorded setters."""
+    """Yield the setters of the fluents in the plan's source, or else the recorded setters."""
     found = False
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
@@ -376,7 +376,7 @@ def _is_in(number: int, task: Node) -> bool:
 
 
 def _ended(scope: Node) -> Iterator[Node]:
-    """Yield the tasks that ended within a scope, including tasks inside blocks that didn't end."""
+    """Yield the tasks that ended within a scope, also in unfinished blocks."""
     for node in scope.children:
         if node.status in (State.SUCCEEDED, State.FAILED):
             yield node
@@ -385,7 +385,7 @@ def _ended(scope: Node) -> Iterator[Node]:
 
 
 def _duration(node: Node, clock: str) -> float:
-    """Return the duration of a task by a clock, in s."""
+    """Return the duration of a task by a clock in s."""
     if clock == _SIMULATED_TIME and node.start is not None and node.end is not None:
         return node.end.sim_seconds - node.start.sim_seconds
     return node.seconds or 0.0

@@ -75,7 +75,7 @@ def test_nonsense_is_reported_with_its_step(tmp_path: Path, capsys: pytest.Captu
     log = write(tmp_path / "log.mcap", Query(name="x", answer_json="1"), record)
     assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
     printed = capsys.readouterr()
-    assert f"{log}: step 1 is damaged: it makes no sense: " in printed.err
+    assert f"{log}: step 1 is damaged: the content is inconsistent: " in printed.err
     assert not printed.out
     assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
 
@@ -84,7 +84,7 @@ def test_a_time_beyond_the_viewers_range_is_reported(tmp_path: Path, capsys: pyt
     log = write(tmp_path / "log.mcap", Query(world="w", name="x", answer_json="1", sim_step=2**62))
     assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
     printed = capsys.readouterr()
-    assert f"{log}: a record is damaged: it makes no sense: " in printed.err
+    assert f"{log}: a record is damaged: the content is inconsistent: " in printed.err
     assert not printed.out
     assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
 

@@ -123,5 +123,5 @@ def test_an_impossible_map_is_damage(
 ) -> None:
     log = write(tmp_path / "log.mcap", asked(**changes))
     assert main(["view", str(log), "--save", str(tmp_path / "log.rrd")]) == 3
-    assert "step 0 is damaged: it makes no sense: invalid " in capsys.readouterr().err
+    assert "step 0 is damaged: the content is inconsistent: invalid " in capsys.readouterr().err
     assert not (tmp_path / "log.rrd").exists()

@@ -177,7 +177,7 @@ def test_an_invalid_model_is_reported(tmp_path: Path, capsys: pytest.CaptureFixt
     sink.write("/task", Task(), b"")
     sink.close()
     assert main(["view", str(log), "--save", str(file)]) == 3
-    assert "cup.urdf is damaged: it makes no sense" in capsys.readouterr().err
+    assert "cup.urdf is damaged: the content is inconsistent" in capsys.readouterr().err
 
 
 def test_missing_models_are_reported_each_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
