@@ -37,14 +37,14 @@ _OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
     ast.In: (ast.NotIn,),
     ast.NotIn: (ast.In,),
 }
-_FAR: Final = 2.0  # cost of an edit that changes what the plan means more than a slip would
+_FAR: Final = 1.0  # cost of an edit that changes what the plan means more than a slip would
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Edit:
     """An edited plan."""
 
-    cost: float  # lower is more likely
+    cost: float  # lower is more likely; edits of the same kind have the same cost
     line: int  # number of the edited line
     what: str  # the edit, in words
     text: str  # the whole edited source
@@ -118,19 +118,19 @@ class Editor:
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
             value = node.value
             for number, factor in enumerate(_FACTORS if value else ()):
-                yield _number(value * factor), f"{value} times {factor:.3g}", 0.5 + 0.1 * number
-            yield f"{-value!r}", f"the sign of {value}", 0.7
+                yield _number(value * factor), f"{value} times {factor:.3g}", 0.3 + 0.1 * number + 0.4 * (number > 2)
+            yield f"{-value!r}", f"the sign of {value}", 0.5
             if isinstance(value, int):
                 for other in (value - 1, value + 1):
-                    yield repr(other), f"{other} instead of {value}", 0.6
+                    yield repr(other), f"{other} instead of {value}", 0.45
         elif isinstance(node, ast.Constant) and isinstance(node.value, str):
             fitting = set[str]().union(*(each for each in (*sets, *self._strings.values()) if node.value in each))
             for text in sorted(fitting - {node.value}):
-                yield repr(text), f"{text!r} instead of {node.value!r}", 0.6
+                yield repr(text), f"{text!r} instead of {node.value!r}", 0.4
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             fitting = set[str]().union(*(each for each in self._names.values() if node.id in each))
             for name in sorted(fitting - {node.id}):
-                yield name, f"{name} instead of {node.id}", 0.8
+                yield name, f"{name} instead of {node.id}", 0.6
 
     def _moves(self, statement: ast.stmt) -> Iterator[Edit]:
         """Yield the plan with a statement moved behind or before others of its block."""
@@ -155,7 +155,7 @@ class Editor:
         gaps = [lines[a.end_lineno or a.lineno : b.lineno - 1] for a, b in pairwise(block)]
         new = [line for each, gap in zip(order, [*gaps, []], strict=True) for line in (*parts[id(each)], *gap)]
         start, end = block[0].lineno - 1, block[-1].end_lineno or block[-1].lineno
-        return Edit(1.2, moved.lineno, f"line {moved.lineno} {where}", "".join([*lines[:start], *new, *lines[end:]]))
+        return Edit(0.7, moved.lineno, f"line {moved.lineno} {where}", "".join([*lines[:start], *new, *lines[end:]]))
 
     def _edit(self, node: ast.AST, new: str, what: str, cost: float) -> Edit:
         start, end = self._offset(node.lineno, node.col_offset), self._offset(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
@@ -172,11 +172,11 @@ def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:
     if isinstance(copy, ast.BinOp | ast.BoolOp):
         for kind in _OPPOSITE.get(type(copy.op), ()):
             copy.op = kind()  # type: ignore[assignment]
-            yield f"({ast.unparse(copy)})", f"{ast.unparse(node)} with another operator", 1.0
+            yield f"({ast.unparse(copy)})", f"{ast.unparse(node)} with another operator", 0.65
     elif isinstance(copy, ast.Compare) and len(copy.ops) == 1:
         for kind in _OPPOSITE.get(type(copy.ops[0]), ()):
             copy.ops = [kind()]  # type: ignore[list-item]
-            yield ast.unparse(copy), f"{ast.unparse(copy)} instead of {ast.unparse(node)}", 0.8
+            yield ast.unparse(copy), f"{ast.unparse(copy)} instead of {ast.unparse(node)}", 0.55
     elif isinstance(copy, ast.List | ast.Tuple) and 2 <= len(copy.elts) <= 4 and isinstance(copy.ctx, ast.Load):
         items = copy.elts
         orders = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
@@ -184,11 +184,11 @@ def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:
         for number, order in enumerate(orders):
             copy.elts = order
             text = ast.unparse(copy)
-            yield text, f"{text} instead of {ast.unparse(node)}", 0.6 if len(items) == 4 and number < 2 else 1.0
+            yield text, f"{text} instead of {ast.unparse(node)}", 0.35 if len(items) == 4 and number < 2 else 0.42
     elif isinstance(copy, ast.UnaryOp) and isinstance(copy.op, ast.Not):
-        yield f"({ast.unparse(copy.operand)})", f"without not: {ast.unparse(node)}", 0.8
+        yield f"({ast.unparse(copy.operand)})", f"without not: {ast.unparse(node)}", 0.56
     elif isinstance(node, ast.Name) and node.id == "par" and isinstance(node.ctx, ast.Load):
-        yield "seq", "seq instead of par", 0.8
+        yield "seq", "seq instead of par", 0.57
     elif isinstance(copy, ast.Call) and any(keyword.arg == "orientation" for keyword in copy.keywords):
         copy.keywords = [keyword for keyword in copy.keywords if keyword.arg != "orientation"]
         yield ast.unparse(copy), "without orientation", _FAR

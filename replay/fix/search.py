@@ -7,6 +7,7 @@ Each candidate is a whole run of an edited plan. Edits of the lines that made th
 from __future__ import annotations
 
 import math
+from collections import Counter
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -38,7 +39,8 @@ BUDGET: Final = 80
 CHECKS: Final = (5, 3)  # numbers of runs of a repair under other seeds, and with loose objects elsewhere
 _AWAY: Final = 0.1  # m; an object that a plan placed may end this far from its target
 _MAX_LINES: Final = 12  # largest number of lines that are edited
-_LATER: Final = 0.3  # cost for each line that is likelier
+_LATER: Final = 0.12  # cost for each line that is likelier
+_ANOTHER: Final = 0.8  # cost for each edit of the same kind on the same line
 _GOALS: Final = ("place", "transporting", "placing")
 
 
@@ -128,7 +130,10 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     edits: list[Edit] = []
     lines = _lines(trials, log, why, checked, editor)
     for rank, line in enumerate(lines):
-        edits += [replace(edit, cost=edit.cost + _LATER * rank) for edit in editor.edits(line, alternatives)]
+        kinds: Counter[float] = Counter()
+        for edit in editor.edits(line, alternatives):
+            edits.append(replace(edit, cost=edit.cost + _LATER * rank + _ANOTHER * kinds[edit.cost]))
+            kinds[edit.cost] += 1
     if lines:
         edits += editor.insertions(lines[0])
     seen: set[str] = set()
