@@ -60,7 +60,7 @@ def reference() -> str:
         parts += [f"### {each.type}\n", f"{each.text}\n", slots, *demands(each), f"Fails with {fails}.\n"]
     parts += ["## Objects and places\n"]
     for kind in (ObjectDesignator, LocationDesignator):
-        text = (inspect.getdoc(kind) or "").replace("``", "`")
+        text = inspect.getdoc(kind) or ""
         parts += [f"### {kind.__name__}\n", f"{text}\n", _table(kind.takes.slots), *demands(kind.takes)]
     parts += ["## Motions\n", _MOTIONS]
     for motion in MOTIONS.values():
@@ -70,7 +70,7 @@ def reference() -> str:
     # Failures are recorded under their public module, which isn't the file that defines them.
     source = "".join(file.read_text(encoding="utf-8") for file in Path(__file__).parent.rglob("*.py"))
     parts += ["## Failures\n", *(_failure(kind, source) for kind in sorted(failures, key=lambda kind: kind.__name__))]
-    return "\n".join(parts)
+    return "\n".join(parts).replace("``", "`")  # the docstrings are reStructuredText
 
 
 def _motion(motion: MotionType, module: ProcessModule) -> str:
