@@ -69,7 +69,7 @@ def test_every_module_can_be_imported(tmp_path: Path) -> None:
     assert {"recorder.mcap_sink", "replay.debug.stopped_plan", "pycram.sweeping"} <= set(ended.stdout.split())
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 def test_plans_are_recorded_and_read_and_what_needs_forks_is_refused_by_name(tmp_path: Path) -> None:
     def ended(module: str, *arguments: object) -> tuple[int, str]:
         process = run(COMMAND, module, *arguments, folder=tmp_path)

@@ -15,7 +15,7 @@ from tests.faults.kinds import KINDS, faults
 SOURCES = sorted(benchmark.PLANS.glob("*.py"))
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 @pytest.mark.parametrize("source", SOURCES, ids=lambda each: each.stem)
 def test_plans_work_without_a_fault(source: Path, tmp_path: Path) -> None:
     plan = tmp_path / source.name
