@@ -26,6 +26,7 @@ R = TypeVar("R")
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the copy's path."""
+    parser.epilog = "For a plan that fails, see fix."
     add_output(parser, "sound")
 
 
