@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
-    from replay.fix.search import Found
+    from replay.fix.search import SearchResult
     from replay.fix.trials import Trials
     from replay.recording import Recording
 
@@ -41,13 +41,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Search repairs, and print them; Ctrl-C ends the search and prints the repairs until then."""
-    from replay.fix.search import CHECKS, Found, search  # noqa: PLC0415  needs the executor
+    from replay.fix.search import CHECKS, SearchResult, search  # noqa: PLC0415  needs the executor
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
     folder = Path(options.keep)
     if not folder.is_dir():
         raise ReplayError(f"{folder}: no such folder; make it first")
-    found = Found("")
+    found = SearchResult("")
     with Trials(log, allow_effects=options.allow_effects) as trials:
         print_message(f"{trials.program.name} runs again, up to about {options.budget} times; {AGAIN}")
         try:
@@ -60,7 +60,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     return FINE if found.repairs else FAILED
 
 
-def _apply(trials: Trials, found: Found) -> None:
+def _apply(trials: Trials, found: SearchResult) -> None:
     plan = trials.program
     if not plan.is_file() or plan.read_text(encoding="utf-8") != trials.text:
         raise ReplayError(f"{plan}: it differs from the recorded source, so nothing was written")
@@ -70,7 +70,7 @@ def _apply(trials: Trials, found: Found) -> None:
     print_message(f"{plan} is repaired; the old plan is {kept}")
 
 
-def _data(trials: Trials, found: Found) -> dict[str, object]:
+def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
     repairs = [
         {
             "line": each.edit.line,
@@ -86,7 +86,7 @@ def _data(trials: Trials, found: Found) -> dict[str, object]:
     return asdict(found) | {"repairs": repairs}
 
 
-def _lines(trials: Trials, found: Found, checks: tuple[int, int]) -> Iterator[str]:
+def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iterator[str]:
     """Yield the repairs as text, the best first."""
     asked = f"asked: {found.asked}" if found.asked else "nothing was tried"
     count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"

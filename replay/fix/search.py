@@ -56,7 +56,7 @@ class Repair:
 
 
 @dataclass(slots=True)
-class Found:
+class SearchResult:
     """The result of a search."""
 
     asked: str  # what was asked of a repair, in words
@@ -67,7 +67,13 @@ class Found:
 
 
 def search(
-    trials: Trials, log: Recording, folder: Path, found: Found, *, holds: Sequence[str] = (), budget: int = BUDGET
+    trials: Trials,
+    log: Recording,
+    folder: Path,
+    found: SearchResult,
+    *,
+    holds: Sequence[str] = (),
+    budget: int = BUDGET,
 ) -> None:
     """Search repairs of a failed plan; results are added to ``found``, so that they stay after an interrupt.
 

@@ -76,7 +76,7 @@ class Version:
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class EditedRun:
     """A run of an edited plan."""
 
     ending: Ending
@@ -128,12 +128,12 @@ class Trials:
             raise ReplayError(f"the plan doesn't end as recorded: now {now}; was {recorded.ending.failure}")
         return self.reference
 
-    def one(self, text: str, file: Path | None = None) -> Trial:
+    def one(self, text: str, file: Path | None = None) -> EditedRun:
         """Run one version, and record it if a file is given."""
         ((_, trial),) = self.all([Version(text, file)])
         return trial
 
-    def all(self, versions: Iterable[Version]) -> Generator[tuple[int, Trial], None, None]:
+    def all(self, versions: Iterable[Version]) -> Generator[tuple[int, EditedRun], None, None]:
         """Run versions in parallel; yield index and trial when a run ends. Closing the generator kills the others."""
         pool: ChildPool[tuple[int, Version]] = ChildPool(usable_cores(), self._limit, GRACE)
 
@@ -152,7 +152,7 @@ class Trials:
                 ending = Ending(**answer["ending"]) if answer else Ending("died", f"its process {result.how}")
                 if result.late:
                     ending = Ending("time limit", f"it was still running after {self._limit:.0f} s")
-                yield index, Trial(ending, result.seconds, version.file)
+                yield index, EditedRun(ending, result.seconds, version.file)
 
     def _answer(self, plan: Path, version: Version) -> bytes:
         """Run a plan in this child process; return its ending as JSON."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
     from typing import TypeAlias
 
-    from replay.origins.noting import Note, Notes
+    from replay.origins.noting import Note, ValueNotes
 
 _MAX_FACTS: Final = 400  # largest number of facts of a value
 _MAX_SEARCHED: Final = 64  # largest number of evaluations of an expression that are searched
@@ -30,7 +30,7 @@ _PLAIN: Final = (bool, int, float, str, type(None), list, tuple, dict)
 _COMPREHENSIONS: Final = ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp
 
 
-class Place(NamedTuple):
+class Evaluation(NamedTuple):
     """Where and when an expression was evaluated."""
 
     frame: int
@@ -43,7 +43,7 @@ Facts: TypeAlias = "Iterator[Origin]"
 class Tracer:
     """Follows values back, in the notes of a run."""
 
-    def __init__(self, notes: Notes) -> None:
+    def __init__(self, notes: ValueNotes) -> None:
         self._notes = notes
         self._numbers = {id(node): number for number, (_, node) in enumerate(notes.nodes)}
         self._around = {
@@ -112,7 +112,7 @@ class Tracer:
     def call(self, note: Note) -> Origin:
         """Return a call of the plan, with its arguments, and the conditions that led to it."""
         self._begin()
-        node, place = self._node(note), Place(note.frame, note.time)
+        node, place = self._node(note), Evaluation(note.frame, note.time)
         facts = [
             *self._arguments(note),
             *self._receivers(node, place),
@@ -121,7 +121,7 @@ class Tracer:
         ]
         outer = note.parent
         while outer is not None:
-            facts += self._conditions(self._node(outer), Place(outer.frame, outer.time))
+            facts += self._conditions(self._node(outer), Evaluation(outer.frame, outer.time))
             outer = outer.parent
         return self._fact("call", node, ast.unparse(node.func), note.result, note.step, facts)
 
@@ -132,7 +132,7 @@ class Tracer:
         found = [each for each in every if isinstance(each, ast.stmt) and each.lineno <= line <= (each.end_lineno or 0)]
         if not found:
             return None
-        statement, place = found[-1], Place(frame, len(self._notes.all))
+        statement, place = found[-1], Evaluation(frame, len(self._notes.all))
         within = {self._numbers[id(each)] for each in ast.walk(statement) if id(each) in self._numbers}
         others = (note.time for note in reversed(self._notes.all) if note.frame == frame and note.number not in within)
         self._latest = within, next(others, -1)  # parts that weren't reached have older notes
@@ -146,7 +146,7 @@ class Tracer:
         self._seen.clear()
         self._count, self._latest = 0, (set(), -1)
 
-    def _before(self, node: ast.AST, place: Place) -> Facts:
+    def _before(self, node: ast.AST, place: Evaluation) -> Facts:
         """Yield the calls in the statements just before a node, nearest first."""
         statement = next(each for each in (node, *self._parents(node)) if isinstance(each, ast.stmt))
         around = self._around.get(id(statement))
@@ -157,7 +157,7 @@ class Tracer:
             if isinstance(called, ast.Call) and (note := self._noted(called, place)) is not None:
                 yield self._fact("before", called, ast.unparse(called.func), note.result, note.step)
 
-    def _conditions(self, node: ast.AST, place: Place) -> Facts:
+    def _conditions(self, node: ast.AST, place: Evaluation) -> Facts:
         """Yield the conditions of the branches and loops around a node, innermost first."""
         inner: ast.AST = node
         for around in self._parents(node):
@@ -167,7 +167,7 @@ class Tracer:
                 yield from self._condition(around.test, place)
             inner = around
 
-    def _condition(self, test: ast.expr, place: Place) -> Facts:
+    def _condition(self, test: ast.expr, place: Evaluation) -> Facts:
         held = None if "__name__" in ast.unparse(test) else self.value(test, place)
         if held is not None and not self._is_known(self._numbers[id(test)], str(place.frame)):
             parts = self._inputs(test, place)
@@ -180,7 +180,7 @@ class Tracer:
 
     # --- values ---------------------------------------------------------------------------------------------------
 
-    def _noted(self, node: ast.AST, place: Place) -> Note | None:
+    def _noted(self, node: ast.AST, place: Evaluation) -> Note | None:
         """Return the last note of a node at a place; comprehensions and functions within it have other frames."""
         number, since = self._numbers[id(node)], self._latest[1]
         notes = self._of_node.get(number, [])
@@ -191,7 +191,7 @@ class Tracer:
         found = next((note for note in reversed(some) if inner or note.frame == place.frame), None)
         return None if found is None or (number in self._latest[0] and found.time < since) else found
 
-    def value(self, node: ast.AST, place: Place) -> Held | None:
+    def value(self, node: ast.AST, place: Evaluation) -> Held | None:
         """Return the value of an expression at a place; None if it is unknown."""
         held = None
         if isinstance(node, ast.Constant):
@@ -206,7 +206,7 @@ class Tracer:
             held = note.result if note.kind != "bind" else note.values[0]
         return held
 
-    def _bind(self, node: ast.Name, place: Place) -> tuple[Note, int] | None:
+    def _bind(self, node: ast.Name, place: Evaluation) -> tuple[Note, int] | None:
         """Return the note that gave a name its value, and the index of its value."""
         functions = 0
         for around in self._parents(node):
@@ -244,11 +244,11 @@ class Tracer:
 
     # --- what a value was made from ----------------------------------------------------------------------------------
 
-    def _inputs(self, node: ast.AST, place: Place) -> Facts:
+    def _inputs(self, node: ast.AST, place: Evaluation) -> Facts:
         """Yield the facts about the parts of an expression."""
         if self._count >= _MAX_FACTS or (isinstance(node, ast.Lambda | ast.stmt) and hasattr(node, "body")):
             return
-        following: dict[type, Callable[[Any, Place], Facts]] = {
+        following: dict[type, Callable[[Any, Evaluation], Facts]] = {
             ast.Name: self._name, ast.Attribute: self._attribute, ast.Subscript: self._item, ast.Call: self._called,
         }  # fmt: skip
         if type(node) in following and isinstance(getattr(node, "ctx", None), ast.Load | None):
@@ -267,16 +267,16 @@ class Tracer:
             for each in ast.iter_child_nodes(node):
                 yield from self._inputs(each.iter if isinstance(each, ast.comprehension) else each, place)
 
-    def _name(self, node: ast.Name, place: Place) -> Facts:
+    def _name(self, node: ast.Name, place: Evaluation) -> Facts:
         bound = self._bind(node, place)
         yield from self._bound(node.id, *bound, place) if bound is not None else ()
 
-    def _bound(self, name: str, note: Note, at: int, place: Place) -> Facts:
+    def _bound(self, name: str, note: Note, at: int, place: Evaluation) -> Facts:
         """Yield how a name got its value, and later changes of this value."""
         node, held = self._node(note), note.values[at]
         if isinstance(held.ref, ModuleType | type | FunctionType) or self._is_known(note.time, name):
             return
-        before = Place(note.frame, note.time)
+        before = Evaluation(note.frame, note.time)
         parts = [*self._changed(held.ref, note.time, place.time), *self._conditions(node, before)]
         if isinstance(node, FUNCTIONS):
             yield from self._argument(name, note, held, parts)
@@ -301,7 +301,7 @@ class Tracer:
         remark = remark or self._rounding(source, before)
         yield self._fact(kind, located, name, held, note.step, joined(parts, made), remark=remark)
 
-    def _remark(self, name: str, note: Note, place: Place) -> str:
+    def _remark(self, name: str, note: Note, place: Evaluation) -> str:
         """Return what is unusual about a name: it outlived its loop, or hides another one."""
         node, code = self._node(note), self._notes.codes[note.frame]
         if isinstance(node, ast.For) and note.frame != place.frame:
@@ -311,7 +311,7 @@ class Tracer:
             return f"hides {name} of line {getattr(self._node(outer[0]), 'lineno', 0)}"
         return ""
 
-    def _rounding(self, source: ast.AST | None, place: Place) -> str:
+    def _rounding(self, source: ast.AST | None, place: Evaluation) -> str:
         for each in ast.walk(source) if source is not None else ():
             if isinstance(each, ast.BinOp) and isinstance(each.op, ast.FloorDiv):
                 values = [self.value(side, place) for side in (each.left, each.right)]
@@ -328,7 +328,7 @@ class Tracer:
                 yield self._fact("argument", self._node(call), name, held, note.step, changes)
             return
         passed = self._node(call)
-        before = Place(call.frame, call.time)
+        before = Evaluation(call.frame, call.time)
         names = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
         shift = 1 if isinstance(call.function, MethodType | type) else 0
         given = next((each.value for each in passed.keywords if each.arg == name), None)
@@ -347,7 +347,7 @@ class Tracer:
         default = _default(node, name)
         if given is None and default is not None and not rest:
             changes = [*changes, *self._changed(held.ref, -1, note.time)]
-            made = self._inputs(default, Place(note.frame, note.time))
+            made = self._inputs(default, Evaluation(note.frame, note.time))
             kept = "kept from earlier calls" if changes else ""
             yield self._fact("default", default, name, held, note.step, joined(changes, made), remark=kept)
             return
@@ -369,20 +369,20 @@ class Tracer:
             if self._is_known(note.time, "change"):
                 continue
             called = note.kind == "call"
-            inner = self._arguments(note) if called else self._inputs(node.value, Place(note.frame, note.time))
+            inner = self._arguments(note) if called else self._inputs(node.value, Evaluation(note.frame, note.time))
             target = node.func.value if called else getattr(node, "target", None) or node.targets[0]
             yield self._fact("change", node, ast.unparse(target), None, note.step, inner)
 
     def _arguments(self, note: Note) -> Facts:
         node = self._node(note)
         for each in (*node.args, *(keyword.value for keyword in node.keywords)):
-            yield from self._inputs(each, Place(note.frame, note.time))
+            yield from self._inputs(each, Evaluation(note.frame, note.time))
 
-    def _receivers(self, node: ast.Call, place: Place) -> Facts:
+    def _receivers(self, node: ast.Call, place: Evaluation) -> Facts:
         if isinstance(node.func, ast.Attribute):
             yield from self._inputs(node.func.value, place)
 
-    def _called(self, node: ast.Call, place: Place) -> Facts:
+    def _called(self, node: ast.Call, place: Evaluation) -> Facts:
         """Yield what a call returned, or what was made from its arguments."""
         note = self._noted(node, place)
         if note is None:
@@ -394,7 +394,7 @@ class Tracer:
         name = ast.unparse(node)
         if (returned := self._returns.get(note.time)) is not None:
             if not self._is_known(returned.time, "return"):
-                place = Place(returned.frame, note.end)
+                place = Evaluation(returned.frame, note.end)
                 made = self._node(returned)
                 made = made.body if isinstance(made, ast.Lambda) else made.value
                 parts = joined(self._inputs(made, place), self._conditions(self._node(returned), place))
@@ -408,7 +408,7 @@ class Tracer:
         else:
             yield from inner
 
-    def _attribute(self, node: ast.Attribute, place: Place) -> Facts:
+    def _attribute(self, node: ast.Attribute, place: Evaluation) -> Facts:
         note, owner = self._noted(node, place), self.value(node.value, place)
         held = None if note is None else note.result
         if owner is None or held is None or note is None:
@@ -428,12 +428,12 @@ class Tracer:
         yield from stores[:1] or self._field(node, name, owner.ref, held, place)
         yield from self._inputs(node.value, place)
 
-    def _field(self, node: ast.Attribute, name: str, owner: Any, held: Held, place: Place) -> Facts:
+    def _field(self, node: ast.Attribute, name: str, owner: Any, held: Held, place: Evaluation) -> Facts:
         """Yield how an attribute of the plan's own object, or a class's attribute, got its value."""
         made = self._made.get(id(owner))
         fields: list[str] = [*getattr(owner, "__dataclass_fields__", getattr(owner, "_fields", ()))]
         if made is not None and node.attr in fields:
-            call, before = self._node(made), Place(made.frame, made.time)
+            call, before = self._node(made), Evaluation(made.frame, made.time)
             index = fields.index(node.attr)
             given = next((each.value for each in call.keywords if each.arg == node.attr), None)
             given = given or (call.args[index] if index < len(call.args) else None)
@@ -445,11 +445,11 @@ class Tracer:
             if isinstance(each, ast.ClassDef) and each.name in names and file:
                 for statement in each.body:
                     if node.attr in bound_names(statement) and getattr(statement, "value", None) is not None:
-                        parts = self._inputs(statement, Place(-1, place.time))
+                        parts = self._inputs(statement, Evaluation(-1, place.time))
                         yield self._fact("default" if made else "value", statement, name, held, -1, parts)
                         return
 
-    def _item(self, node: ast.Subscript, place: Place) -> Facts:
+    def _item(self, node: ast.Subscript, place: Evaluation) -> Facts:
         note, owner, key = self._noted(node, place), self.value(node.value, place), self.value(node.slice, place)
         held = None if note is None else note.result
         if owner is not None and key is not None and held is not None:
@@ -471,17 +471,17 @@ class Tracer:
         yield from self._inputs(node.value, place)
         yield from self._inputs(node.slice, place)
 
-    def _definition(self, node: ast.AST, place: Place) -> tuple[ast.AST, Place]:
+    def _definition(self, node: ast.AST, place: Evaluation) -> tuple[ast.AST, Evaluation]:
         """Return the expression that a name was set to, and where."""
         while isinstance(node, ast.Name):
             bound = self._bind(node, place)
             source = None if bound is None else getattr(self._node(bound[0]), "value", None)
             if bound is None or source is None:
                 break
-            place, node = Place(bound[0].frame, bound[0].time), source
+            place, node = Evaluation(bound[0].frame, bound[0].time), source
         return node, place
 
-    def _literal(self, node: ast.AST, key: Any, place: Place) -> tuple[ast.expr, Place] | None:
+    def _literal(self, node: ast.AST, key: Any, place: Evaluation) -> tuple[ast.expr, Evaluation] | None:
         """Return the written element of a container that has a key or an index."""
         found, at = self._definition(node, place)
         if (
@@ -496,7 +496,7 @@ class Tracer:
             return (matching[-1], at) if matching else None
         return None
 
-    def _element(self, node: ast.AST, held: Held, place: Place) -> ast.expr | None:
+    def _element(self, node: ast.AST, held: Held, place: Evaluation) -> ast.expr | None:
         """Return the written element of a container that an iteration took."""
         found, at = self._definition(node, place)
         elements = found.elts if isinstance(found, ast.List | ast.Tuple) else []

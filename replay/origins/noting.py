@@ -1,6 +1,6 @@
-"""Notes the values of a running plan: of names, calls, attributes, items, conditions and returns.
+"""ValueNotes the values of a running plan: of names, calls, attributes, items, conditions and returns.
 
-The plan's files are compiled with calls of :class:`Notes` around these expressions. Values, lines and names of the plan
+The plan's files are compiled with calls of :class:`ValueNotes` around these expressions. Values, lines and names of the plan
 stay the same, so the plan makes the same records.
 """
 
@@ -95,7 +95,7 @@ class Note:
         self.end, self.last_step = sys.maxsize, step
 
 
-class Notes:
+class ValueNotes:
     """The notes of a run, in order."""
 
     def __init__(self, is_plan: Callable[[str], bool]) -> None:
@@ -229,7 +229,7 @@ def bound_names(node: ast.AST) -> list[str]:
 
 
 class _Noting(ast.NodeTransformer):
-    """Adds calls of :class:`Notes` to a tree."""
+    """Adds calls of :class:`ValueNotes` to a tree."""
 
     def __init__(self, numbers: dict[int, int]) -> None:
         self._numbers = numbers

@@ -58,7 +58,7 @@ class Origin:
 
 
 @dataclass(frozen=True, slots=True)
-class Guess:
+class PossibleMistake:
     """A mistake that would explain a number."""
 
     text: str
@@ -79,7 +79,7 @@ class Origins:
     earlier: tuple[Origin, ...]  # calls of the plan that led to it
     program: str  # the plan's file; lines of other files come later
     decided: int = 0  # how many of these made a cause that explains the failure
-    guesses: tuple[Guess, ...] = ()
+    guesses: tuple[PossibleMistake, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
 
     def lines_of(self, name: str) -> list[int]:

@@ -12,7 +12,7 @@ from recorder import geometry
 from replay.errors import NoSuchName
 from replay.history.blame import blame
 from replay.history.source import PlanSource
-from replay.origins.origin import Guess
+from replay.origins.origin import PossibleMistake
 from replay.report import phrases
 from replay.state.fold import state_at
 
@@ -65,7 +65,7 @@ def _moved_since(log: RecordReader, origin: Origin, why: Why) -> str:
     )
 
 
-def guesses(why: Why, failed: Origin | None) -> Iterator[Guess]:
+def guesses(why: Why, failed: Origin | None) -> Iterator[PossibleMistake]:
     """Yield mistakes that would explain a number of the failed call, each because of numbers of the scene."""
     if failed is None or why.world is None or why.task is None:
         return
@@ -91,11 +91,11 @@ def _vector(value: Plain) -> list[float]:
     return [float(each) for each in value] if plain else []  # type: ignore[union-attr, arg-type]
 
 
-def _guess(text: str, numbers: Sequence[float], facts: Sequence[Origin]) -> Guess:
+def _guess(text: str, numbers: Sequence[float], facts: Sequence[Origin]) -> PossibleMistake:
     """Return a guess at the line that made the numbers: the deepest of those that have them."""
     fitting = [each for each in facts if isinstance(each.number, list) and _near(each.number, numbers)]
     line = fitting[-1] if fitting else facts[0]
-    return Guess(text, *line.place)
+    return PossibleMistake(text, *line.place)
 
 
 def _near(one: Sequence[Any], other: Sequence[float], within: float = _MOVED) -> bool:
@@ -129,7 +129,9 @@ def _of_rotation(rotation: Sequence[float], _: Sequence[Body], __: World) -> str
     return f"has w first; in the order x, y, z, w it tilts by {phrases.degrees(2 * math.acos(min(1.0, abs(w))))}"
 
 
-def _scaled(name: str, position: Sequence[float], bodies: Sequence[Body], facts: Sequence[Origin]) -> Iterator[Guess]:
+def _scaled(
+    name: str, position: Sequence[float], bodies: Sequence[Body], facts: Sequence[Origin]
+) -> Iterator[PossibleMistake]:
     """Yield the number of a line that would be a length like all others, if it were in another unit."""
     known = [part for body in bodies for part in body.position]
     limit = max(map(abs, known), default=0.0) + _ROOM
@@ -139,7 +141,9 @@ def _scaled(name: str, position: Sequence[float], bodies: Sequence[Body], facts:
                 number = float(text)
                 if number >= scale / _LEAST and abs(part - number + number / scale) < limit:
                     size = phrases.length(number / scale)
-                    yield Guess(f"{text} is in {unit} ({size}): {name} has {phrases.number(part)} m", *each.place)
+                    yield PossibleMistake(
+                        f"{text} is in {unit} ({size}): {name} has {phrases.number(part)} m", *each.place
+                    )
                     return
 
 

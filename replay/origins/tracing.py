@@ -13,7 +13,7 @@ from pycram.projection.child import die_with
 from recorder.records import Run, Task
 from recorder.tracing.journal import NullSink
 from replay.origins.chain import Tracer, nearest
-from replay.origins.noting import Notes
+from replay.origins.noting import ValueNotes
 from replay.retrace.guided_run import GuidedRun
 from replay.retrace.plan_process import Guidance
 
@@ -26,14 +26,14 @@ _MAX_FACTS = 40  # largest number of facts about a step
 
 
 class _NotingSink(NullSink):
-    """Notes which calls of the plan run at certain steps, and ends the process after the last of these steps."""
+    """ValueNotes which calls of the plan run at certain steps, and ends the process after the last of these steps."""
 
     def __init__(self, guidance: Guidance, folder: Path, steps: list[int], result: str) -> None:
         own = str(Path(json.loads(sys.argv[1])["plan"]).parent)
         packages = tuple(
             str(Path(sys.modules[name].__file__ or "").parent) + os.sep for name in ("pycram", "recorder", "replay")
         )
-        self.notes = Notes(
+        self.notes = ValueNotes(
             lambda file: file.startswith(own) and "site-packages" not in file and not file.startswith(packages)
         )
         self.guided = GuidedRun(guidance, folder, self._report, self._refuse)
