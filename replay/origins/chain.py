@@ -8,7 +8,7 @@ import math
 from bisect import bisect_right
 from collections import defaultdict, deque
 from itertools import chain as joined
-from types import FunctionType, MethodType, ModuleType
+from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pycram.world.object import Object
@@ -17,10 +17,12 @@ from replay.origins.noting import FUNCTIONS, Held, bound_names
 from replay.origins.origin import Origin
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator
     from typing import TypeAlias
 
     from replay.origins.noting import Note, ValueNotes
+
+    Facts: TypeAlias = Iterator[Origin]
 
 _MAX_FACTS: Final = 400  # largest number of facts of a value
 _MAX_SEARCHED: Final = 64  # largest number of evaluations of an expression that are searched
@@ -35,9 +37,6 @@ class Evaluation(NamedTuple):
 
     frame: int
     time: int
-
-
-Facts: TypeAlias = "Iterator[Origin]"
 
 
 class Tracer:
@@ -67,13 +66,11 @@ class Tracer:
         code = self._notes.codes[note.frame]
         if code.co_name == "<module>":
             self._modules.setdefault(code.co_filename, note.frame)
+        if note.parent is not None and (note.kind == "return" or isinstance(node, ast.Lambda)):
+            self._returns[note.parent.time] = note
         if note.kind == "bind":
-            if isinstance(node, ast.Lambda) and note.parent is not None:
-                self._returns.setdefault(note.parent.time, note)
             for at, name in enumerate(bound_names(node)):
                 self._binds[note.frame, name].append((note.time, note, at))
-        elif note.kind == "return" and note.parent is not None:
-            self._returns[note.parent.time] = note
         elif note.kind == "store":
             self._changes[id(note.values[0].ref)].append(note)
         elif note.kind == "call":
@@ -114,8 +111,7 @@ class Tracer:
         self._begin()
         node, place = self._node(note), Evaluation(note.frame, note.time)
         facts = [
-            *self._arguments(note),
-            *self._receivers(node, place),
+            *self._arguments(node, place),
             *self._conditions(node, place),
             *self._before(node, place),
         ]
@@ -193,18 +189,16 @@ class Tracer:
 
     def value(self, node: ast.AST, place: Evaluation) -> Held | None:
         """Return the value of an expression at a place; None if it is unknown."""
-        held = None
         if isinstance(node, ast.Constant):
-            held = Held(node.value)
-        elif isinstance(node, ast.Name):
+            return Held(node.value)
+        if isinstance(node, ast.Name):
             bound = self._bind(node, place)
-            held = None if bound is None else bound[0].values[bound[1]]
-        elif isinstance(node, ast.List | ast.Tuple):
+            return None if bound is None else bound[0].values[bound[1]]
+        if isinstance(node, ast.List | ast.Tuple):
             parts = [self.value(each, place) for each in node.elts]
-            held = None if None in parts else Held([each.copy for each in parts if each is not None])
-        elif (note := self._noted(node, place)) is not None:
-            held = note.result if note.kind != "bind" else note.values[0]
-        return held
+            return None if None in parts else Held([each.copy for each in parts if each is not None])
+        note = self._noted(node, place)
+        return None if note is None else note.result
 
     def _bind(self, node: ast.Name, place: Evaluation) -> tuple[Note, int] | None:
         """Return the note that gave a name its value, and the index of its value."""
@@ -284,8 +278,10 @@ class Tracer:
         kind, source, remark = "value", getattr(node, "value", None), self._remark(name, note, place)
         if isinstance(node, ast.For | ast.AsyncFor | ast.comprehension):
             kind, source = "item", node.iter
-            element = self._element(node.iter, held, before)
-            if element is not None:
+            written = {value: self.value(value, before) for _, value in self._written(node.iter, before)[0]}
+            elements = [each for each, value in written.items() if value and _same(value.copy, held.copy)]
+            if len(elements) == 1:
+                (element,) = elements
                 inner = joined(parts, self._inputs(element, before))
                 yield self._fact(kind, element, name, held, note.step, inner, remark=remark)
                 return
@@ -323,39 +319,23 @@ class Tracer:
     def _argument(self, name: str, note: Note, held: Held, changes: list[Origin]) -> Facts:
         """Yield how a function got an argument."""
         node, call = self._node(note), note.parent
-        if call is None or not _runs(call.function, self._notes.codes[note.frame]):
-            if call is not None:
-                yield self._fact("argument", self._node(call), name, held, note.step, changes)
+        if call is None:
             return
-        passed = self._node(call)
-        before = Evaluation(call.frame, call.time)
-        names = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
-        shift = 1 if isinstance(call.function, MethodType | type) else 0
-        given = next((each.value for each in passed.keywords if each.arg == name), None)
-        if given is None and name in names:
-            index = names.index(name) - shift
-            starred = any(isinstance(each, ast.Starred) for each in passed.args)
-            given = passed.args[index] if 0 <= index < len(passed.args) and not starred else None
-        packed = [each for each in passed.keywords if each.arg is None]
-        rest: Sequence[ast.AST] = [*packed, *(each for each in passed.args if isinstance(each, ast.Starred))]
-        if given is not None:
-            rest = [given]
-        elif node.args.kwarg is not None and node.args.kwarg.arg == name:
-            rest = [each for each in passed.keywords if each.arg not in names]
-        elif node.args.vararg is not None and node.args.vararg.arg == name:
-            rest = passed.args
+        passed, before = self._node(call), Evaluation(call.frame, call.time)
+        direct = _runs(call.function, self._notes.codes[note.frame])
+        given = _given(passed, call.function, name) if direct else []
         default = _default(node, name)
-        if given is None and default is not None and not rest:
+        inner = joined.from_iterable(self._inputs(each, before) for each in given)
+        if direct and default is not None and not given:
             changes = [*changes, *self._changed(held.ref, -1, note.time)]
             made = self._inputs(default, Evaluation(note.frame, note.time))
             kept = "kept from earlier calls" if changes else ""
             yield self._fact("default", default, name, held, note.step, joined(changes, made), remark=kept)
-            return
-        inner = joined.from_iterable(self._inputs(each, before) for each in rest)
-        if isinstance(given, ast.Name) and given.id == name:
+        elif len(given) == 1 and isinstance(given[0], ast.Name) and given[0].id == name:
             yield from joined(changes, inner)  # the caller has the same name for it
         else:
-            yield self._fact("argument", given or passed, name, held, note.step, joined(changes, inner))
+            located = given[0] if len(given) == 1 else passed
+            yield self._fact("argument", located, name, held, note.step, joined(changes, inner))
 
     def _changed(self, ref: Any, since: int, until: int, key: Any = None) -> Facts:
         """Yield the last changes of a container or object between two moments."""
@@ -369,25 +349,22 @@ class Tracer:
             if self._is_known(note.time, "change"):
                 continue
             called = note.kind == "call"
-            inner = self._arguments(note) if called else self._inputs(node.value, Evaluation(note.frame, note.time))
+            at = Evaluation(note.frame, note.time)
+            inner = self._arguments(node, at, receiver=False) if called else self._inputs(node.value, at)
             target = node.func.value if called else getattr(node, "target", None) or node.targets[0]
             yield self._fact("change", node, ast.unparse(target), None, note.step, inner)
 
-    def _arguments(self, note: Note) -> Facts:
-        node = self._node(note)
-        for each in (*node.args, *(keyword.value for keyword in node.keywords)):
-            yield from self._inputs(each, Evaluation(note.frame, note.time))
-
-    def _receivers(self, node: ast.Call, place: Evaluation) -> Facts:
-        if isinstance(node.func, ast.Attribute):
+    def _arguments(self, node: ast.Call, place: Evaluation, *, receiver: bool = True) -> Facts:
+        for each in (*node.args, *node.keywords):
+            yield from self._inputs(each, place)
+        if receiver and isinstance(node.func, ast.Attribute):
             yield from self._inputs(node.func.value, place)
 
     def _called(self, node: ast.Call, place: Evaluation) -> Facts:
         """Yield what a call returned, or what was made from its arguments."""
         note = self._noted(node, place)
         if note is None:
-            for each in (*node.args, *node.keywords):
-                yield from self._inputs(each, place)
+            yield from self._arguments(node, place, receiver=False)
             return
         function, owner = note.function, _receiver(note)
         module = str(getattr(function, "__module__", "") or type(owner).__module__)
@@ -400,7 +377,7 @@ class Tracer:
                 parts = joined(self._inputs(made, place), self._conditions(self._node(returned), place))
                 yield self._fact("returned", self._node(returned), name, note.result, note.last_step, parts)
             return
-        inner = joined(self._arguments(note), self._receivers(node, place))
+        inner = self._arguments(node, Evaluation(note.frame, note.time))
         if isinstance(owner, Object) and note.result is not None and _numbers_in(note.result.copy) is not None:
             yield self._fact("read", node, name, note.result, note.last_step, inner, body=owner.name)
         elif module.startswith(("pycram.reasoning", "pycram.bullet_world_reasoning")) or name.startswith("perform("):
@@ -431,14 +408,11 @@ class Tracer:
     def _field(self, node: ast.Attribute, name: str, owner: Any, held: Held, place: Evaluation) -> Facts:
         """Yield how an attribute of the plan's own object, or a class's attribute, got its value."""
         made = self._made.get(id(owner))
-        fields: list[str] = [*getattr(owner, "__dataclass_fields__", getattr(owner, "_fields", ()))]
-        if made is not None and node.attr in fields:
-            call, before = self._node(made), Evaluation(made.frame, made.time)
-            index = fields.index(node.attr)
-            given = next((each.value for each in call.keywords if each.arg == node.attr), None)
-            given = given or (call.args[index] if index < len(call.args) else None)
-            if given is not None:
-                yield self._fact("value", given, name, held, made.step, self._inputs(given, before))
+        if made is not None and isinstance(made.function, type):
+            given = _given(self._node(made), made.function, node.attr)
+            if len(given) == 1:
+                parts = self._inputs(given[0], Evaluation(made.frame, made.time))
+                yield self._fact("value", given[0], name, held, made.step, parts)
                 return
         names = {each.__name__ for each in (owner if isinstance(owner, type) else type(owner)).__mro__}
         for file, each in self._notes.nodes:
@@ -458,51 +432,27 @@ class Tracer:
                 yield from changed
                 yield from self._inputs(node.slice, place)
                 return
-            element = self._literal(node.value, key.copy, place)
-            if element is not None and not self._is_known(self._numbers[id(element[0])], ast.unparse(node)):
-                found, at = element
+            written, at = self._written(node.value, place)
+            element = next((value for each, value in reversed(written) if _same(each, key.copy)), None)
+            if element is not None and not self._is_known(self._numbers[id(element)], ast.unparse(node)):
                 name = ast.unparse(node)
                 if not isinstance(node.slice, ast.Constant):
                     name += f", {ast.unparse(node.slice)} = {shown(key.copy)}"
                 changes = self._changed(held.ref, at.time, place.time)
-                parts = joined(changes, self._inputs(node.slice, place), self._inputs(found, at))
-                yield self._fact("item", found, name, held, -1 if note is None else note.step, parts)
+                parts = joined(changes, self._inputs(node.slice, place), self._inputs(element, at))
+                yield self._fact("item", element, name, held, -1 if note is None else note.step, parts)
                 return
         yield from self._inputs(node.value, place)
         yield from self._inputs(node.slice, place)
 
-    def _definition(self, node: ast.AST, place: Evaluation) -> tuple[ast.AST, Evaluation]:
-        """Return the expression that a name was set to, and where."""
-        while isinstance(node, ast.Name):
-            bound = self._bind(node, place)
-            source = None if bound is None else getattr(self._node(bound[0]), "value", None)
-            if bound is None or source is None:
-                break
-            place, node = Evaluation(bound[0].frame, bound[0].time), source
-        return node, place
-
-    def _literal(self, node: ast.AST, key: Any, place: Evaluation) -> tuple[ast.expr, Evaluation] | None:
-        """Return the written element of a container that has a key or an index."""
-        found, at = self._definition(node, place)
-        if (
-            isinstance(found, ast.List | ast.Tuple)
-            and isinstance(key, int)
-            and -len(found.elts) <= key < len(found.elts)
-        ):
-            return found.elts[key], at
-        if isinstance(found, ast.Dict):
-            keys = [None if each is None else self.value(each, at) for each in found.keys]
-            matching = [value for held, value in zip(keys, found.values, strict=True) if held and _same(held.copy, key)]
-            return (matching[-1], at) if matching else None
-        return None
-
-    def _element(self, node: ast.AST, held: Held, place: Evaluation) -> ast.expr | None:
-        """Return the written element of a container that an iteration took."""
-        found, at = self._definition(node, place)
-        elements = found.elts if isinstance(found, ast.List | ast.Tuple) else []
-        values = [self.value(each, at) for each in elements]
-        fitting = [each for each, value in zip(elements, values, strict=True) if value and _same(value.copy, held.copy)]
-        return fitting[0] if len(fitting) == 1 else None
+    def _written(self, node: Any, at: Evaluation) -> tuple[list[tuple[Any, ast.expr]], Evaluation]:
+        """Return the keys and elements of a container as they are in the source, and the container's evaluation."""
+        while isinstance(node, ast.Name) and (bound := self._bind(node, at)) is not None:
+            at, node = Evaluation(bound[0].frame, bound[0].time), getattr(self._node(bound[0]), "value", None)
+        if isinstance(node, ast.List | ast.Tuple):
+            return [*enumerate(node.elts), *enumerate(node.elts, -len(node.elts))], at
+        found = zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ()
+        return [(held.copy, value) for key, value in found if key and (held := self.value(key, at))], at
 
 
 def nearest(origin: Origin, count: int) -> dict[str, Any]:
@@ -571,6 +521,20 @@ def _runs(function: Any, code: Any) -> bool:
         function = function.__init__  # type: ignore[misc]  # of the class that is called
     function = inspect.unwrap(getattr(function, "__func__", function))
     return getattr(function, "__code__", None) is code
+
+
+def _given(call: ast.Call, function: Any, name: str) -> list[ast.expr]:
+    """Return the expressions of a call that a parameter may have its value from."""
+    first = next((at for at, each in enumerate(call.args) if isinstance(each, ast.Starred)), len(call.args))
+    keywords = {each.arg: each.value for each in call.keywords if each.arg is not None}
+    try:
+        bound = inspect.signature(function).bind_partial(*call.args[:first], **keywords).arguments
+    except (TypeError, ValueError):
+        return []
+    found = bound.get(name)
+    if found is None:
+        return [*call.args[first:], *(each.value for each in call.keywords if each.arg is None)]
+    return [*found] if isinstance(found, tuple) else [*found.values()] if isinstance(found, dict) else [found]
 
 
 def _default(node: Any, name: str) -> ast.expr | None:

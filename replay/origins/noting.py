@@ -1,7 +1,7 @@
-"""ValueNotes the values of a running plan: of names, calls, attributes, items, conditions and returns.
+"""Notes of a running plan: the values of names, calls, attributes, items, conditions and returns.
 
-The plan's files are compiled with calls of :class:`ValueNotes` around these expressions. Values, lines and names of the plan
-stay the same, so the plan makes the same records.
+The plan's files are compiled with calls of :class:`ValueNotes` around these expressions. The values, lines and names of
+the plan stay the same, so the plan makes the same records.
 """
 
 from __future__ import annotations
@@ -10,36 +10,26 @@ import ast
 import builtins
 import sys
 from contextvars import ContextVar
+from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
-from itertools import count
 from types import AsyncGeneratorType, CoroutineType, FrameType, GeneratorType, TracebackType
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator
     from types import CodeType
 
-_KINDS: Final = ("call", "value", "bind", "store", "enter", "return")
-_CALL, _VALUE, _BIND, _STORE, _ENTER, _RETURN = (f"__noted_{kind}__" for kind in _KINDS)
-#: Functions that look at the frame of their caller.
+#: Functions that read the frame of their caller.
 _OF_FRAMES: Final = frozenset({"super", "locals", "globals", "vars", "eval", "exec", "dir", "breakpoint"})
 _UNHELD: Final = (GeneratorType, CoroutineType, AsyncGeneratorType, FrameType, TracebackType, BaseException)
 _MAX_ITEMS: Final = 64  # largest number of items of a container that is copied
 _MAX_DEPTH: Final = 4
 _MAX_NOTES: Final = 1_000_000
-#: Parts of nodes that stay as they are: targets, types and patterns.
+#: Fields of nodes that stay as they are: targets, types and patterns.
 _UNCHANGED: Final = frozenset({"target", "targets", "optional_vars", "annotation", "returns", "pattern", "ctx", "op"})
-#: Expressions that have a note if their value is used.
-NOTED: Final = (
-    ast.Call
-    | ast.Attribute
-    | ast.Subscript
-    | ast.BinOp
-    | ast.UnaryOp
-    | ast.BoolOp
-    | ast.Compare
-    | ast.IfExp
-    | ast.ListComp
+_NOTED: Final = (
+    *(ast.Call, ast.Attribute, ast.Subscript, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp),
+    ast.ListComp,
 )
 FUNCTIONS: Final = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
@@ -57,42 +47,35 @@ class Held:
 
 def _copied(value: Any, depth: int = 0) -> Any:
     kind = type(value)
-    if kind in (list, tuple) and len(value) <= _MAX_ITEMS and depth < _MAX_DEPTH:
-        return kind(_copied(each, depth + 1) for each in value)
-    if kind is dict and len(value) <= _MAX_ITEMS and depth < _MAX_DEPTH:
+    small = kind in (list, tuple, dict) and len(value) <= _MAX_ITEMS and depth < _MAX_DEPTH
+    if small and kind is dict:
         return {key: _copied(each, depth + 1) for key, each in list(value.items())}
+    if small:
+        return kind(_copied(each, depth + 1) for each in value)
     if kind.__module__ == "numpy" and hasattr(value, "tolist") and value.size <= _MAX_ITEMS:
         return value.tolist()
     return value
 
 
+@dataclass(slots=True, eq=False)
 class Note:
-    """What happened at a node of the plan's source."""
+    """The values of a node of the plan's source at a moment."""
 
-    __slots__ = (
-        "end",
-        "frame",
-        "function",
-        "kind",
-        "last_step",
-        "number",
-        "parent",
-        "result",
-        "step",
-        "time",
-        "values",
-    )
+    kind: str  # "call", "value", "bind", "store" or "return"
+    number: int  # of the node
+    frame: int  # number of the frame
+    parent: Note | None  # the call around it
+    step: int  # the last step before it
+    time: int  # its index
+    values: tuple[Held, ...] = ()  # one value; of "bind": for each name; of "store": the object and the key
+    function: Any = None  # the function of a call
+    end: int = sys.maxsize  # time of a call's end
+    last_step: int = -1  # the last step before a call's end
 
-    def __init__(self, kind: str, number: int, frame: int, parent: Note | None, step: int, time: int) -> None:
-        self.kind = kind  # "call", "value", "bind", "store" or "return"
-        self.number = number  # of the node
-        self.frame = frame  # number of the frame
-        self.parent = parent  # the call around it
-        self.step, self.time = step, time
-        self.values: tuple[Held, ...] = ()  # values of the names; object, key and value of a store
-        self.function: Any = None
-        self.result: Held | None = None  # None if a call hasn't returned
-        self.end, self.last_step = sys.maxsize, step
+    @property
+    def result(self) -> Held | None:
+        """The first value; None if a call hasn't returned."""
+        return self.values[0] if self.values else None
 
 
 class ValueNotes:
@@ -107,7 +90,6 @@ class ValueNotes:
         self.step = -1  # the last step of the run
         self._is_plan = is_plan
         self._frames: dict[int, int] = {}  # numbers of frames by their ids
-        self._serial = count()
         self._current: ContextVar[Note | None] = ContextVar("noted_call", default=None)
 
     @property
@@ -117,8 +99,7 @@ class ValueNotes:
 
     def install(self) -> None:
         """Compile the plan's files with notes from now on."""
-        for kind in _KINDS:
-            setattr(builtins, f"__noted_{kind}__", getattr(self, f"note_{kind}"))
+        builtins.__noted__, builtins.__noted_call__ = self._noted, self._noted_call  # type: ignore[attr-defined]
         plain, cached = builtins.compile, SourceFileLoader.get_code
 
         def compiled(
@@ -132,9 +113,7 @@ class ValueNotes:
 
         def code_of(loader: SourceFileLoader, name: str) -> Any:
             path = loader.get_filename(name)
-            if not self._is_plan(path):
-                return cached(loader, name)
-            return loader.source_to_code(loader.get_data(path), path)
+            return loader.source_to_code(loader.get_data(path), path) if self._is_plan(path) else cached(loader, name)
 
         builtins.compile = compiled  # type: ignore[assignment]
         SourceFileLoader.get_code = code_of  # type: ignore[method-assign, assignment]
@@ -151,29 +130,29 @@ class ValueNotes:
         noted: ast.Module = _Noting(numbers).visit(tree)
         return ast.fix_missing_locations(noted)
 
-    def frame_of(self, frame: FrameType) -> int:
+    def frame_of(self, frame: FrameType, *, new: bool = False) -> int:
         """Return the number of a frame."""
         number = self._frames.get(id(frame))
-        if number is None or self.codes[number] is not frame.f_code:
-            number = self._new(frame)
+        if number is None or new or self.codes[number] is not frame.f_code:
+            number = self._frames[id(frame)] = len(self.codes)
+            self.codes.append(frame.f_code)
         return number
 
-    def _new(self, frame: FrameType) -> int:
-        number = self._frames[id(frame)] = next(self._serial)
-        self.codes.append(frame.f_code)
-        return number
-
-    def _note(self, kind: str, number: int, frame: FrameType) -> Note:
-        note = Note(kind, number, self.frame_of(frame), self._current.get(), self.step, len(self.all))
+    def _note(self, kind: str, number: int, frame: int) -> Note:
+        note = Note(kind, number, frame, self._current.get(), self.step, len(self.all), last_step=self.step)
         if len(self.all) < _MAX_NOTES:
             self.all.append(note)
         return note
 
-    # --- called by the plan -------------------------------------------------------------------------------------------
+    def _noted(self, kind: str, number: int, /, *values: Any) -> Any:
+        """Note values for the plan, and return the last value. With "enter", a function begins with its arguments."""
+        frame = self.frame_of(sys._getframe(1), new=kind == "enter")  # noqa: SLF001  inspect has no such depth
+        self._note("bind" if kind == "enter" else kind, number, frame).values = tuple(map(Held, values))
+        return values[-1] if values else None
 
-    def note_call(self, number: int, function: Any, /, *args: Any, **kwargs: Any) -> Any:
-        """Call a function of the plan."""
-        note = self._note("call", number, sys._getframe(1))  # noqa: SLF001  inspect.currentframe() gives no other
+    def _noted_call(self, number: int, function: Any, /, *args: Any, **kwargs: Any) -> Any:
+        """Call a function for the plan."""
+        note = self._note("call", number, self.frame_of(sys._getframe(1)))  # noqa: SLF001  as above
         note.function = function
         self._current.set(note)
         try:
@@ -181,33 +160,8 @@ class ValueNotes:
         finally:
             self._current.set(note.parent)
             note.end, note.last_step = len(self.all), self.step
-        note.result = Held(result)
+        note.values = (Held(result),)
         return result
-
-    def note_value(self, number: int, value: Any, /) -> Any:
-        """Note the value of an expression."""
-        self._note("value", number, sys._getframe(1)).result = Held(value)  # noqa: SLF001  as above
-        return value
-
-    def note_return(self, number: int, value: Any, /) -> Any:
-        """Note the value that a function returns."""
-        self._note("return", number, sys._getframe(1)).result = Held(value)  # noqa: SLF001  as above
-        return value
-
-    def note_bind(self, number: int, /, *values: Any) -> Any:
-        """Note the values that names have got; return the last value."""
-        self._note("bind", number, sys._getframe(1)).values = tuple(map(Held, values))  # noqa: SLF001  as above
-        return values[-1] if values else None
-
-    def note_store(self, number: int, owner: Any, key: Any, /) -> None:
-        """Note that an attribute or an item was set."""
-        self._note("store", number, sys._getframe(1)).values = (Held(owner), Held(key))  # noqa: SLF001  as above
-
-    def note_enter(self, number: int, /, *values: Any) -> None:
-        """Note the arguments of a function that begins."""
-        frame = sys._getframe(1)  # noqa: SLF001  as above
-        self._new(frame)
-        self._note("bind", number, frame).values = tuple(map(Held, values))
 
 
 def bound_names(node: ast.AST) -> list[str]:
@@ -216,14 +170,10 @@ def bound_names(node: ast.AST) -> list[str]:
         given = node.args
         every = [*given.posonlyargs, *given.args, given.vararg, *given.kwonlyargs, given.kwarg]
         return [each.arg for each in every if each is not None]
-    targets: Sequence[ast.AST | None] = ()
-    match node:
-        case ast.Assign():
-            targets = node.targets
-        case ast.With() | ast.AsyncWith():
-            targets = [item.optional_vars for item in node.items]
-        case ast.AnnAssign() | ast.AugAssign() | ast.For() | ast.AsyncFor() | ast.comprehension() | ast.NamedExpr():
-            targets = [node.target]
+    if isinstance(node, ast.With | ast.AsyncWith):
+        targets = [item.optional_vars for item in node.items]
+    else:
+        targets = getattr(node, "targets", [getattr(node, "target", None)])
     found = (each for target in targets if target is not None for each in ast.walk(target))
     return [each.id for each in found if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)]
 
@@ -249,8 +199,8 @@ class _Noting(ast.NodeTransformer):
             elif isinstance(value, list):
                 visited = [self.visit(each) if isinstance(each, ast.AST) else each for each in value]
                 setattr(node, name, [one for each in visited for one in (each if isinstance(each, list) else [each])])
-        if test is not None and not isinstance(test, NOTED):
-            node.test = self._call(_VALUE, test, node.test)  # type: ignore[attr-defined]
+        if test is not None and not isinstance(test, _NOTED):
+            node.test = self._call("value", test, node.test)  # type: ignore[attr-defined]
         return self._with_note(node)
 
     def _with_note(self, node: ast.AST) -> Any:  # noqa: C901  one case after the other
@@ -258,23 +208,23 @@ class _Noting(ast.NodeTransformer):
             case ast.Call(func=ast.Name(id=name)) if name in _OF_FRAMES:
                 return node
             case ast.Call():
-                call = self._call(_CALL, node, node.func, *node.args)
-                call.keywords = node.keywords
-                return call
-            case _ if isinstance(node, NOTED) and isinstance(getattr(node, "ctx", None), ast.Load | None):
-                return self._call(_VALUE, node, node)
+                noted = self._call("", node, node.func, *node.args)
+                noted.keywords = node.keywords
+                return noted
+            case _ if isinstance(node, _NOTED) and isinstance(getattr(node, "ctx", None), ast.Load | None):
+                return self._call("value", node, node)
             case ast.NamedExpr():
-                node.value = self._call(_BIND, node, node.value)
+                node.value = self._call("bind", node, node.value)
             case ast.Return(value=ast.expr() as value):
-                node.value = self._call(_RETURN, node, value)
+                node.value = self._call("return", node, value)
             case ast.comprehension():
                 node.ifs.insert(0, ast.Compare(self._bound(node), [ast.IsNot()], [ast.Constant(...)]))
             case ast.Lambda() if not any(isinstance(each, ast.Yield | ast.YieldFrom) for each in ast.walk(node.body)):
-                both = ast.Tuple([self._bound(node, _ENTER), node.body], ast.Load())
+                both = ast.Tuple([self._bound(node, "enter"), node.body], ast.Load())
                 node.body = ast.copy_location(ast.Subscript(both, ast.Constant(1), ast.Load()), node)
             case ast.FunctionDef() | ast.AsyncFunctionDef():
                 after = 1 if ast.get_docstring(node, clean=False) is not None else 0
-                node.body.insert(after, ast.copy_location(ast.Expr(self._bound(node, _ENTER)), node.body[0]))
+                node.body.insert(after, ast.copy_location(ast.Expr(self._bound(node, "enter")), node.body[0]))
             case ast.For() | ast.AsyncFor() | ast.With() | ast.AsyncWith():
                 node.body.insert(0, ast.copy_location(ast.Expr(self._bound(node)), node))
             case ast.Assign() | ast.AnnAssign(value=ast.expr()) | ast.AugAssign():
@@ -283,20 +233,21 @@ class _Noting(ast.NodeTransformer):
                 return [node, *(ast.copy_location(ast.Expr(each), node) for each in notes)]
         return node
 
-    def _call(self, name: str, node: ast.AST, *args: ast.expr) -> ast.Call:
-        call = ast.Call(ast.Name(name, ast.Load()), [ast.Constant(self._numbers[id(node)]), *args], [])
+    def _call(self, kind: str, node: ast.AST, *args: ast.expr) -> ast.Call:
+        name, kinds = ("__noted__", [ast.Constant(kind)]) if kind else ("__noted_call__", [])
+        call = ast.Call(ast.Name(name, ast.Load()), [*kinds, ast.Constant(self._numbers[id(node)]), *args], [])
         return ast.copy_location(call, node if hasattr(node, "lineno") else getattr(node, "target", node))
 
-    def _bound(self, node: ast.AST, name: str = _BIND) -> ast.Call:
-        return self._call(name, node, *(ast.Name(each, ast.Load()) for each in bound_names(node)))
+    def _bound(self, node: ast.AST, kind: str = "bind") -> ast.Call:
+        return self._call(kind, node, *(ast.Name(each, ast.Load()) for each in bound_names(node)))
 
     def _stored(self, node: ast.stmt, target: ast.expr) -> Iterator[ast.Call]:
-        """Yield the note of an attribute or item that is set, if its owner and its key may be evaluated twice."""
+        """Yield the note of a store. Its owner and its key are evaluated twice, so they must have no effects."""
         match target:
             case ast.Attribute(value=owner, attr=name) if _is_plain(owner):
-                yield self._call(_STORE, node, _reloaded(owner), ast.Constant(name))
+                yield self._call("store", node, _reloaded(owner), ast.Constant(name))
             case ast.Subscript(value=owner, slice=key) if _is_plain(owner) and _is_plain(key):
-                yield self._call(_STORE, node, _reloaded(owner), _reloaded(key))
+                yield self._call("store", node, _reloaded(owner), _reloaded(key))
 
 
 def _is_plain(node: ast.expr) -> bool:
