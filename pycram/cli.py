@@ -168,7 +168,7 @@ def recording_path(template: str, plan: str, seed: int | None) -> Path:
     """Return the path of a recording: the template with its placeholders filled in.
 
     Raises:
-        ValueError: It has an unknown placeholder, or unbalanced braces.
+        ValueError: The template has an unknown placeholder, or unbalanced braces.
     """
     started = time.strftime("%Y-%m-%d_%H-%M-%S")
     try:

@@ -1,7 +1,7 @@
 """Properties that are watched while a plan runs (:mod:`recorder.properties`).
 
-A monitor is a sink of the recording, so it sees the same records as a reader, in the same order. It doesn't affect
-random numbers or the order of branches.
+A monitor gets each record when it is written, so it sees the same records as a reader, in the same order. It doesn't
+affect random numbers or the order of branches.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def watched(properties: Sequence[str], *, by_run: bool = False, only_record: boo
 
 @contextmanager
 def _attached(sink: _MonitorSink) -> Iterator[None]:
-    """Connect a sink to the present recording; without a recording, to a new journal."""
+    """Pass the records of the present recording to a sink; without a recording, those of a new journal."""
     journals = journal.listening()
     if not journals:
         sink.log = Journal([sink])

@@ -25,10 +25,10 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Vector
 
 
-NEAR: Final = 0.02  # m, nearest visible distance
-FAR: Final = 20.0  # m, farthest visible distance
+NEAR: Final = 0.02  # nearest visible distance in m
+FAR: Final = 20.0  # farthest visible distance in m
 _SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background at the top and at the bottom
-_HOUSING: Final = 0.005  # m, largest distance of the lens from its housing
+_HOUSING: Final = 0.005  # largest distance in m of the lens from its housing
 _LARGE: Final = 400  # pixels; a triangle with more pixels in its bounds is drawn alone
 _BAND: Final = 32  # rows of a large triangle that are drawn together, so that few pixels outside of it are tested
 _BATCH: Final = 1 << 16  # pixels of small triangles that are drawn together; larger batches need more memory
@@ -153,8 +153,8 @@ class Camera:
     pose: Pose  # position in m and orientation xyzw of the optical frame
     right: float  # tangent of half the horizontal field of view
     down: float  # tangent of half the vertical field of view
-    near: float = NEAR  # m, nearest visible distance
-    far: float = FAR  # m, farthest visible distance
+    near: float = NEAR  # nearest visible distance in m
+    far: float = FAR  # farthest visible distance in m
 
     @property
     def window(self) -> Window:

@@ -43,15 +43,15 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose
 
-_TURNS: Final = (30, 60, 90, 120, 150)  # degrees about the vertical
-_FAR: Final = (90, 30)  # degrees, if the robot may drive; fewer, because each try searches for a place of the robot
-_ON: Final = 0.02  # m, maximum distance between an object's underside and its surface
-_INSIDE: Final = 0.02  # m, distance of a slid object's middle from the edge
+_TURNS: Final = (30, 60, 90, 120, 150)  # tried turns about the vertical, in degrees
+_FAR: Final = (90, 30)  # the same if the robot may drive; fewer, because each try searches for a place of the robot
+_ON: Final = 0.02  # maximum distance in m between an object's underside and its surface
+_INSIDE: Final = 0.02  # distance in m of a slid object's middle from the edge
 _EDGES: Final = 4  # number of nearest edges that are tried; half as many if the robot may drive
 _SETTLES: Final = STEPS_PER_SECOND // 4  # simulated steps until a moved object is at rest
-_MOVED: Final = 0.02  # m, maximum motion of the object while it comes to rest
+_MOVED: Final = 0.02  # maximum motion in m of the object while it comes to rest
 _LEANT: Final = math.radians(10)  # maximum turn of the object while it comes to rest
-_SAME: Final = 1e-3  # m, maximum distance between an object and a target at the object
+_SAME: Final = 1e-3  # maximum distance in m between an object and a target at the object
 
 
 def advice(failure: PlanFailure, action: ActionDesignator) -> str:

@@ -38,9 +38,9 @@ if TYPE_CHECKING:
 
 
 _MAX_PLACES: Final = 6  # maximum number of places from which fetching is tried
-_MOVED: Final = 0.05  # m; a belief with a larger error is wrong
+_MOVED: Final = 0.05  # error in m above which a belief is wrong
 _IN_THE_WAY: Final = 2  # maximum number of times that obstacles are cleared away
-_BESIDE: Final = 0.5  # m, maximum distance of an obstacle from an object
+_BESIDE: Final = 0.5  # maximum distance in m of an obstacle from an object
 _NEAREST: Final = 3  # number of surfaces that may receive an obstacle
 _STANCES: Final = 2  # number of places of the robot that are tried for each place of the object
 _MAX_UNREACHABLE: Final = 6  # number of unreachable places of the object after which the search ends
@@ -51,7 +51,7 @@ _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=
 
 
 def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
-    """Find an object, open its container, and fold the arms for the search for places; return opened containers."""
+    """Find an object, open its container, and fold the arms before places are searched; return opened containers."""
     arms()
     closed = [access for access, _ in containers() if access.is_closed]
     body = _found(object)
@@ -73,7 +73,7 @@ def _found(thing: Any) -> Any:
             return object_of(thing)
         belief = believed(body)
         if belief is not None and math.dist(belief.position, body.get_position()) > _MOVED:
-            perform(ActionDesignator(type="searching", object=body))  # begins at the believed place
+            perform(ActionDesignator(type="searching", object=body))  # the search begins at the believed place
         return body
     return thing
 
@@ -227,7 +227,7 @@ def _delivering_choices(
     target: Any,
     place: LocationDesignator | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places for the object and for the robot; end with an empty choice if a try has lost the object."""
+    """Yield places for the object and for the robot; end with an empty choice if the object was lost."""
     body, robot = object_of(object), BulletWorld.current_robot()
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []
@@ -264,7 +264,7 @@ def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> 
         place: Place of the robot, a LocationDesignator; by default places within reach of the target.
     """
     body = object_of(object)
-    if holder(body) is None:  # a try has put the object down at a wrong place
+    if holder(body) is None:  # an earlier try put the object down at a wrong place
         perform(ActionDesignator(type="fetching", object=body))
         return perform(ActionDesignator(type="delivering", object=body, target=target, put=put, place=place))
     go(place)

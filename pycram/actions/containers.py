@@ -31,8 +31,8 @@ if TYPE_CHECKING:
 
 
 _PLACES: Final = 3  # number of places of the robot that are tried for each width
-_SAME: Final = (0.005, math.radians(0.5))  # m and rad, maximum distance of a robot from its place
-_BESIDE: Final = 1.3  # m, maximum distance from an object to the handle of an open container in the way
+_SAME: Final = (0.005, math.radians(0.5))  # maximum distance in m and rad of a robot from its place
+_BESIDE: Final = 1.3  # maximum distance in m from an object to the handle of an open container in the way
 _TRIES: Final = 4  # failed tries of moving a drawer or door that is in the way
 _CLOSED: Final = 0.1  # m or rad, maximum opening of a closed drawer or door
 
@@ -54,12 +54,12 @@ class Access:
 
     @property
     def position(self) -> float:
-        """Present position of the joint, rad or m."""
+        """Position of the joint now, in rad or m."""
         return self.body.get_joint_position(self.joint)
 
     @property
     def is_closed(self) -> bool:
-        """Whether the opening is too narrow for a hand and for the view of a camera."""
+        """Whether the drawer or door is too little open for a hand or for a look inside."""
         return abs(self.position - self.closed) < _CLOSED
 
 
@@ -117,7 +117,7 @@ def _holds(access: Access, container: Any, position: Sequence[float]) -> bool:
 
 
 def making_room(body: Object) -> list[ActionDesignator]:
-    """Return actions that make room for a robot at an object, by the distance of the handles.
+    """Return actions that make room for a robot at an object, ordered by the distance of the handles.
 
     They open the object's own drawer or door as far as possible, and close others beside it.
     """
@@ -156,7 +156,7 @@ def _access_of(container: Access | Object, joint: str | None, handle: str | None
             raise BadArgument("handle", handle, f"a link of {body.name} that a joint moves")
     if joint is None or handle is None:
         names = ", ".join(access.name for access in meant) or "none"
-        expected = f"also the slots joint and handle, or a container of {body.name}: {names}"
+        expected = f"a container of {body.name} ({names}), or also the slots 'joint' and 'handle'"
         raise BadArgument("container", body.name, expected)
     return Access(handle, body, joint, handle, Handle(body, joint, handle).closed, body.joint_limits(joint)[1])
 
@@ -173,7 +173,7 @@ def _handle_choices(
     Args:
         values: Target positions of the joint, rad or m, the best first.
         place: Place of the robot, m; None to search places.
-        orientation: Orientation of the robot's base at that place; by default its present orientation.
+        orientation: Orientation of the robot's base at that place; by default it doesn't turn.
     """
     robot = BulletWorld.current_robot()
     arms = _free_arms(robot, access, arm)
@@ -235,7 +235,7 @@ def _move(access: Access, arm: str, distance: float, place: Sequence[float], ori
 
 
 _WIDE: Final = {True: 0.4, False: 1.2}  # default opening of a drawer in m, or of a door in rad
-_SHARES: Final = (1.0, 0.75, 0.5)  # shares of the default opening, in the order of the tries
+_SHARES: Final = (1.0, 0.75, 0.5)  # tried openings as shares of the default opening, in order
 
 
 def _opening_choices(

@@ -75,11 +75,11 @@ def free_arms(name: str | None = None) -> list[str]:
     return found
 
 
-_AHEAD: Final = (0.55, 0.45, 0.65)  # m in front of the shoulders
-_DOWN: Final = (0.2, 0.35, 0.05)  # m below the shoulders
-_TURNS: Final = (30, 60, 0, 90)  # degrees by which the giving hand points inward
+_AHEAD: Final = (0.55, 0.45, 0.65)  # distance of the handover in front of the shoulders, in m
+_DOWN: Final = (0.2, 0.35, 0.05)  # distance of the handover below the shoulders, in m
+_TURNS: Final = (30, 60, 0, 90)  # tried inward turns of the giving hand, in degrees
 _EACH: Final = 4  # number of poses of the giving hand that are tried before the robot turns
-_AWAY: Final = (180, 90, -90)  # degrees by which the robot turns away from obstacles
+_AWAY: Final = (180, 90, -90)  # tried turns of the robot away from obstacles, in degrees
 
 
 def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
@@ -217,12 +217,12 @@ _UPRIGHT: Final = [geometry.from_rpy(0.0, 0.0, step * math.pi / 6) for step in r
 def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Mapping[str, Any]]:
     """Yield places of an object at a target, the value of a slot ``target``: ``position`` and ``orientation``.
 
-    The orientation is None if any will do. ``arm`` is the arm that must reach the place; None for any arm.
+    The orientation is None if it isn't constrained. ``arm`` is the arm that must reach the place; None for any arm.
     """
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}
         return
-    wanted = target.prop_value("orientation")  # a found orientation is only one of many
+    wanted = target.prop_value("orientation")  # other orientations are possible, too
     if target.for_objects:
         reached = [] if arm is None else [("reachable-for", BulletWorld.current_robot()), ("arm", arm.name)]
         target = target.copy([("for", body), *reached])

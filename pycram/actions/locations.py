@@ -145,7 +145,7 @@ _SLOTS: Final = SlotTable(
     one_of=("position", "on", "in", "near", "reachable-for", "visible-for"),
     designator="a LocationDesignator",
 )
-_AWAY: Final = 0.4  # m, minimum distance of a place that is away from a point
+_AWAY: Final = 0.4  # minimum distance in m between a place and the point of the slot ``away_from``
 _MAX_NEAR: Final = 20  # number of successive places too near to the point after which the search ends
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
 

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
-_THERE: Final = (1e-3, 1e-3)  # m and rad, maximum distance of a robot from its place
-_CARRIED: Final = ((0.5, 0.1, 0.0), (0.5, -0.1, 0.0), (0.6, 0.0, 0.0), (0.6, 0.0, -0.2))  # m from the shoulder
-_PARKED: Final = 0.01  # rad or m, maximum deviation of a joint of a parked arm
+_THERE: Final = (1e-3, 1e-3)  # maximum distance in m and rad of a robot from its place
+_CARRIED: Final = ((0.5, 0.1, 0.0), (0.5, -0.1, 0.0), (0.6, 0.0, 0.0), (0.6, 0.0, -0.2))  # from the shoulder, m
+_PARKED: Final = 0.01  # maximum deviation in rad or m of a joint of a parked arm
 
 
 def _places(target: Any, orientation: Sequence[float] | None = None) -> Iterator[Mapping[str, Any]]:

@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike, Quaternion, Vector
 
 
-_FAR: Final = 3.0  # m, maximum distance from the robot's present place to a point that it looks at
-_NEAR: Final = 1.6  # m, maximum distance from a place near a surface to a point that the robot looks at
-_STRIDE: Final = 0.8  # m between points of a surface; a camera sees this width from 1 m
+_FAR: Final = 3.0  # maximum distance in m from the robot's present place to a point that it looks at
+_NEAR: Final = 1.6  # maximum distance in m from a place near a surface to a point that the robot looks at
+_STRIDE: Final = 0.8  # distance in m between points of a surface; a camera 1 m away sees this width
 _PLACES: Final = 2  # number of places of the robot that are tried for a point
 _SEEING: Final = 4  # number of places of the robot that are examined for a view of hidden points
 _TRIES: Final = 4  # budget of opening and of closing

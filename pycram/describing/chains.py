@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 ARM: Final = 4
 """Minimum number of successive joints of an arm."""
 _SEVERAL: Final = 2  # minimum number of fingers on a wrist
-_TURNS_ALL: Final = math.pi  # rad; wrists have a larger range, and jaws a smaller range
+_TURNS_ALL: Final = math.pi  # range of a joint in rad: wrists have a larger range, and jaws a smaller range
 _HEAD: Final = re.compile(r"head|neck", re.IGNORECASE)
 _LEG: Final = re.compile(r"leg|hip|knee|ankle|foot|haa|hfe|kfe", re.IGNORECASE)
 _WHEEL: Final = re.compile(r"wheel|caster|rotor", re.IGNORECASE)
 _FINGER: Final = re.compile(r"finger|jaw|gripper|thumb|grasp", re.IGNORECASE)
-_FINGER_LINK: Final = re.compile(r"finger|jaw|thumb", re.IGNORECASE)  # not "gripper": a wrist may move it
+_FINGER_LINK: Final = re.compile(r"finger|jaw|thumb", re.IGNORECASE)  # a link named "gripper" may be moved by a wrist
 _OPTICAL: Final = re.compile(r"optical", re.IGNORECASE)
 _CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE)
 _NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)

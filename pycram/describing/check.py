@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 
 _POSES: Final = 40  # number of tool poses that the check of reach tries
 _ENOUGH: Final = 0.9  # minimum share of reached poses
-_CENTRED: Final = 0.003  # m, maximum distance from the tool frame to the middle between the fingers
-_APERTURE: Final = 0.005  # m, tolerance for measures of fingers
-_STILL_TIME: Final = 2.0  # s, duration of the simulation
-_STILL: Final = 1e-3  # rad or m, maximum motion of a still joint
+_CENTRED: Final = 0.003  # maximum distance in m from the tool frame to the middle between the fingers
+_APERTURE: Final = 0.005  # tolerance in m for measures of fingers
+_STILL_TIME: Final = 2.0  # duration in s of the simulation
+_STILL: Final = 1e-3  # maximum motion in rad or m of a still joint
 _TRIED: Final = 4000  # number of candidates for a parking posture
 _CHECKED: Final = 300  # number of best candidates that are checked for self-collisions
 _SAMPLED: Final = 40  # number of sampled postures; links that overlap in all of these always overlap
-_FLOOR: Final = 0.05  # m, minimum height of a parked arm above the root link
+_FLOOR: Final = 0.05  # minimum height in m of a parked arm above the root link
 _NAMED: Final = 4  # maximum number of links that a finding names
-_STRAIN: Final = 0.1  # m, added to the size of a posture at joint limits
+_STRAIN: Final = 0.1  # penalty in m for a posture at joint limits, added to the posture's size
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,7 +143,7 @@ def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
     palm = corners.of([gripper.palm], gripper.at(0.0), arm.tool_frame, arm.tool_offset)
     if len(palm) and gripper.palm not in gripper.fingers:  # if only one jaw moves, the palm may be the fixed jaw
         room = max(-float(palm[:, 0].max()), 0.0)
-        text = f"depth is described as {1e3 * gripper.depth:.1f} mm, with {1e3 * room:.1f} mm in front of the palm"
+        text = f"depth is described as {1e3 * gripper.depth:.1f} mm, measured {1e3 * room:.1f} mm"
         yield Finding(gripper.depth <= room + _APERTURE, about, text)
 
 
@@ -162,7 +162,7 @@ def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
 def _head(robot: Object, description: RobotDescription) -> Finding:
     """Check that the camera can be turned to a point in front of the robot."""
     camera = description.camera
-    assert camera is not None  # noqa: S101  the caller has checked it
+    assert camera is not None  # noqa: S101  the caller has checked that there is a camera
     joints = description.head.joints if description.head else ()
     now = robot.get_joint_positions()
     frame = camera.pose(robot.urdf.forward_kinematics(now, camera.frame))
@@ -211,7 +211,7 @@ def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
 
 
 def parked(robot: Object, arm: Arm) -> list[float]:
-    """Return a compact posture of an arm in which the robot doesn't touch itself; other arms stay as they are."""
+    """Return a compact posture of an arm in which the robot doesn't touch itself; other arms don't move."""
     chain = chain_of(robot, arm)
     postures = chain.limited(halton_postures(chain, 0, _TRIED))
     root = geometry.pose_matrix(robot.urdf.forward_kinematics(robot.get_joint_positions(), arm.base_link))

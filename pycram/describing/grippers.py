@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 
 TIPS: Final = 0.015
 """Distance from the tool frame to the finger tips, m."""
-_PADS: Final = 0.02  # m, length of the pads on the fingers, measured from the tips
-_NEAR_TIP: Final = 0.02  # m, maximum distance from the finger tips to a link that grasps
+_PADS: Final = 0.02  # length in m of the pads on the fingers, measured from the tips
+_NEAR_TIP: Final = 0.02  # maximum distance in m from the finger tips to a link that grasps
 _MAX_DEPTH: Final = 0.03  # m
-_CUP_RIM: Final = 0.003  # m, length of a suction cup; it keeps the end of the arm away from a released object
-_PALM_CLEARANCE: Final = 0.003  # m, minimum distance between a grasped object and the palm
-_PADDING: Final = 1e-3  # m that the engine adds around shapes
+_CUP_RIM: Final = 0.003  # length in m of a suction cup; it keeps the end of the arm away from a released object
+_PALM_CLEARANCE: Final = 0.003  # minimum distance in m between a grasped object and the palm
+_PADDING: Final = 1e-3  # thickness in m of the padding that the engine adds around shapes
 _STRAIGHT: Final = math.cos(math.radians(10))  # minimum component of a direction that becomes an axis of the link
 _SIDES: Final = 2
 _PHALANGES: Final = 2  # a finger with more joints curls
@@ -119,7 +119,7 @@ class SuctionGuess:
     """A suction cup for an arm without a gripper in its URDF; the rim is just beyond the shapes of the last link."""
 
     offset: Pose  # pose of the tool frame in the last link; x points away from the arm, along the last joint's axis
-    underside: float  # m from the tool frame down to the lowest point of the last link
+    underside: float  # distance in m from the tool frame down to the lowest point of the last link
 
 
 def suction_cup(tree: JointTree, arm: ArmChain, corners: Corners) -> SuctionGuess:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _WIDTH: Final = 110  # characters per line
 _DIGITS: Final = 4
-_CUP: Final = 0.012  # m, radius of a suction cup
+_CUP: Final = 0.012  # radius in m of a suction cup
 _USUAL: Final = """horizontal_fov = 1.2  # typical values: a URDF has none
 vertical_fov = 0.96
 width = 640

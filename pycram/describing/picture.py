@@ -28,10 +28,10 @@ with needed():
 _SIZE: Final = (800, 600)  # pixels
 _AWAY: Final = (1.0, 0.7, 0.45)  # direction from the robot to the viewpoint
 _ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the viewpoint: above walls, in front of fronts
-_MARGIN: Final = 1.1  # factor; at a distance factor of 1, the robot fills the picture
+_MARGIN: Final = 1.1  # distance of the camera, as a multiple of the distance at which the robot fills the picture
 _OVERSAMPLING: Final = 2
 _FIELD: Final = math.tan(math.radians(25))  # tangent of half the horizontal field of view
-_AXIS: Final = 0.12  # m, length of a tool frame's axes
+_AXIS: Final = 0.12  # length in m of a tool frame's axes
 _COLORS: Final = ("#e03030", "#30a030", "#3060e0")  # x, y, z
 _OPEN: Final = (48, 160, 48)  # RGB of surfaces outside containers
 _INSIDE: Final = {DRAWER: (230, 120, 20), DOOR: (48, 96, 224)}  # RGB of surfaces in containers

@@ -2,9 +2,8 @@
 
 Random numbers and the order of sets are the same in all runs, so only the order of branches causes differences. The
 first run takes branches in the order in which they were added; :class:`~pycram.scheduling.order.Pct` draws the other
-orders. Delta debugging reduces each other ending to a minimum of precedences (Zeller, Hildebrandt: Simplifying and
-isolating failure-inducing input, IEEE TSE 2002). The result is 1-minimal: without any of its precedences, the ending is
-another.
+orders. Delta debugging minimises each ending's precedences (Zeller, Hildebrandt: Simplifying and isolating
+failure-inducing input, IEEE TSE 2002). The result is 1-minimal: without any one of them, the run ends in another way.
 """
 
 from __future__ import annotations
@@ -59,19 +58,19 @@ __all__ = [
     "explore",
 ]
 
-#: A function of an order as text and a file: it runs the plan, records the run, and raises no error.
+#: A function with two arguments, an order as text and a file: it runs the plan in that order, and records the run.
 Runner: TypeAlias = "Callable[[str, Path], object]"
 _Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and "/JOINT" of a body
 
 #: Kinds of endings.
 SUCCEEDED, FAILED, DEADLOCK, TIME_LIMIT, DIED = "succeeded", "failed", "deadlock", "time limit", "died"
 VIOLATED = "succeeded but violated"  # the run violated a property, and only recorded the violation
-_WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings whose runs return their order
+_WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings of runs that return their order
 DEPTH: Final = 3  # default depth of races; most known races aren't deeper (Burckhardt et al.)
-LIMIT: Final = 60.0  # s, default limit of a run's wall-clock time
+LIMIT: Final = 60.0  # default limit of a run's wall-clock time, in s
 _ROUND: Final = 16  # number of runs whose orders are drawn over the same number of turns
 _EXPLAINED: Final = 8  # maximum number of explained endings, because each run may have another ending
-_MAX_TRIES: Final = 200  # maximum number of runs that reduce an order
+_MAX_TRIES: Final = 200  # maximum number of runs in the search for the precedences that cause an ending
 # States with smaller differences are alike, because physics computes each order a little differently.
 _DISTANCE: Final = 0.01  # m
 _ANGLE: Final = 0.1  # rad
@@ -97,8 +96,8 @@ class EndingGroup:
 
     ending: Ending  # ending of the first of these runs
     count: int
-    order: str  # smallest known order with this ending, as text of :mod:`pycram.scheduling.order`
-    #: The precedences that cause the ending; empty for the first ending, and if the precedences are unknown.
+    order: str  # smallest known order of branches with this ending, as text (:mod:`pycram.scheduling.order`)
+    #: The orders of two branches that cause this ending of a run; empty for the first ending, or if unknown.
     made: tuple[AppliedPrecedence, ...] = ()
     recording: Path | None = None  # recording of a run in that order
 
@@ -109,7 +108,7 @@ class Exploration:
 
     runs: int  # number of ended runs
     orders: int  # number of different orders of these runs
-    found: list[EndingGroup]  # groups in the order of their first runs
+    found: list[EndingGroup]  # groups of runs, ordered by their first runs
     deterministic: bool = True  # whether runs in the same order had the same ending
     interrupted: bool = False  # whether Ctrl-C ended the exploration
 
@@ -218,13 +217,13 @@ def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator
     yield [ADDED]
     for start in range(1, count, _ROUND):
         turns = max(attempt.turns for attempt in attempts.values())
-        if not turns:  # the runs had no choice between branches
+        if not turns:  # no run had a choice between branches
             return
         yield [f"pct:{number}:{depth}:{turns}" for number in range(start, min(start + _ROUND, count))]
 
 
 def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
-    if not result.runs:  # else the runs are grouped already
+    if not result.runs:  # otherwise the runs are grouped already
         for _, attempt in sorted(attempts.items()):
             like = next((each for each in result.found if each.ending.is_like(attempt.ending)), None)
             if like is None:
@@ -236,7 +235,7 @@ def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
 
 
 def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, OrderedRun]) -> None:
-    """Find the few precedences that cause each ending, if there are several endings."""
+    """If runs end in different ways, find for each ending the few orders of two branches that cause it."""
     if len(result.found) < 2:
         return
     again = [each for each in result.found[:_EXPLAINED] if each.ending.kind in _WITH_ORDER] * 2
@@ -270,7 +269,7 @@ def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, over
 
 
 class _Tries:
-    """Runs sets of precedences, each set once, to find a set that causes a certain ending."""
+    """Runs the plan with sets of precedences, once for each set, to find a set that causes a certain ending."""
 
     def __init__(self, runs: PlanRunner, ending: Ending) -> None:
         self._runs = runs
@@ -309,7 +308,7 @@ def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending
 
 
 def _nearer(tries: _Tries, best: OrderedRun) -> OrderedRun:
-    """Return a run in which each precedence moves a branch before as few other branches as possible."""
+    """Return a run with smaller precedences: each moves a branch before as few other branches as possible."""
     for at in range(len(best.made)):
         made = best.precedences
         found = tries.first_of([(*made[:at], passed, *made[at + 1 :]) for passed in best.made[at].passed])
@@ -404,7 +403,7 @@ class Ending:
     fluents: dict[str, str] = field(default_factory=dict)  # fluents that the plan set: values as JSON by name
 
     def is_like(self, other: Ending) -> bool:
-        """Return whether two endings are alike; of failed runs only the failures count, not the states."""
+        """Return whether two endings are alike; for failed runs, only the failures are compared, not the states."""
         if self.kind != other.kind:
             return False
         if self.kind == SUCCEEDED:
@@ -467,7 +466,7 @@ class EndingSink:
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
-        #: Lines of each failure, for each task that it left, as (FILE, FILE:LINE) from the outside in.
+        #: Lines of each failure, one for each task that failed with it, as (FILE, FILE:LINE) from the outside in.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
         self._violated: dict[str, None] = {}  # violated properties, in order
         self.ending = Ending(DIED, "the process ended")  # replaced at the record of the run's end

@@ -29,7 +29,7 @@ _WIDTH: Final = 200  # maximum number of characters of a printed failure
 
 def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
     """Explore a plan, print the results, and return the exit code; names of recordings begin like ``log``."""
-    # import the modules that plans need once for all runs
+    # import the modules that plans need now, once for all runs
     from pycram import event, fluent, language, process_module  # noqa: F401, PLC0415
     from pycram.bullet_world_reasoning import blocking, contact, stable, visible  # noqa: F401, PLC0415
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 #: Any value of a fluent.
 Value: TypeAlias = Any
-#: Values of leaves at one moment. Each operation adds its value, and so computes it once.
+#: Values of leaves at one moment. Each operation adds its own value, so it computes the value only once.
 State: TypeAlias = dict["Expression", Value]
 
 lock: Final = shared_lock()
@@ -71,7 +71,7 @@ class Expression(ABC):
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
         self.operands = operands  # the expressions from which the value is computed
-        #: Counters of the expression's pulses by id(); None before the first counter.
+        #: Counters of this expression's pulses, by the counters' id(); None before the first counter.
         self.counters: WeakValueDictionary[int, PulseCounter] | None = None
 
     @property
@@ -245,10 +245,10 @@ class _Seen:
         while (before := unread[-1].before) is not None and before.state is not None:
             unread.append(before)
         for seen in reversed(unread):
-            state, before = seen.state, seen.before  # read each attribute once: another thread may clear both
+            state, before = seen.state, seen.before  # read each attribute once, because another thread may clear both
             if state is None:
                 continue
-            # these results stay if a network's function fails; it may succeed in the next state
+            # if a network's function fails, these results are kept; the function may succeed in the next state
             value, count = (None, 0) if before is None else (before.value, before.count)
             try:
                 now = of.value(state)
@@ -260,7 +260,7 @@ class _Seen:
 
 
 class Pulses(NamedTuple):
-    """Value of a counter: the number of its unhandled pulses, without the pulses of states that nobody has read."""
+    """Value of a counter: the number of its unhandled pulses, without pulses of states that weren't read yet."""
 
     direct: int
     seen: _Seen | None

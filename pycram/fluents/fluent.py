@@ -344,7 +344,7 @@ class Derived(Fluent):
 
 
 def network(function: Callable[..., Value], *operands: object) -> Fluent:
-    """Return a fluent whose value a function computes from the operands' values at one moment.
+    """Return a fluent that computes its value by a function of other fluents' values at the same moment.
 
     Args:
         function: Called with one value for each operand, whenever the network's value is needed.
@@ -408,7 +408,7 @@ class StateStream:
     def state_changed(self) -> None:
         """Append the present state; the caller holds the lock."""
         self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
-        self._news.notify_all()  # always, because the branch takes states without the lock
+        self._news.notify_all()  # notify even if states are left, because the branch takes states without the lock
 
     def states(self, limit: Deadline | None = None) -> Iterator[State]:
         """Yield the states in order; end at the deadline, even if new states keep coming."""
@@ -416,7 +416,7 @@ class StateStream:
         while True:
             late = limit is not None and limit.has_come
             if self._states:
-                checkpoint()  # one for all states: a reaction must keep up with 30 states a second
+                checkpoint()  # one mapping for all states, because a reaction must keep up with 30 states a second
             for _ in range(len(self._states)):
                 raise_if_cancelled()
                 yield self._states.popleft()

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 Table: TypeAlias = dict[str, object]
 
 _MAX_COUNT = 2**53  # JSON has no larger whole numbers
-_MAX_COORDINATE = 1e6  # m; at larger coordinates the engine's arithmetic can't resolve millimetres
-_UNIT_TOLERANCE = 1e-9  # a quaternion whose length differs from 1 by less stays unchanged
+_MAX_COORDINATE = 1e6  # largest coordinate in m; at larger ones the engine's arithmetic can't resolve millimetres
+_UNIT_TOLERANCE = 1e-9  # a quaternion stays unchanged if its length differs from 1 by less
 
 
 def number(argument: str, value: object) -> float:

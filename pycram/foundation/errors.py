@@ -13,7 +13,7 @@ its message. An error of PyCRAM is a dataclass with a template for its message::
 
         _template = "{arm} gripper can't grasp {body}"
 
-- The fields are parameters of the constructor, and are recorded in the same order. ``kept_as`` copies a given value.
+- The fields are parameters of the constructor, and are recorded in the same order. ``kept_as`` copies the argument.
 - If a message needs more than a template, override ``_message()``.
 - If a field depends on other fields, set it in ``_complete()``, which runs before ``_message()``.
 - If the parameters differ from the fields, write ``__init__`` instead, and call ``super().__init__(message)``.

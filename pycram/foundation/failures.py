@@ -206,7 +206,7 @@ class NoPath(PlanFailure):
     goal: Mapping[str, float] = kept_as(dict)  # joint values by name; for a base, x, y and yaw in the world
     checks: int  # configurations that were checked for collisions
     nearest: Mapping[str, float] = kept_as(dict)  # reached configuration nearest to the goal
-    distance: float  # Euclidean, from ``nearest`` to the goal, in joint values; for a base in m, 0.5 m per radian
+    distance: float  # distance from ``nearest`` to the goal in joint values; for a base in m, 0.5 m per radian
     pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links whose contact most often ended a path
     reason: str = ""  # another cause
 
@@ -299,7 +299,7 @@ class GripperBlocked(PlanFailure):
     pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links that would touch, the deepest first
 
     def _message(self) -> str:
-        return f"{self.arm} gripper can't release {self.body}: {phrases(self.pairs)}; it stays as it is"
+        return f"{self.arm} gripper can't release {self.body}: {phrases(self.pairs)}; the gripper didn't move"
 
 
 @dataclass_error
@@ -333,7 +333,7 @@ class TrackingLost(PlanFailure):
     joint: str  # the first joint whose deviation was too large
     error: float  # deviation of that joint, rad or m
     time: float  # time reached on the trajectory, s
-    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body and its load then, hardest first
+    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body and its load at that time, hardest first
 
     def _message(self) -> str:
         why = f": {phrases(self.pairs)}" if self.pairs else "; it touches nothing"

@@ -1,6 +1,6 @@
 """Decisions that a fork forces: candidates of choices, solutions of designators, limits, calls, the order of branches.
 
-Code calls :func:`forced` before it decides. Decisions are forced only in a run that a recording guides.
+Code calls :func:`forced` before each decision. Decisions are forced only in a run that a recording guides.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _decider: Decider | None = None
 @contextmanager
 def decided_by(decider: Decider) -> Iterator[None]:
     """Let a decider force decisions of this process during the ``with`` block."""
-    global _decider  # noqa: PLW0603  a process has one run
+    global _decider  # noqa: PLW0603  a process makes only one run
     before, _decider = _decider, decider
     try:
         yield

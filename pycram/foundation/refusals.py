@@ -28,7 +28,7 @@ T = TypeVar("T")
 Class = TypeVar("Class", bound=type)
 Error = TypeVar("Error", bound=BaseException)
 
-_RECORDED: Final = "_is_on_record"  # attribute of recorded errors; not part of their data
+_RECORDED: Final = "_is_on_record"  # name of an attribute that marks recorded errors; it isn't part of their data
 
 
 def refusing(

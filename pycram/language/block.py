@@ -54,7 +54,7 @@ Action: TypeAlias = Callable[..., Result]
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """The rules in which the kinds of blocks differ."""
+    """The rules of a kind of block; other kinds have other rules."""
 
     name: str  # the word that opens the block: "par", ...
     concurrent: bool  # whether branches run concurrently
@@ -93,7 +93,7 @@ class Block:
         self._scheduler = scheduler()
         self._own: Branch | None = None  # the host's branch that runs this block
         self._taken = 0  # number of started branches, for names of branches
-        self._joined = 0  # number of branches at the beginning of the list that have ended
+        self._joined = 0  # number of ended branches at the beginning of the list ``branches``
         self._decided = False  # whether a branch or a failure of the body has decided the block
         self._body_failures: list[PlanFailure] = []
         self._entered = ExitStack()  # ends the contexts of the body
@@ -261,7 +261,7 @@ class Block:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
-        with self._entered:  # fails if it can't wait for the branches, or if the block began in another context
+        with self._entered:  # the end fails if it can't wait for the branches, or if the block began in another context
             raised = self._close(error)
             self._span.error = raised or self._span.error
         if self._host is not None:
@@ -286,7 +286,7 @@ class Block:
         bugs = [e for e in errors if e is not None and not isinstance(e, (PlanFailure, Cancelled))]
         if bugs:  # the program is wrong, or the user interrupts it
             self.state = State.FAILED
-            bugs.sort(key=lambda bug: isinstance(bug, Retry))  # a Retry in front would hide the other errors
+            bugs.sort(key=lambda bug: isinstance(bug, Retry))  # if the Retry came first, it would hide the other errors
             return chained(bugs[0], [*bugs[1:], *failures])
         self.state = self._outcome(error, failures)
         if self._collected is not None:
@@ -334,7 +334,7 @@ class Block:
                 join(self._changed, self._all_ended, self._reason)
             except LockHeld:  # the next wait would fail in the same way
                 raise
-            except BaseException as error:  # noqa: BLE001  returned after the end of the branches
+            except BaseException as error:  # noqa: BLE001  the interrupt is returned after the end of the branches
                 interrupt = error
                 self.scope.cancel()
                 continue
@@ -444,7 +444,7 @@ class ReadBlock(Block):
             self.scope.cancel()  # ends the reading
             stopped = stop
         self._drop()
-        join(self._changed, lambda: self._body_ended, self._reason_to_read)  # the body may still act itself
+        join(self._changed, lambda: self._body_ended, self._reason_to_read)  # the body's own code may still act
         error = self._body_error
         if isinstance(error, PlanFailure):
             self._body_failed(error)

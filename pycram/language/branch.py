@@ -110,7 +110,7 @@ class Branch:
         self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
         self.label = partial(str, self.name)
         self._result, self.error = result, error
-        self.state = state  # set last, because other threads read it
+        self.state = state  # set after the outcome, because other threads read it
         self._changed.notify_all()
 
     def abandon(self, error: BaseException) -> None:

@@ -41,8 +41,8 @@ class Misnested(UsageError):
 
     def __init__(self, block: str) -> None:
         super().__init__(
-            f"a {block} block must end in its own branch, and after all blocks that were opened in it; "
-            "if a generator yields inside a block, it must leave the block before other code continues"
+            f"a {block} block must end in the branch that opened it, after all blocks inside it; "
+            "a generator that yields inside a block must leave the block before other code continues"
         )
         self.block = block  # kind of the scope: "par", "timeout", ...
 

@@ -220,7 +220,7 @@ class Attempt(Scope["Attempt"]):
     @contextmanager
     def _run(self) -> Iterator[Attempt]:
         raised: BaseException | None = None
-        handled: BaseException | None = None  # the failure to handle; after ``retry`` not ``raised``
+        handled: BaseException | None = None  # the failure to handle; after ``retry`` it isn't ``raised``
         changed: Parameters | None = None
         with OnError(self._attempts.finish), self._attempts.entered():  # the start or the recording may fail
             span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)

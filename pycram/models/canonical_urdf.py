@@ -35,18 +35,18 @@ _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
 }
 _ANY_CHILD: Final = ("geometry", "contact")  # _check_shape() checks shapes; "contact" is an element of PyBullet
 _XACRO: Final = "ros.org/wiki/xacro}"
-_MAX_JOINTS: Final = 127  # including fixed joints; with more joints, PyBullet returns no states
-_MAX_MOVABLE: Final = 121  # PyBullet's state has 128 values; 7 are the base's pose
-_MAX_NAME: Final = 1000  # bytes; PyBullet crashes the process at about 1,024
-_FAR: Final = "10000"  # m, limit of the chains that replace planar and floating joints
+_MAX_JOINTS: Final = 127  # maximum number of joints, also fixed ones; with more, PyBullet returns no states
+_MAX_MOVABLE: Final = 121  # maximum number of movable joints: PyBullet's state has 128 values, 7 for the base's pose
+_MAX_NAME: Final = 1000  # maximum length of a name in bytes; PyBullet crashes the process at about 1,024
+_FAR: Final = "10000"  # limit in m of the chains that replace planar and floating joints
 _SLIDE: Final = f'<limit lower="-{_FAR}" upper="{_FAR}" effort="0" velocity="0"/>'
 LARGEST: Final = 1e9
 """Largest number in a link (m, kg or kg m^2): the engine turns larger numbers into infinity."""
-DENSITY: Final = 700.0  # kg/m^3, for household objects of unknown mass
-_FRAME_MASS: Final = 1e-3  # kg, for links without shapes
+DENSITY: Final = 700.0  # density in kg/m^3 of household objects of unknown mass
+_FRAME_MASS: Final = 1e-3  # mass in kg of links without shapes
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
-_JOINT_INERTIA: Final = 0.05  # kg m^2, for links between joints: with it, motors in a row converge sooner
-_ROUNDING: Final = 1e-9  # kg m^2; a value this little below 0 is a rounding error of a mesh tool
+_JOINT_INERTIA: Final = 0.05  # inertia in kg m^2 of links between joints: it makes motors in a row converge sooner
+_ROUNDING: Final = 1e-9  # limit in kg m^2: a value this little below 0 is a rounding error of a mesh tool
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),

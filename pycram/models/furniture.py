@@ -34,16 +34,16 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion
     from recorder.urdf import Urdf, UrdfJoint
 
-_HIGHEST: Final = 1.8  # m above the lowest point of the model; higher surfaces are out of reach and out of sight
-_GROUND: Final = 10.0  # m^2; larger surfaces are floors
-_NARROW: Final = 0.2  # m, maximum width of the top of a wall
+_HIGHEST: Final = 1.8  # height in m above the model's lowest point; higher surfaces are out of reach and out of sight
+_GROUND: Final = 10.0  # area in m^2; larger surfaces are floors
+_NARROW: Final = 0.2  # maximum width in m of the top of a wall
 _UPRIGHT: Final = 4.0  # minimum ratio of height to width of a wall
 _RAYS: Final = 24  # number of horizontal directions
-_NEAR: Final = 0.6  # m; only parts this near to the outline of a surface hide the surface
+_NEAR: Final = 0.6  # distance in m; only parts this near to the outline of a surface hide the surface
 _HEIGHTS: Final = (0.3, 0.6, 0.9)  # heights of rays above a surface, as shares of ``_HAND``
-_HAND: Final = 0.2  # m, free height that a hand needs
+_HAND: Final = 0.2  # free height in m that a hand needs
 _LEVEL: Final = 0.5  # maximum |z| of the axis of a horizontal joint
-_TRAVEL: Final = (0.05, 2.0)  # m, range of the travel of a drawer
+_TRAVEL: Final = (0.05, 2.0)  # range in m of the travel of a drawer
 _HANDLE: Final = ("handle", "knob", "grip", "pull")  # words in the names of handles
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
 _DIRECTIONS: Final = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(_RAYS)])

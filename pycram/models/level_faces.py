@@ -37,21 +37,21 @@ class Least(NamedTuple):
 
 AREA: Final = 0.02  # m^2, minimum area of a face of furniture
 FURNITURE: Final = Least(AREA, 0.06)  # as wide as a glass
-THINGS: Final = Least(0.0016, 0.04)  # for a plate, a box, or another object that robots carry
+THINGS: Final = Least(0.0016, 0.04)  # sizes for a plate, a box, or another object that robots carry
 _CLEARANCES: Final = (0.25, 0.05)
 """Minimum free heights in m, in the order of the search: so a low lamp excludes only the area below it."""
 _LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
 _THICK: Final = 0.004  # m, maximum difference in height of the tops that form one face of a link
-_ROUGH: Final = 0.002  # m, maximum height of a bump that isn't an obstacle on a face
-_GAP: Final = 0.001  # m, minimum distance of grid lines
-_FINE: Final = 0.02  # m, distance of grid lines if edges aren't parallel to the grid
-_ALONG: Final = 1e-3  # maximum component, along a grid axis, of the unit normal of a side parallel to this axis
+_ROUGH: Final = 0.002  # maximum height in m of a bump that isn't an obstacle on a face
+_GAP: Final = 0.001  # minimum distance in m of grid lines
+_FINE: Final = 0.02  # distance in m of grid lines if edges aren't parallel to the grid
+_ALONG: Final = 1e-3  # maximum component of a side's unit normal along a grid axis that is parallel to the side
 _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
-_PARALLEL: Final = 1e-9  # maximum component of a plane's unit normal along a line parallel to the plane
-_SIMPLE: Final = 16  # number of planes; for pieces with more, lines that miss the bounding box are skipped
+_PARALLEL: Final = 1e-9  # maximum component of a plane's unit normal along a line that counts as parallel to the plane
+_SIMPLE: Final = 16  # number of planes of a piece above which lines that miss its bounding box are skipped
 _ROUNDING: Final = 1e-9  # maximum relative rounding error of an area
 _COLUMNS: Final = 8  # number of columns that BLAS multiplies together
-_SAME_PLANE: Final = 6  # decimal places that planes of triangles on one side of a hull share
+_SAME_PLANE: Final = 6  # decimal places in which planes of triangles on one side of a hull agree
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +62,7 @@ class Face:
     middle: Array  # (3,), m
     yaw: float  # rad, orientation of the outline's frame about z
     outline: Array  # (n, 2) corners relative to the middle, counter-clockwise, m
-    clearance: float  # m, free height; infinite if the face is open above
+    clearance: float  # free height in m; infinite if the face is open above
 
     @property
     def area(self) -> float:
@@ -99,7 +99,7 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, leas
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)
-    turn = np.array([[cosine, -sine], [sine, cosine]])  # ``corners @ turn`` has corners in the frame of the face
+    turn = np.array([[cosine, -sine], [sine, cosine]])  # ``corners @ turn`` are the corners in the frame of the face
     edges = np.concatenate([piece.corners[piece.corners[:, 2] > height - 2 * _THICK, :2] for piece in tops])
     corners = edges @ turn
     width, depth = np.ptp(corners, axis=0)

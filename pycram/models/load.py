@@ -38,9 +38,9 @@ _CACHED_MESHES: Final = 1024
 _SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # shapes with textures
 _START: Final = b"<robot "  # start of a canonical URDF, which has no declarations and no entities
 _MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
-_MAX_NAME: Final = 230  # bytes of a file's name; file systems allow 255, and a temporary file has a longer name
-_MAX_LINE: Final = 8000  # bytes of a line of a URDF; PyBullet breaks longer lines
-_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # a byte that isn't UTF-8, as recordings write it
+_MAX_NAME: Final = 230  # longest name of a file in bytes; file systems allow 255, and temporary files have longer names
+_MAX_LINE: Final = 8000  # maximum length of a URDF's lines in bytes; PyBullet breaks longer lines
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # how recordings write a byte that isn't UTF-8
 _RESERVED: Final = ("", ".", "..")
 
 

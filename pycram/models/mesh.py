@@ -42,14 +42,14 @@ _FAR: Final = 1e9  # maximum coordinate of a mesh, in the unit of the file
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 _STL_HEADER: Final = 84
 _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
-_MAX_LINE: Final = 8000  # bytes of a line of an OBJ file; PyBullet splits lines after 8,192 bytes
+_MAX_LINE: Final = 8000  # maximum length of an OBJ's lines in bytes; PyBullet splits lines after 8,192 bytes
 
 
 class ColoredPart(NamedTuple):
     """Triangles of a mesh that have the same colour."""
 
     triangles: Array  # (n, 3, 3) corners in the mesh's frame, m
-    rgba: Rgba | None  # 0..1; None if the file has no colour
+    rgba: Rgba | None  # RGBA 0..1; None if the file has no colour
 
 
 @lru_cache(maxsize=2)  # most models use a mesh for collision, and then for visuals
@@ -301,7 +301,7 @@ def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, by
         return [(*convert(file), None if image is None else mean(image))]
     parts = read_parts(file, _bytes(file), cover)
     if file.suffix.lower() == ".obj" and len(parts) == 1:
-        return [(*convert(file), parts[0].rgba)]  # keeps the normals of the file
+        return [(*convert(file), parts[0].rgba)]  # the file stays unchanged, so its normals are kept
     return [(f"{file.stem}-{number}.stl", stl(part.triangles), part.rgba) for number, part in enumerate(parts)]
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     import trimesh
 
-_MIN_CONVEXITY: Final = 0.9  # minimum share of the hull's volume that a convex mesh fills; for open meshes of the area
+_MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fills; for open meshes, share of the area
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 

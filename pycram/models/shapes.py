@@ -34,18 +34,18 @@ T = TypeVar("T")
 Number = TypeVar("Number", np.float64, np.int64)
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
 """The lowest and the highest corner of a bounding box, m."""
-_SMALL: Final = 300  # maximum size of a small array
+_SMALL: Final = 300  # maximum number of values in a small array
 _SECTIONS: Final = 32  # sides of cylinders and spheres
-_NO_AREA: Final = 1e-12  # m^2 for a solid of 1 m; smaller triangles have two corners on the axis
-_CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners; edges are 1 m long
+_NO_AREA: Final = 1e-12  # area in m^2, if the solid is 1 m high; smaller triangles have two corners on its axis
+_CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners of a cube with edges of 1 m
 _SIDES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 """Indices of the corners of each side of the cube, counter-clockwise as seen from outside."""
 _CUBE_TRIANGLES: Final = np.array([_CUBE[[a, *ends]] for a, b, c, d in _SIDES for ends in ((b, c), (c, d))])
-_PLANE_DECIMALS: Final = 9  # decimal places that planes of triangles on one face share
-_MAX_CHOSEN: Final = 40  # number of corners; with more, trying every choice of three takes more than 3 ms
+_PLANE_DECIMALS: Final = 9  # decimal places in which planes of triangles on one face agree
+_MAX_CHOSEN: Final = 40  # maximum number of corners for trying every choice of three; with more, that takes over 3 ms
 _SHARED: Final = 6  # approximate number of triangles that share a corner
-_FLAT: Final = 1e-9  # m, tolerance for corners in front of a plane, and minimum thickness of a solid
-_IN_LINE: Final = 1e-12  # m^2, maximum of twice the area between three collinear corners
+_FLAT: Final = 1e-9  # tolerance in m for corners in front of a plane, and minimum thickness of a solid
+_IN_LINE: Final = 1e-12  # maximum of twice the area between three collinear corners, m^2
 _NEXT: Final = [1, 2, 0]  # axes of the first factors of a cross product
 _OTHER: Final = [2, 0, 1]  # axes of the second factors
 
@@ -74,7 +74,7 @@ def shapes_of(path: Path, role: str = "visual") -> Shapes:
 
 
 class LazySequence(Sequence[T]):
-    """Values that ``make`` computes at their first reading, because a camera sees few links of a model at a time."""
+    """A list whose values are computed by ``make`` when they are first read: a camera sees few links at a time."""
 
     def __init__(self, make: Sequence[Callable[[], T]]) -> None:
         self._make = make

@@ -28,7 +28,7 @@ URDF_TYPE: Final = "application/xml"
 _CACHED_DOCUMENTS: Final = 64
 _CACHED_TREES: Final = 128
 _PREFIX: Final = "pycram-models-"
-_LOCK: Final = "lock"  # a file in each store
+_LOCK: Final = "lock"  # name of a file in each store
 
 
 @cache

@@ -25,7 +25,7 @@ class Surface:
     position: Vector  # middle of the surface in the frame of the link, m
     orientation: Quaternion  # xyzw in the frame of the link; z points up if the furniture stands upright
     outline: tuple[tuple[float, float], ...]  # counter-clockwise corners x, y of a convex polygon, m
-    clearance: float  # m, free height with closed containers; infinite if the surface is open above
+    clearance: float  # free height in m with closed containers; infinite if the surface is open above
     container: str = ""  # name of the container around the surface; "" without a container
 
     @property

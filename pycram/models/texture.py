@@ -35,7 +35,7 @@ else:
 _COLORS: Final = 8  # number of colours in the palette; each colour becomes a shape
 _SPOT: Final = 1 / 48  # maximum share of the texture's width that a triangle spans
 _MAX_TRIANGLES: Final = 20_000
-_MAX_SIDE: Final = 256  # pixels; larger images are reduced
+_MAX_SIDE: Final = 256  # largest size of an image in pixels; larger images are reduced
 _SECTIONS: Final = 32  # sides of cylinders and spheres
 _AXES: Final = np.eye(3)
 

@@ -2,8 +2,8 @@
 
 A designator has slots: (key, value) pairs. Resolvers find its solutions: dictionaries with all parameters. The first
 solution is the *reference*. Each further solution belongs to another designator with the same slots. These designators
-are *equated*: they describe the same thing over time, and form a chain from the oldest to the newest. A designator is
-*effective* after its first reference, or if it was made to stand for something that was found.
+are *equated*: they describe the same thing over time, and form a chain from the oldest to the newest. A designator with
+a reference, a found solution or the data of :meth:`make_effective`, is *effective*.
 
 Designators are ``==`` only if they are identical; :meth:`Designator.equal` compares chains. Slots never change, so any
 number of threads may use a designator.
@@ -51,7 +51,7 @@ Function = TypeVar("Function", bound="Callable[..., object]")
 
 
 class Resolvers(Generic[Function]):
-    """Functions that users register, for calls in order until a function answers; iteration uses a snapshot."""
+    """Functions that users register; they are called in order until one answers. Iteration uses a snapshot."""
 
     def __init__(self, owner: str) -> None:
         self.owner = owner  # what the functions resolve, for messages
@@ -134,7 +134,7 @@ class Solutions:
                 rest = itertools.islice(self._find(), count, None)
             solution = next(rest, None)
             with self._lock:
-                if len(self._kept) == count:  # no other thread was faster
+                if len(self._kept) == count:  # no other thread has found this solution already
                     self._rest = rest
                     self._complete = solution is None
                     if solution is not None:
@@ -147,7 +147,7 @@ class Solutions:
             return Resolution(resolver, index, len(self._kept), self._complete)
 
 
-#: The designators that this context performs; a motion may consist of motions.
+#: The designators that this branch performs now; a motion may consist of motions.
 _performed: ContextVar[tuple[Designator, ...]] = ContextVar("pycram_performed", default=())
 
 
@@ -307,7 +307,7 @@ class Designator(ABC):
 
     @property
     def effective(self) -> bool:
-        """Whether the designator was referenced, or was made to stand for something."""
+        """Whether the designator has a reference: a found solution, or the data of :meth:`make_effective`."""
         return self._effective
 
     @property
@@ -387,7 +387,7 @@ class Designator(ABC):
     def make_effective(
         self, properties: Description | None = None, data: Value = None, timestamp: float | None = None
     ) -> Self:
-        """Return a new effective designator in the same chain, which stands for something that was found.
+        """Return a new effective designator in the same chain, for something that was found.
 
         Args:
             properties: Slots of the new designator; by default the slots of this designator.

@@ -46,14 +46,14 @@ LEVEL: Final[ContextVar[bool]] = ContextVar("pycram_level", default=False)
 """Whether motions keep what a hand holds upright; see :func:`pycram.motions.process_module.execution_environment`."""
 
 LEAN: Final = math.radians(15)
-"""Rad by which the tool may lean more than at the start of a level motion."""
+"""Largest angle in rad by which the tool may lean more than at the start of a level motion."""
 
-_STRAIGHT: Final = (0.1, 0.06, 0.03)  # m, lengths of the straight lines that are tried
-_BACK: Final = (-1.0, 0.0, 0.0)  # direction in the tool frame
-_UP: Final = (0.0, 0.0, 1.0)  # direction in the world
-_DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # m, detours up and back
+_STRAIGHT: Final = (0.1, 0.06, 0.03)  # tried lengths of straight lines, m
+_BACK: Final = (-1.0, 0.0, 0.0)  # the hand's backward direction, in the tool frame
+_UP: Final = (0.0, 0.0, 1.0)  # the upward direction, in the world
+_DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # lengths of detours up and back, m
 _SAMPLES: Final = 15  # checks per second for contacts between moving parts of a robot
-_SAME: Final = 1e-4  # rad or m, maximum difference of equal joint positions
+_SAME: Final = 1e-4  # maximum difference in rad or m of equal joint positions
 
 
 class Execution(ABC):
@@ -225,11 +225,11 @@ class InstantExecution(Execution):
         arm: Arm,  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step | None:
-        """Don't move the hand."""
+        """Return None: the hand doesn't move."""
         return None
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002
-        """Don't move the object."""
+        """Return None: the object doesn't move."""
         return None
 
     def settle(self, world: BulletWorld) -> Collection[Object]:
@@ -331,7 +331,7 @@ class ContinuousExecution(Execution):
             except PlanFailure:
                 level_way = None
             if level_way is None:
-                raise NoPath(f"{arm.name} arm", posture, 0, {}, 0.0, [], "no straight or bent way there is level")
+                raise NoPath(f"{arm.name} arm", posture, 0, {}, 0.0, [], "the arm has no level path there")
             return _all((*steps, level_way))
         ways = (geometry.rotate(_tool_pose(robot, arm, end)[1], direction), _UP)
         line = _line(robot, arm, end, ways, ignored, ignored_links)
@@ -368,7 +368,7 @@ class ContinuousExecution(Execution):
         return partial(_along, (robot, postures), (container, [{joint: value} for value in values]))
 
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
-        """Draw the hand straight back as far as the way is free; return None without a free way."""
+        """Draw the hand straight back until something would be touched; return None if it can't move at all."""
         line = self._line_back(robot, arm, ignored_links)
         return None if line is None else partial(_along, (robot, line))
 
@@ -381,7 +381,7 @@ class ContinuousExecution(Execution):
         return _line(robot, arm, now, ways, (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Lift the object straight up as far as the way is free; return None without a free way."""
+        """Lift the object straight up until something would be touched; return None if it can't move at all."""
         line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
@@ -426,7 +426,7 @@ def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal
         for candidate in others:
             new = [each["pair"] for body, each in checker.touched(candidate).items() if body not in known]
             if new := new + checker.self_collisions(candidate):
-                raise Blocked(arm.name, goal[0], new, "on the level way")
+                raise Blocked(arm.name, goal[0], new, "on the level path to the goal")
 
 
 def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:

@@ -62,7 +62,7 @@ def _holding_arm(given: dict[str, Value]) -> Value:
 
 def _arms(given: dict[str, Value], slot: str) -> tuple[str, ...]:
     arm = given.get(slot)
-    return (arm,) if isinstance(arm, str) else arm_names()  # the result of a future may be any arm
+    return (arm,) if isinstance(arm, str) else arm_names()  # a future may turn out to be any arm
 
 
 def _arm_resources(given: dict[str, Value]) -> Resources:
@@ -206,8 +206,8 @@ def resources_of(solution: Solution) -> Resources | None:
 def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
     """Yield the solution of a designator of the eleven types (thesis 4.6), or of a process module of another package.
 
-    For ``moving`` with an orientation, a second solution has the robot's present orientation. A solution for another
-    package's module has all slots as the plan wrote them.
+    For ``moving`` with an orientation, a second solution has the robot's present orientation. A solution for a process
+    module of another package has all slots, as the plan wrote them.
     """
     kind = designator.type
     if kind and kind not in TYPES and plugins.load(plugins.PROCESS_MODULES, kind) is not None:

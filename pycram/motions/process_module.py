@@ -81,7 +81,7 @@ _ONE_AT_A_TIME: Final = Resources(moves=frozenset({"module"}))
 _TOGETHER: Final = Resources()
 
 _environment: ContextVar[str] = ContextVar("pycram_environment", default="")
-_of_run = SIMULATED  # in all threads, the environment of plans that don't name an environment
+_of_run = SIMULATED  # the environment of plans that don't name an environment, in all threads
 _modules_lock = threading.Lock()
 #: Registered modules by robot and environment, and whether these modules replace the default modules.
 _registered: dict[tuple[str, str], tuple[Modules, bool]] = {}
@@ -90,11 +90,11 @@ _of_world: weakref.WeakKeyDictionary[BulletWorld, dict[tuple[str, str], Modules]
 
 _queues: weakref.WeakKeyDictionary[BulletWorld, ResourceQueue] = weakref.WeakKeyDictionary()
 _queues_lock = threading.Lock()
-#: For parts of a motion: queues for the resources of that motion, by world.
+#: In a motion: the queues in which parts of the motion wait for its resources, by world.
 _parts: ContextVar[Mapping[BulletWorld, ResourceQueue]] = ContextVar("pycram_parts", default=MappingProxyType({}))
-#: For motions that a running module performs: queues of their modules. Concurrent modules have separate queues.
+#: In a motion: the queues of its inner motions' modules. Concurrent modules have separate queues.
 _inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
-#: The designator that this context executes, and the record of its resolution and of the choice of its module.
+#: The designator that this branch executes, with the record of its resolution and of the choice of its module.
 _decided: ContextVar[tuple[Designator | None, Decision | None]] = ContextVar("pycram_decided", default=(None, None))
 
 

@@ -50,7 +50,7 @@ class ResourceError(UsageError):
         )
         self.motion = motion  # name of the inner motion
         self.moves = sorted(excess.moves)  # resources that the inner motion moves and the outer motion doesn't hold
-        self.at_rest = sorted(excess.at_rest)  # the same, of resources at rest
+        self.at_rest = sorted(excess.at_rest)  # needed at rest by the inner motion, and not held by the outer one
         self.held = held  # the outer motion's resources
 
 

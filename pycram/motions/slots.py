@@ -55,7 +55,7 @@ def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
     """Return the slots of a list of pairs or of a mapping, with copies of containers; else raise DesignatorError."""
     try:
         if isinstance(description, str):
-            raise TypeError  # noqa: TRY301  else a string of two letters would be a pair
+            raise TypeError  # noqa: TRY301  without this check, a string of two letters would be a pair
         items = tuple(description.items() if isinstance(description, Mapping) else map(tuple, description))
         slots = tuple((name, own(value)) for name, value in items)
     except (TypeError, ValueError):
@@ -91,7 +91,7 @@ class SolutionSlots(dict[str, Value]):
 
     def get(self, key: str, default: Value = None) -> Value:
         """Return a parameter, or the default for a missing parameter."""
-        return self[key] if key in self else default  # noqa: SIM401  self.get() would call itself
+        return self[key] if key in self else default  # noqa: SIM401  self.get() would be this method again
 
     def __contains__(self, key: object) -> bool:
         return super().__contains__(key) or slot_name(str(key)) in (slot_name(str(name)) for name in self)
@@ -109,7 +109,7 @@ def own(value: T) -> T:
 
 
 def _own(value: Value, known: dict[int, Value]) -> Value:
-    if id(value) in known:  # a container that contains itself
+    if id(value) in known:  # the container contains itself
         return known[id(value)]
     if type(value) is list:
         items: list[Value] = []
@@ -161,8 +161,8 @@ class Slot:
     required: bool = False
     default: Callable[[dict[str, Value]], Value] | None = None  # infers a missing value from the given slots
     aliases: tuple[str, ...] = ()
-    text: str = ""  # the possible values; by default the text of the value's kind
-    otherwise: str = ""  # effect of a missing slot
+    text: str = ""  # text about the possible values; by default :attr:`ValueKind.text`
+    otherwise: str = ""  # what happens if the slot is missing
 
     @property
     def values(self) -> str:

@@ -34,7 +34,7 @@ class LoadedBody:
     joints: Mapping[str, MovableJoint]  # movable joints by name
     offset: Pose | None  # pose of the base's centre of mass in the base link's frame; None if they coincide
     indices: tuple[int, ...]  # indices of the movable joints, in order
-    gain: float  # share of a joint's error that its motor corrects in a step
+    gain: float  # share of a joint's position error that its motor corrects in a simulated step
     forces: Mapping[str, float]  # largest forces of the motors by joint, N m or N
     targets: dict[str, float] = field(default_factory=dict)  # positions that the motors hold, by joint
 
@@ -55,8 +55,8 @@ class ClosestPoint(NamedTuple):
     link_b: str  # link of the second body
     position: Vector  # point on the second body, world frame, m
     normal: Vector  # unit vector from the second body to the first body
-    distance: float  # m; negative if the links overlap
-    force: float  # N along the normal in the last step; 0 without a step
+    distance: float  # distance in m; negative if the links overlap
+    force: float  # force in N along the normal in the last step; 0 without a step
 
     @property
     def carries(self) -> bool:

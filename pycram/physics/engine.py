@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from pycram.physics.loading import Loading
 
-with needed(), silenced(1, 2):  # PyBullet prints its build time
+with needed(), silenced(1, 2):  # the import of PyBullet prints its build time
     import pybullet as bullet
 
 if len(list(Path(bullet.__file__).parent.glob("pybullet*-*.dist-info"))) > 1:
@@ -55,8 +55,8 @@ _BUTTON: Final = 2  # kind of a mouse event: a button was pressed or released
 
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
-_NEXT_TO_NOTHING: Final = 1e-9  # m, used for a distance of exactly 0
-_FAR: Final = 1e4  # m, length of PyBullet's vectors for the picture
+_NEXT_TO_NOTHING: Final = 1e-9  # distance in m that replaces a distance of exactly 0
+_FAR: Final = 1e4  # length in m of PyBullet's vectors for the picture
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -252,7 +252,7 @@ class Engine:
         self._forget(body)
 
     def pose_joints(self, body: LoadedBody, positions: Mapping[str, float]) -> None:
-        """Set joints of a body that is never simulated. This is ten times as fast, because it doesn't set motors."""
+        """Set joints of a body that is never simulated. This is ten times as fast, because motors aren't set."""
         bullet.resetJointStatesMultiDof(
             body.id,
             [body.joints[name].index for name in positions],
@@ -274,7 +274,7 @@ class Engine:
 
         The motor gets the difference as a velocity, and corrects a remaining error by its gain.
         """
-        bullet.setJointMotorControlArray(  # this call doesn't change the velocity limit that _hold has set
+        bullet.setJointMotorControlArray(  # this call keeps the velocity limit that ``_hold`` has set
             body.id,
             [joint.index for joint in joints],
             bullet.POSITION_CONTROL,

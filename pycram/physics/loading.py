@@ -24,7 +24,7 @@ MOTOR_GAIN: Final = 0.1
 """Share of a joint's error that a motor corrects in a step. It is PyBullet's default, for bodies that aren't robots."""
 #: Least forces (N m, N) with which motors hold joints. With less than 1e4 N the PR2's torso sinks.
 _LEAST: Final = {"revolute": 500.0, "prismatic": 1e4}
-_GRAVITY: Final = 9.81  # m/s^2, gravity for the motor forces of robots
+_GRAVITY: Final = 9.81  # gravity in m/s^2 for which the motor forces of robots are computed
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,15 +39,15 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_JOINT_STEP: Final = 0.05  # rad or m of a joint between checked configurations in a search
-_THERE: Final = 1e-3  # rad or m; a joint that is nearer to its goal doesn't move, because motors aren't more accurate
-_LINE_STEP: Final = 0.01  # m of the tool between neighbouring postures
-_LINE_TURN: Final = 0.05  # rad of the tool between neighbouring postures
-_JUMP: Final = 0.35  # rad or m of a joint between neighbouring postures; a larger change is a new posture of the arm
-_ROOM: Final = 3.0  # m around start and goal for a path
-_WIDER: Final = 9.0  # m around start and goal for a second search, for example through the next door
-_METRES_A_TURN: Final = 0.5  # m by which a robot's outline moves during a turn of one radian
-_BASE_STEP: Final = 0.06  # m between checked poses in a search
+_JOINT_STEP: Final = 0.05  # motion in rad or m of a joint between checked configurations in a search
+_THERE: Final = 1e-3  # rad or m from its goal within which a joint doesn't move, because motors aren't more accurate
+_LINE_STEP: Final = 0.01  # motion in m of the tool between neighbouring postures
+_LINE_TURN: Final = 0.05  # turn in rad of the tool between neighbouring postures
+_JUMP: Final = 0.35  # motion in rad or m of a joint between neighbouring postures; a larger one changes the posture
+_ROOM: Final = 3.0  # margin in m around start and goal for a path
+_WIDER: Final = 9.0  # margin in m around start and goal for a second search, for example through the next door
+_METRES_A_TURN: Final = 0.5  # motion in m of a robot's outline during a turn of one radian
+_BASE_STEP: Final = 0.06  # distance in m between checked poses in a search
 
 
 def joint_motion(

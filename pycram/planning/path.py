@@ -31,7 +31,7 @@ STRAIGHT: Final = "straight line"
 RRT_CONNECT: Final = "RRT-Connect"
 MAX_CHECKS: Final = 20_000  # maximum number of checked configurations in all searches for a path
 
-_STEPS: Final = (1.0, 0.5, 0.25)  # step of each search as a share of the space's step; small steps overlook less
+_STEPS: Final = (1.0, 0.5, 0.25)  # steps of searches as shares of the space's step; small steps overlook less
 _FINE: Final = 0.25  # step of the final check as a share of the space's step
 _RATE: Final = 240.0  # samples of a timed path per second for its check
 _MAX_PAIRS: Final = 3  # maximum number of pairs of links in a failure
@@ -109,7 +109,7 @@ def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
 
 def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:
     """Return a free path (n, d), or None; append the nearest configuration of each search to ``reached``."""
-    from pycram.planning import rrt_connect  # noqa: PLC0415  loading OMPL takes as long as a plan without motions
+    from pycram.planning import rrt_connect  # noqa: PLC0415  loading OMPL takes as long as a whole plan without motions
 
     for share in _STEPS:
         found, nearest = rrt_connect.search(

@@ -48,7 +48,7 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
             return False
         try:
             return self._check(_row(a, self._range), _row(b, self._range))
-        except BaseException as error:  # noqa: BLE001  raised again when OMPL has returned
+        except BaseException as error:  # noqa: BLE001  the error is raised again when OMPL has returned
             # a traceback would keep OMPL's objects until the process exits, and OMPL would then print a warning
             self.error = error if isinstance(error, Exception) else error.with_traceback(None)
             return False

@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-MARGIN: Final = 5e-3  # m, least distance between the robot and other objects
-_DEEPER: Final = 1e-3  # m by which an overlap may exceed the overlap at the start or goal
-_SLACK: Final = 0.01  # m, additional allowed overlap of hulls of the robot's own links, if there is no other path
-_BATCH: Final = 64  # configurations that are checked together
-_FIRST_BATCH: Final = 16  # configurations, spread over an edge, of the first check; it finds most blocked edges
+MARGIN: Final = 5e-3  # least distance in m between the robot and other objects
+_DEEPER: Final = 1e-3  # depth in m by which an overlap may exceed the overlap at the start or goal
+_SLACK: Final = 0.01  # additional allowed overlap in m of hulls of the robot's own links, if there is no other path
+_BATCH: Final = 64  # number of configurations that are checked together
+_FIRST_BATCH: Final = 16  # number of configurations on an edge that are checked first; they find most blocked edges
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +86,7 @@ class Clearance:
         # its own links may overlap a little more, because hulls are larger than links.
         self.strict = True
         self.checks = 0  # number of checked configurations
-        # how often a pair of links was in the way
+        # number of times that each pair of links was in the way
         self.blocking: Counter[Pair] = Counter()
         self._allow(start)
         # pairs that overlap more at the goal than at the start; the deepest overlap is first

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-SPACINGS: Final = (0.3, 0.1, 0.03)  # rad or m between way points of the spline; smaller spacings round corners less
+SPACINGS: Final = (0.3, 0.1, 0.03)  # distances in rad or m of the spline's way points; small ones round corners less
 _RATE: Final = 30.0  # knots of a trajectory per second; it is cubic between knots
-_STILL: Final = 1e-4  # rad or m; a shorter path takes one step
+_STILL: Final = 1e-4  # length of a path in rad or m below which it takes one step
 _GRID: Final = 25  # points of toppra's grid between way points, if toppra's own grid fails
-_FINE: Final = np.linspace(0.0, 1.0, 9)  # moments between two knots at which velocities are checked
+_FINE: Final = np.linspace(0.0, 1.0, 9)  # number of moments between two knots at which velocities are checked
 _DEFAULTS: Final = MotionLimits()
 _OCTAGON: Final = math.cos(math.pi / 8)  # distance of an octagon's sides from the centre, as a share of its radius
 
@@ -93,7 +93,7 @@ def stopping(path: Array, rates: Rates) -> Knots:
 def _toppra() -> Any:
     with needed(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SyntaxWarning)  # Python 3.12 warns about docstrings of toppra
-        import toppra  # noqa: PLC0415  importing it takes 2 s, mostly for matplotlib
+        import toppra  # noqa: PLC0415  importing toppra takes 2 s, mostly for matplotlib
 
     logging.getLogger("toppra").setLevel(logging.ERROR)
     return toppra

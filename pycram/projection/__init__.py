@@ -97,7 +97,7 @@ class Outcome:
     result: Result = None
     #: The action's error; ProjectionDied after a crash or at a limit, ProjectedError if the error can't be pickled.
     failure: BaseException | None = None
-    duration: float = 0.0  # s of simulated time in the current world
+    duration: float = 0.0  # seconds of simulated time in the current world
     #: The current world's final state, for ``world.restore(outcome.state)``. It is None without a world, or if a body
     #: followed a trajectory at the end.
     state: SavedState | None = None

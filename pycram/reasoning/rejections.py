@@ -45,8 +45,8 @@ class Excluded(Rejection):
 class OutOfReach(Rejection):
     """No posture reaches the target."""
 
-    distance: float | None  # m between the nearest posture and the target; None if unknown
-    turn: float = 0.0  # rad between the nearest posture and the target
+    distance: float | None  # distance in m between the nearest posture and the target; None if unknown
+    turn: float = 0.0  # angle in rad between the nearest posture and the target
 
     def miss(self) -> float:
         """Return the distance plus the rotation of a tool of 1 m."""
@@ -77,9 +77,9 @@ class Touching(Rejection):
 class Misfit(Rejection):
     """The object doesn't fit between the fingers."""
 
-    width: float | None  # m, width of the object between the fingers; None if there is nothing to grasp
-    least: float  # m, width of the narrowest object that the fingers hold
-    most: float  # m, width of the widest object that the fingers hold
+    width: float | None  # width in m of the object between the fingers; None if there is nothing to grasp
+    least: float  # width in m of the narrowest object that the fingers hold
+    most: float  # width in m of the widest object that the fingers hold
 
     def miss(self) -> float:
         """Return by how much the width exceeds a limit, m."""
@@ -90,7 +90,7 @@ class Misfit(Rejection):
 class Uneven(Rejection):
     """The suction cup doesn't close on the object."""
 
-    height: float | None  # m between the highest and the lowest point below the cup; None without an object there
+    height: float | None  # unevenness in m of the surface below the cup; None without an object there
 
     def miss(self) -> float:
         """Return the height."""

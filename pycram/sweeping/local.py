@@ -77,7 +77,7 @@ class SweepSpec:
     seed: int = 0  # determines the seeds and drawn parameters of the runs
     listed: Mapping[str, list[Any]] = field(default_factory=dict)  # values by parameter
     sampled: Mapping[str, str] = field(default_factory=dict)  # distributions by parameter
-    limit: float = 300.0  # s of wall-clock time for a run
+    limit: float = 300.0  # seconds of wall-clock time for a run
     memory: int = 0  # bytes of additional memory for a run; 0 for no limit
 
     def run(self, number: int) -> RunSpec:
@@ -388,7 +388,7 @@ class Worker:
                     outcome = RunOutcome(**answer["outcome"])
                     left.pop(outcome.number)
                     yield outcome
-            raise WorkerLost(f"the process that makes the runs ended with exit code {self._process.wait()}")
+            raise WorkerLost(f"the worker process of the sweep ended with exit code {self._process.wait()}")
         finally:
             if left:
                 self.close()

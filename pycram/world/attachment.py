@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _CONTACT_GAP: Final = 0.003  # m; a body at rest is about half a millimetre above its support
 _DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the drawer that contains it
-_GRIP_GAP: Final = 0.001  # m between a body and a finger that holds it
+_GRIP_GAP: Final = 0.001  # distance in m between a body and a finger that holds it
 _SLIGHT: Final = 2e-3  # m; bodies with a smaller overlap move apart without pushing each other
 _BELOW: Final = -0.1  # z of a unit normal; a smaller z means that a body touches another body from above
 

@@ -479,7 +479,7 @@ def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
     """Warn that parts of a robot's description, which was found by its name, don't fit its URDF."""
     remedy = "'pycram describe' writes a fitting description for Object(..., description=RobotDescription.load(FILE))"
     if robot.description is None:
-        what = f"no description: the one for {robot.urdf.name} doesn't fit its URDF ({next(iter(misfits.values()))})"
+        what = f"no description: {robot.urdf.name}'s description doesn't fit its URDF ({next(iter(misfits.values()))})"
     else:
         out = "; ".join(f"{part} ({reason})" for part, reason in misfits.items())
         what = f"a description without these parts, which don't fit its URDF: {out}"

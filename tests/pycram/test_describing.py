@@ -169,7 +169,7 @@ WRONG = {
     "depth": (
         "depth = 0.025",
         "depth = 0.06",
-        "panda gripper: depth is described as 60.0 mm, with 37.4 mm in front of the palm",
+        "panda gripper: depth is described as 60.0 mm, measured 37.4 mm",
     ),
     "tips": ("tips = 0.0095", "tips = 0.03", "panda gripper: tips is described as 30.0 mm, measured 9.5 mm"),
     "park": (

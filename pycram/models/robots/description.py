@@ -33,11 +33,11 @@ _MAX_FOV: Final = 3.1  # rad
 _MAX_PIXELS: Final = 1e5
 
 _SIZES: Final = (0.0, 1.0)  # m
-_STILL: Final = 1e-4  # m, maximum motion of a link that doesn't move when the gripper closes
-_ALONG: Final = math.cos(math.radians(45))  # minimum share of a side's motion that is along y
+_STILL: Final = 1e-4  # maximum motion in m of a link that doesn't move when the gripper closes
+_ALONG: Final = math.cos(math.radians(45))  # minimum share of the motion along y in the whole motion of a side
 _ACROSS: Final = 0.4  # a finger is on no side if a smaller share of its motion is along y
-_EVEN: Final = 0.01  # maximum bias of sides that close evenly
-_AIR: Final = 2e-3  # m, distance from a fixed jaw; larger than the engine's padding of shapes
+_EVEN: Final = 0.01  # largest bias (:meth:`Gripper.bias`) that still counts as even
+_AIR: Final = 2e-3  # distance in m from a fixed jaw; larger than the engine's padding of shapes
 
 
 class Misfitting(UserWarning):
@@ -142,7 +142,7 @@ class RobotDescription:
         out = self.misfits(urdf)
         if not out:
             return self
-        text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # JSON lists are TOML lists
+        text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # a JSON list is also a TOML list
         rest = self.parse(text, self.source)  # parsed, because recordings contain the text
         is_robot = "base_link" not in out and (rest.arms or rest.head or rest.camera or rest.torso)
         return rest if is_robot else None
@@ -217,7 +217,7 @@ class Arm:
         return [self.base_link, self.tool_frame, *hand]
 
     def bias(self, urdf: Urdf) -> float:
-        """Return the bias of the gripper, as :meth:`Gripper.bias` defines it."""
+        """Return how unevenly the sides of the gripper close, as :meth:`Gripper.bias` defines it."""
         return self.gripper.bias(urdf, self.tool_frame, self.tool_offset)
 
     def misfits(self, urdf: Urdf) -> dict[str, str]:
@@ -284,8 +284,8 @@ class CameraDescription:
     vertical_fov: float  # rad
     width: int  # pixels
     height: int  # pixels
-    near: float  # m, minimum distance of visible objects
-    far: float  # m, maximum distance of visible objects
+    near: float  # minimum distance in m of visible objects
+    far: float  # maximum distance in m of visible objects
 
     def pose(self, link_pose: PoseLike) -> Pose:
         """Return the pose of the optical frame, given the pose of the link ``frame`` in the same frame."""
@@ -393,12 +393,12 @@ class Gripper:
     closed: tuple[float, ...] = ()  # position of each joint when closed, rad or m
     open: tuple[float, ...] = ()  # position of each joint when open, rad or m
     fingers: tuple[str, ...] = ()  # names of the fingers' links
-    aperture: float = 0.0  # m between the open finger tips
-    depth: float = 0.0  # m from the tool frame back to the palm, where an object fits
-    tips: float = 0.0  # m from the tool frame forward to the closed finger tips; open fingers reach less far
-    underside: float  # m from the tool frame down to the lowest point of a level gripper
-    gap: float = 0.0  # m between the closed finger tips; thinner objects slip through
-    suction: float = 0.0  # m, radius of the suction cup, whose rim is at the tool frame; 0 for fingers
+    aperture: float = 0.0  # distance in m between the open finger tips
+    depth: float = 0.0  # distance in m from the tool frame back to the palm; an object fits there
+    tips: float = 0.0  # distance in m from the tool frame forward to the closed finger tips; open ones reach less far
+    underside: float  # distance in m from the tool frame down to the lowest point of a level gripper
+    gap: float = 0.0  # distance in m between the closed finger tips; thinner objects slip through
+    suction: float = 0.0  # radius in m of the suction cup, whose rim is at the tool frame; 0 for fingers
 
     def positions(self, motion: str) -> dict[str, float]:
         """Return joint values for the motion "open" or "close"."""

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from pycram.reasoning.grasping.handles import HandlePath
     from pycram.world.object import Object
 
-_STEP: Final = 0.1  # m or rad, maximum motion of the joint between two postures
-_STILL: Final = 0.01  # m or rad, maximum motion of the joint while the hand approaches
+_STEP: Final = 0.1  # maximum motion in m or rad of the joint between two postures
+_STILL: Final = 0.01  # maximum motion in m or rad of the joint while the hand approaches
 
 
 class Accessing(SimulatedModule):

@@ -40,12 +40,12 @@ if TYPE_CHECKING:
     from recorder.geometry import PoseLike
 
 _MAX_SEARCHED: Final = 3  # number of grasps without a path after which the search ends
-_MOVING: Final = (0.3, 3.0)  # m/s and rad/s, speeds of a falling or rolling object; a rocking object is slower
-_JAMMED: Final = 0.015  # m; free objects that overlap more can't be at rest
-_STILL: Final = (0.005, math.radians(5))  # m and rad, maximum motion of the object while the hand approaches
-_FALL: Final = 0.1  # m; an object hangs in the air if its support is farther away
+_MOVING: Final = (0.3, 3.0)  # speeds in m/s and rad/s above which an object falls or rolls; a rocking object is slower
+_JAMMED: Final = 0.015  # overlap in m above which free objects can't be at rest
+_STILL: Final = (0.005, math.radians(5))  # maximum motion in m and rad of the object while the hand approaches
+_FALL: Final = 0.1  # distance in m to its support above which an object hangs in the air
 _UPWARD: Final = 0.1  # minimum upward part of the direction from a support
-_TOUCHING: Final = 2e-3  # m, maximum distance to a body that holds an object by friction
+_TOUCHING: Final = 2e-3  # maximum distance in m to a body that holds an object by friction
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches, in the tool frame
 
 

@@ -39,12 +39,12 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.geometry import Pose, PoseLike
 
-_AWAY: Final = 0.02  # m, maximum distance of the object from the place of its release
+_AWAY: Final = 0.02  # maximum distance in m of the object from the place of its release
 _TURNED: Final = math.radians(10)  # maximum turn from the given orientation, or from upright
-_FALL: Final = 0.1  # m; a neighbour that comes to rest lower fell
+_FALL: Final = 0.1  # drop in m above which a neighbour has fallen
 _SKEW: Final = math.radians(1)  # minimum turn that a message mentions
-_TOUCHING: Final = 1e-3  # m, maximum gap between touching objects
-_LOAD: Final = 0.01  # share of an object's weight; an object with more on a hand leans on the hand
+_TOUCHING: Final = 1e-3  # maximum gap in m between touching objects
+_LOAD: Final = 0.01  # share of its weight above which an object that rests on a hand leans on the hand
 _MAX_SEARCHED: Final = 3  # number of postures without a path after which the search ends
 _ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which the object is lowered
 

@@ -75,7 +75,7 @@ class Navigation(SimulatedModule):
 
 _ACCURACY: Final = math.radians(0.5)
 _PAN_AND_TILT: Final = 2  # number of joints that can point the camera anywhere
-_TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # degrees; turns about the vertical that are tried
+_TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # tried turns about the vertical, degrees
 
 
 class MoveHead(SimulatedModule):

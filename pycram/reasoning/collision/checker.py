@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 DEPTH: Final = 2e-3  # m; shapes with a smaller overlap don't collide, because the engine pads shapes
 _SELF_DEPTH: Final = (
-    0.02  # m, minimum overlap of the robot's own links that collide; their hulls overlap more than the links
+    0.02  # minimum overlap in m of the robot's own links that collide; their hulls overlap more than the links
 )
 _STANDING: Final = 0.9  # minimum vertical component of a contact's normal below a robot's wheels
-_FEET: Final = 0.02  # m, maximum height of a contact below a robot's wheels
+_FEET: Final = 0.02  # maximum height in m of a contact below a robot's wheels
 
 
 class Collision(TypedDict):

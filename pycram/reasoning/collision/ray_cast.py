@@ -50,7 +50,7 @@ class Scan:
 
     frame: Pose  # a frame in the world; the lines are parallel to one of its axes
     first: float  # coordinate of the first line along another axis, m
-    step: float  # m between lines
+    step: float  # distance in m between lines
 
 
 class RayCaster:

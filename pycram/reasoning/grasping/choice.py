@@ -39,8 +39,8 @@ _FREE: Final = (False, 0, 0, 0.0)  # cost of a posture that touches nothing
 _INFINITE: Final = (True, math.inf, math.inf, math.inf)  # a higher cost than that of any posture
 _HAND: Final = -1  # replaces the posture's index while only the hand is checked
 _MAX_GRASPS: Final = 6  # maximum number of grasps that are tried
-_DEEPER: Final = (0.004, 0.008)  # m by which a grasp is moved towards the object
-_LEANING: Final = math.radians(5)  # rad; messages mention a larger lean of an object
+_DEEPER: Final = (0.004, 0.008)  # tried moves of a grasp towards the object, m
+_LEANING: Final = math.radians(5)  # lean of an object in rad above which messages mention it
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +129,7 @@ class _Grasping:
     def _least_touching(
         self, grasps: Sequence[Grasp], solved: Sequence[Sequence[Posture]], limit: Cost, *, quick: bool = False
     ) -> GraspPlan:
-        """Return the grasp that touches least, from known postures; a ``quick`` miss proves nothing."""
+        """Return the grasp that touches least, from known postures; a ``quick`` search may miss it."""
         options = []
         for grasp, postures in zip(grasps, solved, strict=True):
             reaching = [posture for posture in postures if posture.reaches()]
@@ -312,7 +312,7 @@ def _nothing(
         lies = f"because it leans by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
         if arm.gripper.suction:
             return GraspFailed(arm.name, body.name, f"{lies}no part of it is flat enough for the suction cup")
-        sides = Choice("grasp", {})  # the reasons are necessary even if nothing is recorded
+        sides = Choice("grasp", {})  # the caller needs the reasons even if nothing is recorded
         candidates(body, robot, arm, names, base=base, choice=sides)
         misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
         widths = [misfit.width for misfit in misfits if misfit.width is not None]

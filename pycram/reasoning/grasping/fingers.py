@@ -30,16 +30,16 @@ if TYPE_CHECKING:
     #: Depths of overlaps in m, by finger, object and the object's link.
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
 
-CLEAR: Final = 0.002  # m, necessary gap around a released object; the engine pads shapes by less
-_SLACK: Final = 5e-4  # m, minimum overlap of a touch
+CLEAR: Final = 0.002  # necessary gap in m around a released object; the engine pads shapes by less
+_SLACK: Final = 5e-4  # overlap in m from which links touch
 _STEPS: Final = 16  # steps between open and closed; fingers of the PR2 move by up to 3 mm in a step
-_HALVINGS: Final = 6  # bisections of a step
-_AT_CUP: Final = 0.004  # m, gap that the lip of a suction cup bridges
+_HALVINGS: Final = 6  # bisections of the step in which something stops the fingers
+_AT_CUP: Final = 0.004  # gap in m that the lip of a suction cup bridges
 _CLOSING_STEPS: Final = 8  # steps from open to closed, each less than the thickness of a finger
 _CLOSING_HALVINGS: Final = 5  # bisections of a closing step, down to 0.4 mm of the PR2's aperture
 _MANY: Final = 3  # minimum number of moving parts that close one by one; two jaws are one mechanism
 _ALONE: Final = 64  # steps between open and closed for a part that closes alone
-_REACH: Final = 0.005  # m of opposite fingers together, by which the hand and the object give way
+_REACH: Final = 0.005  # total gap in m that opposite fingers may leave, because hand and object give way
 _ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
 _AROUND: Final = (
     0.4  # the same component for fingers around a center; two of three touch a carton's edges at 60 degrees
@@ -53,14 +53,14 @@ class FingerMotion:
     """The result of a motion of fingers."""
 
     positions: Mapping[str, float]  # final joint positions of the gripper by name
-    share: float  # share by which the gripper is open; 0 is closed, 1 is open
+    share: float  # final opening of the gripper, from 0 (closed) to 1 (open)
     # pairs of links that stop the fingers, deepest first; empty if the fingers reach the goal
     stopped_by: Sequence[CollisionPair] = ()
-    gap: float = 2 * CLEAR  # m between the fingers and the released object, at most 2 * CLEAR
+    gap: float = 2 * CLEAR  # distance in m between the fingers and the released object, at most 2 * CLEAR
 
 
 def _share_open(gripper: Gripper, now: Mapping[str, float]) -> float:
-    """Return the share by which a gripper is open at joint positions (rad or m) by name; 0 is closed, 1 is open."""
+    """Return the opening of a gripper, from 0 (closed) to 1 (open), at joint positions in rad or m by name."""
     closed, opened = gripper.at(0.0), gripper.at(1.0)
     shares = [(now[name] - at) / (opened[name] - at) for name, at in closed.items() if opened[name] != at]
     return min(1.0, max(0.0, sum(shares) / len(shares))) if shares else 0.0
@@ -79,7 +79,7 @@ def finger_motion(
     """Return how far the fingers of an arm can move. A present overlap stops the fingers only if it gets deeper.
 
     Args:
-        goal: share by which the gripper should be open; 0 is closed, 1 is open.
+        goal: wanted opening of the gripper, from 0 (closed) to 1 (open).
         posture: joint positions of the arm by name; None for its present posture.
         release: the released object, which doesn't stop the fingers; objects that it carries do.
         pose: pose of the released object; None for its present pose.

@@ -35,18 +35,18 @@ if TYPE_CHECKING:
 
 FREE: Final = 0.004
 """Part of the aperture in m that must stay free."""
-_CLEARANCE: Final = 0.002  # m between the finger tips and the support of the object
-_PADS: Final = (-0.01, 0.0, 0.01)  # m across the finger pads, where rays are cast
-_STEP: Final = 0.004  # m between rays along the fingers
+_CLEARANCE: Final = 0.002  # distance in distance in m between the finger tips and the support of the object
+_PADS: Final = (-0.01, 0.0, 0.01)  # offsets of rays across the finger pads, m
+_STEP: Final = 0.004  # distance in m between rays along the fingers
 _LEVELS: Final = 6  # number of heights below a rim at which the wall is measured
-_EDGE: Final = 0.004  # m below a rim at which its wall begins
+_EDGE: Final = 0.004  # depth in m below a rim at which its wall begins
 _UPRIGHT: Final = 0.7  # minimum vertical component of an upright unit axis
 _FLAT: Final = 0.002  # m, largest unevenness of the surface below a suction cup
-_SKEW: Final = math.radians(2)  # rad; the gripper ignores a smaller angle to the object
+_SKEW: Final = math.radians(2)  # angle in rad to the object that the gripper ignores
 _LONG: Final = 2.0  # ratio of length and width of a long object
-_BESIDE: Final = 0.01  # m from the middle of a long object, seen from the top; a nearer grasp is at the middle
-_LEANING: Final = math.radians(5)  # rad; with a larger lean of the object, the gripper leans, too
-_SLIGHT: Final = math.radians(1)  # rad; if no upright grasp is free, the gripper leans with a larger lean than this
+_BESIDE: Final = 0.01  # distance in m from a long object's middle, seen from the top; nearer grasps are at the middle
+_LEANING: Final = math.radians(5)  # lean of an object in rad above which the gripper leans, too
+_SLIGHT: Final = math.radians(1)  # lean of an object in rad above which the gripper leans if no upright grasp is free
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 _biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
@@ -68,7 +68,7 @@ class Grasp:
     name: str  # the side from which the gripper comes
     position: Vector  # position of the tool frame in the world, m
     orientation: Quaternion  # orientation of the tool frame in the world, xyzw
-    width: float  # m between the fingers when they hold the object
+    width: float  # distance in distance in m between the fingers when they hold the object
     label: str = ""  # a unique name among the candidates, such as "top across"; "" for the side
 
     def __str__(self) -> str:
@@ -295,7 +295,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
         points = [caster.extents([scan], 3, (across,))[0, :, 0] for across in (-radius, 0.0, radius)]
         uneven = float(np.ptp(points))
         on_surface = geometry.transform(frame, (0.0, float(points[1][1]), 0.0))
-        if uneven <= _FLAT:  # uneven is nan outside of the object
+        if uneven <= _FLAT:  # outside of the object, ``uneven`` is nan
             yield Grasp(name, on_surface, turn, 0.0)
         else:
             yield Uneven(None if math.isnan(uneven) else uneven)

@@ -46,19 +46,19 @@ if TYPE_CHECKING:
 
 
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
-"""Angles in rad about the bar by which a gripper may be turned from the front."""
+"""Allowed turns of a gripper about the bar of a handle, in rad; at 0 the gripper comes from the front."""
 
 #: Places along the bar, as shares of the distance from its middle to the last place where the gripper is on the bar.
 _SHIFTS: Final = {"middle": 0.0, "one side": 0.5, "other side": -0.5}
-_MAX_TURN: Final = math.radians(31)  # rad, largest turn about the bar between successive joint positions
-_MAX_JUMP: Final = 1.6  # rad, largest motion of an arm's joint between successive joint positions
-_TURNED: Final = 1.0  # cost of a square rad about the bar, relative to a square rad of an arm's joint
-_TURNING: Final = 1.0  # cost of a square rad about the bar between successive joint positions
-_APPROACH: Final = 0.01  # cost of a square rad of a joint from the present to the first posture
+_MAX_TURN: Final = math.radians(31)  # largest turn in rad about the bar between successive joint positions
+_MAX_JUMP: Final = 1.6  # largest motion in rad of an arm's joint between successive joint positions
+_TURNED: Final = 1.0  # cost of a gripper's angle about the bar, per square rad; a joint's motion costs 1 per square rad
+_TURNING: Final = 1.0  # cost of a gripper's turn about the bar between successive joint positions, per square rad
+_APPROACH: Final = 0.01  # cost of a joint's motion from the present to the first posture, per square rad
 _MAX_PATHS: Final = 40  # maximum number of checked paths
 _MAX_QUICK_PATHS: Final = 8  # maximum number of checked paths in a quick search
-_SAME_HEIGHT: Final = 0.02  # m; torso heights with a smaller difference are equal
-_STEP: Final = 0.15  # m between tried places of the robot
+_SAME_HEIGHT: Final = 0.02  # difference in m below which torso heights are equal
+_STEP: Final = 0.15  # distance in m between tried places of the robot
 _STEPS: Final = 5  # number of tried places on each side
 _MAX_PLACES: Final = 4  # maximum number of places for which a path is searched
 
@@ -71,7 +71,7 @@ class Grip:
     position: Vector  # middle of that part in the handle's frame, m
     axis: Vector  # direction of the bar in the handle's frame
     front: Quaternion  # orientation of the tool from the front, in the handle's frame
-    back: float  # m between the tool and the position
+    back: float  # distance in distance in m between the tool and the position
 
     def tool(self, angle: float) -> Pose:
         """Return the pose of the tool in the handle's frame after a turn about the bar by an angle in rad."""
@@ -176,8 +176,8 @@ class DeadEnd:
     reached: float | None  # the last position that the arm reaches; None if the arm reaches no position
     position: Vector  # position of the tool at ``value``, in the world, m
     orientation: Quaternion  # orientation of the tool from the front at ``value``, xyzw
-    distance: float | None = None  # m between the tool and its goal in the nearest posture; None if the arm reaches it
-    turn: float = 0.0  # rad between the tool and its goal in the nearest posture
+    distance: float | None = None  # distance in m from the tool to its goal in the nearest posture; None if reached
+    turn: float = 0.0  # angle in rad between the tool and its goal in the nearest posture
     pairs: Sequence[CollisionPair] = ()  # links that would touch if the arm reaches ``value``
 
     def rejection(self) -> Rejection:
@@ -466,7 +466,7 @@ class Remedy:
 
     arm: str  # name of the arm
     base: Vector | None = None  # position of the robot with its present heading, m; None for its present place
-    distance: float = 0.0  # m from the robot's present place
+    distance: float = 0.0  # distance in m from the robot's present place
     parked: str = ""  # name of another arm that must be parked first; "" for none
 
     def __str__(self) -> str:

@@ -31,18 +31,18 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose, Quaternion, Vector
 
 
-_ABOVE: Final = 0.05  # m by which the support may be higher than the target
-_BELOW: Final = 0.10  # m by which the support may be lower than the target
-_STEP: Final = 0.005  # m between tried heights; a gripper also stops at thinner objects
-_ACCURACY: Final = 2e-4  # m, accuracy of the resting height
-_BACK: Final = (0.1, 0.15, 0.2)  # m of a hand's retreat; fingers are shorter
-_OVERLAP: Final = 2e-4  # m, usual overlap of shapes at rest
-_LIFTS: Final = (0.005, 0.01, 0.015)  # m, heights from which an object may be dropped
+_ABOVE: Final = 0.05  # height in m by which the support may be above the target
+_BELOW: Final = 0.10  # height in m by which the support may be below the target
+_STEP: Final = 0.005  # distance in distance in m between tried heights; a gripper also stops at thinner objects
+_ACCURACY: Final = 2e-4  # accuracy in m of the resting height
+_BACK: Final = (0.1, 0.15, 0.2)  # length of a hand's retreat in m; fingers are shorter
+_OVERLAP: Final = 2e-4  # usual overlap in m of shapes at rest
+_LIFTS: Final = (0.005, 0.01, 0.015)  # heights in m from which an object may be dropped
 _MAX_LIFTED: Final = 4  # maximum number of poses from which an object may be dropped
 _FROM_BELOW: Final = 0.5  # minimum upward component of a unit vector of a hand that comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
 _YAWS: Final = 12  # number of tried orientations about the vertical; later the orientations between them are tried
-_MOVED: Final = (0.01, math.radians(5))  # m and rad, largest motion of an object that stays
+_MOVED: Final = (0.01, math.radians(5))  # largest motion in m and rad of an object that stays
 _LYING: Final = math.sin(math.radians(10))  # maximum upward component of the z axis of an object that lies on a side
 
 

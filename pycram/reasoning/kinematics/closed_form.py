@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     Hinge = tuple[Array, Array, Array]
 
 
-_ROUNDING: Final = 1e-9  # rad, tolerance beyond a limit
-_MEET: Final = 1e-6  # m, largest distance of axes that meet
+_ROUNDING: Final = 1e-9  # tolerance in rad beyond a limit
+_MEET: Final = 1e-6  # largest distance in m of axes that meet
 _SAMPLES: Final = 44  # samples of joint 1 for a pose
 _SAMPLES_AROUND_A_MISS: Final = 13  # samples of joint 1
 _SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # samples of joints 1, 5 and 6
@@ -53,7 +53,7 @@ class ClosedForm:
     bounded: Flags  # whether each joint has limits
     span: tuple[float, float]  # least and greatest distance between the wrist and the shoulder, m
     shoulders: Array  # (n, 3) positions of the shoulder for samples of joint 1
-    swing: float  # m, largest distance between the shoulder and the nearest of these positions
+    swing: float  # largest distance in m between the shoulder and the nearest of these positions
     elbow: Hinge  # relation of joint 4 and the distance between the shoulder and the wrist
     # (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`)
     rotations: Array

@@ -43,13 +43,13 @@ _MAX_STEP: Final = 0.5  # rad or m of a joint in one iteration
 _MAX_ERROR: Final = 0.6  # m or rad, largest error that one iteration corrects
 _STALE: Final = (8, 0.9)  # a search ends if the least error is above this share of that some iterations ago
 _CLOSE: Final = 0.005  # m or rad; a search with a smaller error continues
-THRESHOLD: Final = 1e-3  # m, largest distance between the tool and a reached target (thesis 4.4.5)
-_TURN_THRESHOLD: Final = math.radians(2)  # rad, largest angle between equal orientations
+THRESHOLD: Final = 1e-3  # largest distance in m between the tool and a reached target (thesis 4.4.5)
+_TURN_THRESHOLD: Final = math.radians(2)  # largest angle in rad between equal orientations
 _BATCHES: Final = (4, 28)  # starting postures; first a few, because most targets are easy
 _CHUNK: Final = 32  # targets that are solved together
 _MAX_COMPARED: Final = 60  # compared misses of the closed form
 _MAX_STARTS: Final = 6  # misses of the closed form from which a search starts
-_DIFFERENT: Final = 0.35  # rad or m, minimum difference of a joint between distinct postures
+_DIFFERENT: Final = 0.35  # minimum difference in rad or m of a joint between distinct postures
 _MAX_POSTURES: Final = 16  # maximum number of returned postures
 _MAX_PAIRED: Final = 40  # up to this number of postures, all pairs are compared together
 _MAX_STRAIN: Final = 1.0  # rad; a posture with a larger strain has no solution nearby
@@ -165,8 +165,8 @@ class Posture:
     """A posture of an arm and its errors for a target."""
 
     positions: Mapping[str, float]  # joint positions within limits, in rad or m by name
-    position_error: float  # m between the tool and the target
-    turn_error: float  # rad between the tool and the target; 0 for a target without an orientation
+    position_error: float  # distance in m between the tool and the target
+    turn_error: float  # angle in rad between the tool and the target; 0 for a target without an orientation
 
     def reaches(self, threshold: float = THRESHOLD) -> bool:
         """Return whether the tool is within ``threshold`` m and 2 degrees of the target."""

@@ -53,22 +53,22 @@ SIDES: Final = get_args(Side)
 _SPOTS: Final = 40  # places in a batch
 _BATCHES: Final = 3  # the search on a surface ends after this number of batches without a place
 _LATER: Final = 0.6  # factor of a surface's score for each place that was found there
-_BASE: Final = 0.005  # m above an object's lowest point; points below this height are its base
-_RESTS: Final = 0.01  # m, tolerance between the height of the surface and the height at which the object rests
+_BASE: Final = 0.005  # height in m above an object's lowest point; points below this height are its base
+_RESTS: Final = 0.01  # tolerance in m between the height of the surface and the height at which the object rests
 _YAWS: Final = 12  # orientations about the vertical; the motion tries the same orientations
-EDGE: Final = 0.01  # m, minimum distance of an object from the edge of its surface
-FINGERS: Final = 0.025  # m, minimum distance of an object from other objects, so that a finger fits between them
-_RESOLUTION: Final = 0.025  # m between cells
-_FINEST: Final = 0.005  # m, minimum distance of cells on a surface that is hardly wider than the object
+EDGE: Final = 0.01  # minimum distance in m of an object from the edge of its surface
+FINGERS: Final = 0.025  # minimum distance in m of an object from other objects, so that a finger fits between them
+_RESOLUTION: Final = 0.025  # distance in m between cells
+_FINEST: Final = 0.005  # minimum distance in m of cells on a surface that is hardly wider than the object
 _CELLS: Final = 3  # cells across the part of a surface where the object's middle can be
-_ABOVE: Final = 0.003  # m above a surface; lower parts aren't obstacles, because the surface's boxes are too high
-_NEAR: Final = 0.15  # m from a point at which a score is halved
-_FAR: Final = 1.0  # m, largest distance of a place that is near a point or an object
-_AWAY: Final = 0.4  # m, minimum distance of a place that is away from a point
-_APART: Final = 0.04  # m, minimum distance from offered or tried places
-_EASY: Final = 0.5  # m from the nearest place of the robot at which a score is halved
-_FLOOR: Final = 0.15  # m between places of the robot for which the reach is estimated
-_COARSE: Final = 0.1  # m between points of a surface for which the reach is estimated
+_ABOVE: Final = 0.003  # height in m below which parts aren't obstacles, because the surface's boxes are too high
+_NEAR: Final = 0.15  # distance in m from a point at which a score is halved
+_FAR: Final = 1.0  # largest distance in m of a place that is near a point or an object
+_AWAY: Final = 0.4  # minimum distance in m of a place that is away from a point
+_APART: Final = 0.04  # minimum distance in m from offered or tried places
+_EASY: Final = 0.5  # distance in m from the nearest place of the robot at which a score is halved
+_FLOOR: Final = 0.15  # distance in m between places of the robot for which the reach is estimated
+_COARSE: Final = 0.1  # distance in m between points of a surface for which the reach is estimated
 
 
 def free_places(

@@ -37,15 +37,15 @@ _DIRECTIONS: Final = 36
 _BEHIND: Final = 1e-4  # score of a cell behind an obstacle; it isn't 0, because all cells may be behind obstacles
 _AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point that are compared together, to fit into the cache
 _SURE: Final = 0.85  # share of the radius of a circle within an outline that surely fits, because boxes are too wide
-RESOLUTION: Final = 0.05  # m between cells
+RESOLUTION: Final = 0.05  # distance in m between cells
 _MAX_CELLS: Final = 1 << 16
-_FLOOR: Final = 0.03  # m above the ground; the base drives over lower obstacles
-_LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # m, heights that divide a robot into layers with an outline each
+_FLOOR: Final = 0.03  # height in m above the ground; the base drives over lower obstacles
+_LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # heights in m that divide a robot into layers with an outline each
 _POSTURES: Final = 60_000
 _PARTS: Final = 30  # parts of the postures that are computed one after the other, to fit into the cache
 _LEVEL: Final = math.sin(math.radians(30))  # maximum vertical component of the tool's axis of a level hand
 _DOWN: Final = -math.cos(math.radians(30))  # maximum vertical component of the tool's axis of a hand that points down
-_CELL: Final = 0.08  # m, size of a cell in distance and height
+_CELL: Final = 0.08  # size in m of a cell in distance and height
 _SECTORS: Final = 24  # number of sectors of the bearing in a full turn
 _FULL: Final = 0.9  # quantile of the counts with the full score
 
@@ -173,7 +173,7 @@ class Grid:
     """A grid of cells over a horizontal rectangle in the world."""
 
     origin: Vector  # corner with the lowest x and y, m
-    resolution: float  # m between cells
+    resolution: float  # distance in m between cells
     shape: tuple[int, int]  # number of cells along y and along x
 
     @classmethod

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 
-_UNEVEN: Final = 0.05  # m, largest difference of heights on one ground
+_UNEVEN: Final = 0.05  # largest difference in m of heights on one ground
 _TILT: Final = math.radians(2)  # largest lean of a driving base
 
 

@@ -51,13 +51,13 @@ if TYPE_CHECKING:
 
 
 HORIZON: Final = 2 * STEPS_PER_SECOND  # number of steps in 2 s
-MOVED: Final = 0.01  # m, largest motion of a stable object
+MOVED: Final = 0.01  # largest motion in m of a stable object
 TURNED: Final = math.radians(5)  # largest rotation of a stable object
 _PERIOD: Final = 6  # steps between samples of the speeds
 _DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which firm standing is checked, because the check is slow
-_LEANING: Final = 0.005  # m, largest distance of a body that leans on a robot: a gap of 0.5 mm, and some settling
+_LEANING: Final = 0.005  # largest distance in m of a body that leans on a robot: a gap of 0.5 mm, and some settling
 _CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries
-_FLAT: Final = 0.002  # m, largest difference of heights between corners of one level
+_FLAT: Final = 0.002  # largest difference in m of heights between corners of one level
 _FRICTION: Final = 0.8  # largest slope of a contact as a share of the friction angle
 _TILT: Final = math.radians(3)  # rad by which a firm body can be tilted before it falls
 _MANY: Final = 24  # bodies without attachments; if there are more, bodies at rest sleep

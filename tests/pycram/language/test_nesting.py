@@ -36,7 +36,7 @@ def test_blocks_in_generators_that_end_out_of_order_are_refused() -> None:
         if kind is par:
             s(gate.pass_through)
         t(gate.pass_through)
-        with pytest.raises(Misnested, match=f"a {kind} block must end in its own branch"):
+        with pytest.raises(Misnested, match=f"a {kind} block must end in the branch that opened it"):
             list(first)
         assert State.RUNNING not in {branch.state for block in (s, t) for branch in block.branches}
         with pytest.raises(Misnested):
