@@ -33,7 +33,7 @@ PERIOD: Final = 10.0  # seconds between lines of progress
 def has_colours(stream: IO[str]) -> bool:
     """Return whether a stream gets colours.
 
-    Terminals get colours without ``NO_COLOR``, all streams with ``FORCE_COLOR``.
+    The variable ``NO_COLOR`` switches colours off; ``FORCE_COLOR`` gives colours to streams that aren't terminals.
     """
     if os.environ.get("NO_COLOR"):
         return False

@@ -26,7 +26,7 @@ Other = TypeVar("Other")
 MAX_FRAMES: Final = 32
 """The text of an error has at most this many frames, the innermost frames."""
 MAX_ERRORS: Final = 16
-"""A text has at most this many errors, from both ends of the chain of causes. Nested tasks record the other errors."""
+"""A traceback's text has at most this many errors: the first and last errors of the chain. Tasks record the others."""
 
 _FIRST: Final = 4  # a text has this many errors from the beginning of the chain, which has the root causes
 _MAX_EXPLORED: Final = 64  # an error with more related errors is printed without these

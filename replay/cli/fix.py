@@ -1,4 +1,4 @@
-"""``fix``: the smallest edit of a plan with which its whole run succeeds."""
+"""``fix``: search for the smallest edit of a plan after which the whole plan succeeds."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MAX_OTHERS: Final = 3  # largest number of candidates with other failures that 
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the properties, the limits of the search, and what is written."""
+    """Add the options for properties, for limits of the search, and for written files."""
     parser.epilog = "Exit code 0: a repair was found. 1: none was found. For damaged files, see repair."
     parser.add_argument(
         "--holds", metavar="PROPERTY", action="append", default=[], help="a repaired run must have this property"
@@ -40,7 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Search repairs, and print them; Ctrl-C ends the search and prints the repairs until then."""
+    """Search for repairs, and print them; Ctrl-C ends the search and prints the repairs that were found."""
     from replay.fix.search import CHECKS, SearchResult, search  # noqa: PLC0415  needs the executor
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
@@ -87,7 +87,7 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
 
 
 def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iterator[str]:
-    """Yield the repairs as text, the best first."""
+    """Yield the repairs as text, best repair first."""
     asked = f"asked: {found.asked}" if found.asked else "nothing was tried"
     count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"
     if not found.repairs:

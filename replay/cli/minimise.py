@@ -25,7 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def add_trials(parser: argparse.ArgumentParser, budget: int) -> None:
-    """Add the options of verbs that try edited plans."""
+    """Add the options that ``minimise`` and ``fix`` share."""
     parser.add_argument(
         "--budget", metavar="RUNS", type=int, default=budget, help=f"largest number of whole runs (default: {budget})"
     )

@@ -1,4 +1,4 @@
-"""``report``: a page to send: the failure and why, pictures, a timeline, a film, and the tasks of each line."""
+"""``report``: write a page with the failure, its causes, pictures, a timeline, a film, and the tasks of each line."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 _FILM: Final = 24  # number of pictures in the film
 _FILM_SIZE: Final = (400, 300)
 _SIZE: Final = (640, 480)
-#: Changes that build the scene.
+#: Kinds of changes that build the scene.
 _BUILDING: Final = frozenset({"open_world", "close_world", "load_body", "set_gravity", "set_color", "set_robot"})
 _MAX_TASKS: Final = 2000  # largest number of tasks in the timeline
-_MAX_LINES: Final = 1000  # largest number of lines of a file of the plan
+_MAX_LINES: Final = 1000  # largest number of lines that are shown of a file of the plan
 _MAX_LED: Final = 3  # largest number of steps that are listed at a line
 
 
@@ -139,7 +139,7 @@ def _moments(log: Recording, why: Why) -> list[dict[str, object]]:
 
 
 def _timeline(roots: Sequence[Node], last: int) -> Iterator[dict[str, object]]:
-    """Yield the tasks as bars, outer ones first; tasks of parallel branches lie in rows of their own."""
+    """Yield a bar of the timeline for each task, outer tasks first; parallel branches have separate rows."""
     free: list[int] = []  # the step after which each row is free
     pending = [(node, 0) for node in roots]
     count = 0
@@ -181,7 +181,7 @@ def _files(source: PlanSource, nodes: Sequence[Node]) -> Iterator[dict[str, obje
 
 
 def _row(number: int, text: str, nodes: Sequence[Node]) -> dict[str, object]:
-    ended: dict[str, list[int]] = defaultdict(list)  # steps of starts by name and status
+    ended: dict[str, list[int]] = defaultdict(list)  # steps at which tasks started, by name and status
     for node in nodes:
         ended[f"{node.name} {node.status.word}"].append(node.started.seq)
     return {

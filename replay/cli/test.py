@@ -1,4 +1,4 @@
-"""``test``: a test for pytest, which fails as the recorded run did, and passes when the plan is mended."""
+"""``test``: write a test for pytest that fails like the recorded run, and passes when the plan is repaired."""
 
 from __future__ import annotations
 

@@ -127,7 +127,7 @@ class GuidedPlan:
 
     @property
     def runs(self) -> int:
-        """The number of runs from the plan's start."""
+        """How many times the plan was started from its beginning."""
         return self._copies.runs
 
     def go(self, step: int, watched: Sequence[WatchedExpression] = (), *, through: bool = False) -> Arrival:

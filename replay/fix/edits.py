@@ -1,8 +1,8 @@
 """Small edits of a plan, each at one place: candidates for a repair.
 
-Expressions get other values of their own kind: other units, signs, neighbours, operators, and names that the plan uses
-in the same role. Statements change places, and waits are put in. No statement is left out,
-and assertions stay: a repair can't succeed by dropping the plan's goal.
+An edit replaces an expression by a similar expression (other unit, sign, index, operator, or name with the same role),
+moves a statement, or inserts a wait. No edit removes a statement or changes an assertion, so a repair can't succeed by
+dropping the plan's goal.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-_FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # cm, mm, degrees, and slips of the decimal point
+_FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # from cm, mm, degrees; misplaced points
 _OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
     ast.Add: (ast.Sub,),
     ast.Sub: (ast.Add,),
@@ -37,14 +37,14 @@ _OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
     ast.In: (ast.NotIn,),
     ast.NotIn: (ast.In,),
 }
-_FAR: Final = 1.0  # cost of an edit that changes what the plan means more than a slip would
+_FAR: Final = 1.0  # cost of an edit that is larger than a typical mistake
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Edit:
     """An edited plan."""
 
-    cost: float  # lower is more likely; edits of the same kind have the same cost
+    cost: float  # likely edits have a low cost; edits of the same kind have the same cost
     line: int  # number of the edited line
     what: str  # the edit, in words
     text: str  # the whole edited source
@@ -57,9 +57,9 @@ class Editor:
         self.text = text
         self._lines = text.encode().splitlines(keepends=True)
         self._tree = ast.parse(text)
-        self._strings: dict[str, set[str]] = defaultdict(set)  # texts by their role
-        self._names: dict[str, set[str]] = defaultdict(set)  # variables by the call that made them
-        self._goals: set[ast.AST] = set()  # what the plan asserts, which stays as it is
+        self._strings: dict[str, set[str]] = defaultdict(set)  # string constants by their role
+        self._names: dict[str, set[str]] = defaultdict(set)  # variables by the call that returned their value
+        self._goals: set[ast.AST] = set()  # the expressions of assertions, which stay unchanged
         for node in ast.walk(self._tree):
             if isinstance(node, ast.Assert | ast.Raise):
                 self._goals |= {*ast.walk(node)}
@@ -87,7 +87,7 @@ class Editor:
                 yield from self._moves(node)
 
     def definitions(self, lines: Iterable[int]) -> Iterator[int]:
-        """Yield the lines that define the names on some lines, then the lines that define the names on those lines."""
+        """Yield the lines that define the names on some lines, and the lines on which these definitions depend."""
         stored: dict[str, set[int]] = defaultdict(set)
         used: dict[int, set[str]] = defaultdict(set)
         for node in ast.walk(self._tree):
@@ -133,7 +133,7 @@ class Editor:
                 yield name, f"{name} instead of {node.id}", 0.6
 
     def _moves(self, statement: ast.stmt) -> Iterator[Edit]:
-        """Yield the plan with a statement moved behind or before others of its block."""
+        """Yield the plan with a statement moved after or before other statements of its block."""
         for block in _blocks(self._tree):
             if statement not in block or isinstance(statement, ast.Import | ast.ImportFrom | ast.FunctionDef):
                 continue
@@ -212,7 +212,7 @@ def _roles(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
 
 
 def _stored(node: ast.AST) -> set[str]:
-    """Return the variables to which a node assigns."""
+    """Return the variables that a syntax node assigns."""
     return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
 
 

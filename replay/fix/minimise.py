@@ -1,7 +1,7 @@
 """A smaller plan with the same failure: delta debugging of statements (Zeller and Hildebrandt 2002).
 
-Removed lines stay as empty lines until the end, so that the failing line keeps its number. Objects of the scene go with
-the statements that load them.
+Removed lines stay as empty lines until the end, so that the failing line keeps its number. The search also removes
+statements that load objects.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ class Minimised:
     """A smaller plan that fails like the recorded one."""
 
     text: str
-    lines: tuple[int, int]  # numbers of lines with code, before and after
-    objects: tuple[int, int]  # numbers of objects in the scene at the end, before and after
+    lines: tuple[int, int]  # numbers of lines with code, before and after the search
+    objects: tuple[int, int]  # numbers of objects at the end of the run, before and after the search
     runs: int  # number of runs
     failure: str  # failure of the smaller plan
     exhausted: bool  # whether the search stopped at its largest number of runs
 
 
 def minimise(trials: Trials, budget: int) -> Minimised:
-    """Remove statements of a plan as long as the same failure stays.
+    """Remove statements of a plan while the plan still fails in the same way.
 
     Args:
         trials: the plan.
@@ -86,7 +86,7 @@ def _reduced(trials: Trials, budget: int, text: str, block: Sequence[_Span], obj
     left = [span for span in block if lines[span.start - 1].strip() not in ("", "pass")]
     size = len(left)
     while size and left and trials.runs < budget:
-        # uses come before definitions
+        # statements that use a variable are removed before its definition
         chunks = [left[max(0, end - size) : end] for end in range(len(left), 0, -size)]
         kept: list[_Span] = []
         while chunks and trials.runs < budget:
@@ -146,7 +146,7 @@ def _unwrapped(text: str, node: ast.AST) -> str:
 
 
 def _is_apart(lines: Sequence[str], span: _Span) -> bool:
-    """Return whether nothing else stands on the lines of a statement, as in `if x: y` or in `x; y`."""
+    """Return whether a statement shares no line with another statement, unlike `if x: y` or in `x; y`."""
     try:
         ast.parse(textwrap.dedent("\n".join(lines[span.start - 1 : span.end])))
     except SyntaxError:
@@ -155,7 +155,7 @@ def _is_apart(lines: Sequence[str], span: _Span) -> bool:
 
 
 def _without(text: str, spans: Iterable[_Span]) -> str:
-    """Return a plan without some statements; other lines keep their numbers."""
+    """Return a plan without the given statements; other lines keep their numbers."""
     lines = text.splitlines()
     for span in spans:
         indent = _INDENT.match(lines[span.start - 1])

@@ -1,6 +1,6 @@
-"""Searches a repair: the smallest edit with which the whole plan succeeds and its properties hold.
+"""Search for a repair: the smallest edit after which the whole plan succeeds and its properties hold.
 
-Each candidate is a whole run of an edited plan. Edits of the lines that made the values of the failure come first
+Each candidate is a whole run of an edited plan. Edits of lines that computed values of the failure come first
 (:mod:`replay.origins`). A repair runs a second time to be recorded, then under other seeds, and with objects elsewhere.
 """
 
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from replay.fix.trials import Trials
 
 BUDGET: Final = 80
-CHECKS: Final = (5, 3)  # numbers of runs of a repair under other seeds, and with loose objects elsewhere
-_AWAY: Final = 0.1  # m; an object that a plan placed may end this far from its target
+CHECKS: Final = (5, 3)  # a repair is checked in this many runs with other seeds, and with displaced objects
+_AWAY: Final = 0.1  # largest final distance of a placed object from its target, m
 _MAX_LINES: Final = 12  # largest number of lines that are edited
-_LATER: Final = 0.12  # cost for each line that is likelier
-_ANOTHER: Final = 0.8  # cost for each edit of the same kind on the same line
+_LATER: Final = 0.12  # additional cost of a line for each likelier line
+_ANOTHER: Final = 0.8  # additional cost for each earlier edit of the same kind on the same line
 _GOALS: Final = ("place", "transporting", "placing")
 
 
@@ -52,18 +52,18 @@ class Repair:
     recording: Path  # the recording of its run
     seeds: int  # number of runs under other seeds that succeeded (:data:`CHECKS`)
     elsewhere: int  # number of runs with loose objects 1 cm elsewhere that succeeded (:data:`CHECKS`)
-    mark: str  # why it may not be what its author wants; "" if nothing speaks against it
+    mark: str  # reason why the plan's author may reject the repair; "" without a reason
 
 
 @dataclass(slots=True)
 class SearchResult:
     """The result of a search."""
 
-    asked: str  # what was asked of a repair, in words
+    asked: str  # the requirements on a repair, in words
     repairs: list[Repair] = field(default_factory=list)  # the best first
     tried: int = 0  # number of candidates
-    runs: int = 0  # number of whole runs, with those that check repairs
-    others: dict[str, str] = field(default_factory=dict)  # failures of candidates that failed otherwise, by the edit
+    runs: int = 0  # number of whole runs, including the checks of repairs
+    others: dict[str, str] = field(default_factory=dict)  # candidates' other failures by edit
 
 
 def search(
@@ -75,7 +75,7 @@ def search(
     holds: Sequence[str] = (),
     budget: int = BUDGET,
 ) -> None:
-    """Search repairs of a failed plan; results are added to ``found``, so that they stay after an interrupt.
+    """Search for repairs of a failed plan, and add them to ``found``, which keeps them after an interrupt.
 
     Args:
         trials: the plan.
@@ -128,7 +128,7 @@ def search(
 
 
 def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty]) -> Iterator[Edit]:
-    """Yield edits of the plan, the likeliest first: lines near the values' origins, then small edits."""
+    """Yield edits of the plan, likeliest edits first: small edits of lines that computed values of the failure."""
     editor = Editor(trials.text)
     alternatives = []
     if why.world is not None:
@@ -150,7 +150,7 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
 
 
 def _lines(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty], editor: Editor) -> list[int]:
-    """Return numbers of lines of the plan's main file, the likeliest first."""
+    """Return line numbers of the plan's main file, first the lines that likely contain the mistake."""
     name = trials.program.name
     ranked: list[int] = []
     with suppress(CantRetrace):
@@ -186,7 +186,7 @@ def _reaches_goal(file: Path, properties: Sequence[str]) -> bool:
         )
         try:
             return stays and all(log.check(*properties))
-        except BadProperty:  # the edit renamed or removed an object
+        except BadProperty:  # the edit has renamed or removed an object
             return False
 
 

@@ -1,4 +1,4 @@
-"""Trials: whole runs of edited plans, each in a process and a folder of its own, under the recorded conditions."""
+"""Trials: whole runs of edited plans under the recorded conditions, each in a separate process and folder."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ if TYPE_CHECKING:
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
 
-LIMIT: Final = 10.0  # a trial may take this many times as long as the recorded run,
+LIMIT: Final = 10.0  # longest duration of a trial, as a multiple of the recorded run's duration,
 _DISPLACED: Final = 0.01  # m
 LEAST: Final = 20.0  # but at least this many seconds of wall-clock time
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-#: Audit events of Python that reach other processes and machines.
+#: Audit events of Python for access to other processes and machines.
 _REACHING: Final = frozenset(
     {"subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind"}
 )
-#: Audit events that change files, with the number of the argument that is the path.
+#: Audit events for changes of files, with the index of the path among the event's arguments.
 _CHANGING: Final = {"os.remove": 0, "os.rename": 1, "os.rmdir": 0, "os.mkdir": 0, "shutil.rmtree": 0}
 _WRITES: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 class OutsideEffect(BaseException):
-    """A trial reaches outside of its folder; not an ``Exception``, so that plans don't catch it."""
+    """A trial has an effect outside of its folder. Plans don't catch this error, because it is no ``Exception``."""
 
 
 class PlanHasEffects(ReplayError):
@@ -72,7 +72,7 @@ class Version:
     text: str  # the source of the plan's main file
     file: Path | None = None  # its recording
     seed: int | None = None
-    elsewhere: int = 0  # draws a displacement of 1 cm of each loose object; 0: none is displaced
+    elsewhere: int = 0  # seed of a 1 cm displacement of each loose object; 0: no displacement
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class Trials:
         self.log = log
         self.program = process.program  # the plan's main file
         self.text = PlanSource(log).text(str(process.program))  # its recorded source
-        self.runs = 0  # number of runs until now
+        self.runs = 0  # number of started runs
         self.failed: set[str] = set()  # versions that a search has rejected
         self.reference = Ending("")  # the ending of the unchanged plan
         self._began = began
@@ -117,7 +117,7 @@ class Trials:
         """Run the unchanged plan; its ending is the reference.
 
         Raises:
-            ReplayError: it doesn't end as recorded.
+            ReplayError: the run doesn't end like the recorded run.
         """
         self.reference = self.one(self.text).ending
         recorded = EndingSink()
@@ -134,7 +134,7 @@ class Trials:
         return trial
 
     def all(self, versions: Iterable[Version]) -> Generator[tuple[int, EditedRun], None, None]:
-        """Run versions in parallel; yield index and trial when a run ends. Closing the generator kills the others."""
+        """Run versions in parallel; yield index and trial when a run ends. Closing the generator kills the rest."""
         pool: ChildPool[tuple[int, Version]] = ChildPool(usable_cores(), self._limit, GRACE)
 
         def start(job: tuple[int, Version]) -> Child:
@@ -165,7 +165,7 @@ class Trials:
             if sinks:
                 return NullSink()  # only the plan's first recording counts
             sinks.append(EndingSink(None if file is None else McapSink(file, metadata(began))))
-            if not self._allow_effects:  # from here on: the recorder itself asks git for the plan's revision
+            if not self._allow_effects:  # not earlier, because the recorder runs git to get the plan's revision
                 allowed = [
                     each for each in (plan.parents[1], store.folder(), folder, cache_folder()) if each is not None
                 ]
@@ -183,7 +183,7 @@ class Trials:
             if self._began.by_program:
                 sys.argv = [self._began.called_as or str(plan), *arguments]
                 sys.path.insert(0, str(plan.parent))
-                with suppress(BaseException):  # the recording has it
+                with suppress(BaseException):  # the recording contains the failure
                     run_program(str(plan))
             else:
                 running.run(spec, file or Path(os.devnull), overwrite=True)
@@ -192,11 +192,11 @@ class Trials:
 
 
 def _watch_effects(allowed: Sequence[Path], outside: list[str]) -> None:
-    """Refuse effects outside of some folders in this process, and note the first one."""
+    """Reject effects of this process outside of the given folders, and keep the first rejected effect."""
 
     def is_inside(path: object) -> bool:
         if isinstance(path, int):
-            return True  # a descriptor that is open already
+            return True  # a file descriptor that is already open
         with suppress(OSError, ValueError, TypeError):
             target = Path(os.fsdecode(path)).resolve()  # type: ignore[arg-type]
             return target == Path(os.devnull) or any(target.is_relative_to(folder) for folder in allowed)
@@ -251,7 +251,7 @@ def _loose_objects_elsewhere(draw: int) -> Iterator[None]:
 
 
 def alike(one: Ending, other: Ending) -> bool:
-    """Return whether two runs ended alike: by the same failure of the same line, but for numbers in its message."""
+    """Return whether two runs ended with the same failure at the same line; numbers in messages may differ."""
     return one.kind == other.kind and _cause(one) == _cause(other)
 
 

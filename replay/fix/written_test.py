@@ -1,4 +1,4 @@
-"""Tests that are written from a recording: of the whole plan, or of the moment before a motion that failed."""
+"""Write tests from a recording: a test of the whole plan, or of a motion from the moment before it failed."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.state.state import Body, World
 
-_DIGITS: Final = 6  # significant digits of poses and joints
-_ZERO: Final = 1e-6  # joints nearer to 0 are left out, rad or m
-_LEVEL: Final = 1e-3  # rad; orientations nearer to that of the world are left out
+_DIGITS: Final = 6  # number of significant digits of poses and joint positions
+_ZERO: Final = 1e-6  # joint positions below this value (rad or m) are left out
+_LEVEL: Final = 1e-3  # rotations below this angle (rad) are left out
 _WIDTH: Final = 110
 
 
 def of_plan(log: Recording, spec: RunSpec, file: Path, holds: Sequence[str] = ()) -> str:
-    """Return a test that runs the plan, and asserts that it succeeds and that properties hold.
+    """Return a test that runs the plan, and asserts that the plan succeeds and that properties hold.
 
-    The properties are the given ones, and those that were violated in the run.
+    The properties are ``holds``, and the recorded properties that the run violated.
 
     Raises:
         ReplayError: the plan succeeded, and there is no property.
@@ -136,7 +136,7 @@ def _body(body: Body, name: str) -> Iterator[str]:
 
 
 def _arguments(task: Node, names: dict[str, str]) -> dict[str, str]:
-    """Return the task's arguments as Python; arms, such as left-arm, are a mapping."""
+    """Return the task's arguments as Python code; an argument for each arm becomes a mapping."""
     found: dict[str, str] = {}
     arms: dict[str, Plain] = {}
     for slot, value in task.parameters.items():

@@ -1,4 +1,4 @@
-"""Pages: a single HTML file each, from the templates beside this file; pictures are embedded, texts are escaped."""
+"""Make pages from the templates in this folder: single HTML files with embedded pictures and escaped texts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from jinja2 import Environment
     from PIL import Image
 
-_QUALITY = 78  # of JPEG, 0 to 100
+_QUALITY = 78  # quality of JPEG pictures, 0 to 100
 
 
 def page(template: str, **values: object) -> str:
@@ -33,7 +33,7 @@ def _templates() -> Environment:
 
 
 def embedded(picture: Image.Image) -> str:
-    """Return a picture as a link that contains it (JPEG)."""
+    """Return a picture as a data URL (JPEG)."""
     file = io.BytesIO()
     picture.convert("RGB").save(file, "JPEG", quality=_QUALITY, optimize=True)
     return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"
@@ -43,7 +43,7 @@ def write(file: str, content: bytes) -> None:
     """Write a file.
 
     Raises:
-        ReplayError: the file can't be written.
+        ReplayError: the page can't be written.
     """
     try:
         Path(file).write_bytes(content)

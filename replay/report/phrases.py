@@ -34,7 +34,7 @@ def value(recorded: Plain) -> str:
     if isinstance(recorded, dict):
         if set(recorded) == {"object", "world"}:
             return str(recorded["object"])
-        if len(recorded) == 1 and isinstance(next(iter(recorded.values())), str):  # {"repr": ...}, {"callable": ...}
+        if len(recorded) == 1 and isinstance(next(iter(recorded.values())), str):  # {"repr": ...} or {"callable": ...}
             return str(next(iter(recorded.values())))
         text = "{" + ", ".join(f"{key}: {value(item)}" for key, item in recorded.items()) + "}"
     elif isinstance(recorded, list):
@@ -212,7 +212,7 @@ def handler(started: Task) -> str:
 # --- the world: changes, attachments, beliefs -------------------------------------------------------------------------
 
 
-#: Verbs for the values of ``how`` in :class:`replay.history.blame.Blame` and in causes of failures.
+#: Verbs for each kind of change (``how`` in :class:`replay.history.blame.Blame` and in causes of failures).
 _CHANGES: Final[Mapping[str, str]] = {
     "command": "was moved",
     "carried": "was carried",
@@ -285,7 +285,7 @@ def question(query: Query) -> str:
 
 
 def answer(query: Query) -> str:
-    """Return the answer of a query: yes, no, objects, or the failure. A note says if a fork has set the answer."""
+    """Return the answer of a query: yes, no, objects, or the failure. The text names an answer that a fork has set."""
     if query.HasField("failure"):
         return failure(query.failure)
     if query.by_fork:
@@ -374,7 +374,7 @@ def _links(links: Plain, _: _Evidence) -> str:
 
 
 def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
-    """Return a phrase for an amount. ``text`` is the format of the amount times the factor."""
+    """Return a phrase for an amount. ``text`` formats the product of the amount and the factor."""
     return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
 
 

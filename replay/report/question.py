@@ -78,7 +78,7 @@ def _recorded(value: Plain) -> Term:
 def parse(text: str) -> QueryCall:
     """Parse a question such as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``; raise BadQuestion for other texts."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # about text that looks like mistaken code
+        with warnings.catch_warnings(action="ignore"):  # the parser warns about text that looks like mistaken code
             call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cause = error.msg.partition(". ")[0] if isinstance(error, SyntaxError) else str(error)

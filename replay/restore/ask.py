@@ -175,7 +175,7 @@ def _believed(state: State, step: int, world: str | None, question: QueryCall, m
         NoSuchName: There is no such object or type.
     """
     if moves:
-        raise BadQuestion(str(question), "a robot's past belief doesn't depend on moves")
+        raise BadQuestion(str(question), "moving objects can't change a robot's past belief")
     given = dict(zip(_BELIEVED_TAKES, question.arguments, strict=False))
     terms = {name: getattr(term, "text", term) for name, term in {**given, **question.keywords}.items()}
     count = len(question.arguments) + len(question.keywords)

@@ -32,13 +32,13 @@ OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
 """Tolerance of effects on another computer or with another build of the engine, m or rad."""
 
 _DIFFERENT: Final = "repeated, the change has another effect"
-_LATE_TOLERANCE: Final = 1e-6  # m or rad, for changes without physics in a world that continues from a keyframe
+_LATE_TOLERANCE: Final = 1e-6  # m or rad, tolerance of changes without physics in worlds that continue from a keyframe
 _ENVIRONMENT_KEYS: Final = (
     "pycram",
     "pybullet",
     "machine",
     "platform",
-)  # the last bits of effects depend on these
+)  # the last bits of effects depend on these packages
 
 
 def verify(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:

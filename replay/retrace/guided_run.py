@@ -3,7 +3,8 @@
 A run without a file ends when the comparison ends. With a file, a fork continues into its own recording. The result is
 a line of JSON on another file descriptor, because stdout and stderr belong to the plan.
 
-The plan's call stacks end at the frames of this module. So the sinks, which the plan calls, are in :mod:`.guide`.
+Call stacks of the plan leave out frames of this module. The plan calls the sinks of records, so they are in
+:mod:`.guide`.
 """
 
 from __future__ import annotations

@@ -336,7 +336,7 @@ class Verification:
     files: int  # number of attached files
     changes: int  # number of changes that were executed again
     worlds: int  # number of worlds in which changes were executed again
-    # names of worlds without a comparison of physics
+    # The physics of these worlds (names) wasn't compared:
     late: tuple[str, ...] = ()  # worlds that were open before the recording
     dragged: tuple[str, ...] = ()  # worlds in which a body was dragged by hand
     environment: tuple[str, ...] = ()  # differences of this environment from the recorded environment
@@ -344,7 +344,7 @@ class Verification:
     problem: Problem | None = None  # the first problem
     damage: str = ""  # damaged or lost parts of the file; a missing end isn't damage
     incomplete: str = ""  # why the recording is incomplete
-    unknown: tuple[str, ...] = ()  # worlds that a newer release changed, without a comparison of later physics
+    unknown: tuple[str, ...] = ()  # worlds with changes that only a newer release can repeat
     static: bool = False  # whether no change was executed again
 
     @property

@@ -88,7 +88,7 @@ class CausingChange:
     mover: str = ""  # moved body, or ``JOINT of BODY``, of a command for another body
     distance: float = 0.0  # size of the move in m, or of a revolute joint in rad
     angle: float = 0.0  # size of the turn in rad
-    handler: Task | None = None  # the start of the handler's call around the change
+    handler: Task | None = None  # if an event handler made the change, the start of the handler's call
     by_fork: bool = False  # the fork made the change, not the plan
 
     @property

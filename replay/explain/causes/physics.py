@@ -29,10 +29,10 @@ if TYPE_CHECKING:
     from replay.state.state import Body, State
 
 
-_MOVED: Final = 0.05  # m; an object with a smaller move only settles
+_MOVED: Final = 0.05  # an object that moves less only settles, m
 _TILTED: Final = math.radians(15)
 _FELL: Final = 0.05  # in m, downwards
-_PART: Final = 0.3  # after this fraction of the whole move, the motion has begun
+_PART: Final = 0.3  # an object has begun to fall or move after this fraction of its displacement
 _NEAR: Final = 0.6  # largest distance between the bases of an object and its possible support, m
 _ABOVE: Final = 0.15  # largest distance between the bases of stacked objects on the ground, m
 _PUSHED: Final = 0.35  # largest distance between an object and the frame of a link that may push it, m

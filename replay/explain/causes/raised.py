@@ -134,7 +134,7 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
 
 
 def is_mistake(case: FailureCase) -> bool:
-    """Return whether Python or PyCRAM rejected the code, whatever the state of the world."""
+    """Return whether Python or PyCRAM rejects the plan's code in every state of the world."""
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 
