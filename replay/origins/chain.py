@@ -110,11 +110,7 @@ class Tracer:
         """Return a call of the plan, with its arguments, and the conditions that led to it."""
         self._begin()
         node, place = self._node(note), Evaluation(note.frame, note.time)
-        facts = [
-            *self._arguments(node, place),
-            *self._conditions(node, place),
-            *self._before(node, place),
-        ]
+        facts = [*self._arguments(node, place), *self._conditions(node, place), *self._before(node, place)]
         outer = note.parent
         while outer is not None:
             facts += self._conditions(self._node(outer), Evaluation(outer.frame, outer.time))
@@ -448,7 +444,7 @@ class Tracer:
     def _written(self, node: Any, at: Evaluation) -> tuple[list[tuple[Any, ast.expr]], Evaluation]:
         """Return the keys and elements of a container as they are in the source, and the container's evaluation."""
         while isinstance(node, ast.Name) and (bound := self._bind(node, at)) is not None:
-            at, node = Evaluation(bound[0].frame, bound[0].time), getattr(self._node(bound[0]), "value", None)
+            at, node = Evaluation(bound[0].frame, bound[0].time - 1), getattr(self._node(bound[0]), "value", None)
         if isinstance(node, ast.List | ast.Tuple):
             return [*enumerate(node.elts), *enumerate(node.elts, -len(node.elts))], at
         found = zip(node.keys, node.values, strict=True) if isinstance(node, ast.Dict) else ()

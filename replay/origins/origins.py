@@ -28,14 +28,8 @@ if TYPE_CHECKING:
 _MAX_CAUSES: Final = 3  # largest number of causes whose calls are explained
 #: Kinds of causes that say what went wrong before the failed call, rather than how things were.
 _DECIDING: Final = (
-    "other-world",
-    "gravity",
-    "swallowed-failure",
-    "refused",
-    "physics",
-    "no-longer-true",
-    "removed",
-    "timeout",
+    *("other-world", "gravity", "swallowed-failure", "refused"),
+    *("physics", "no-longer-true", "removed", "timeout"),
 )
 _SHOWN: Final = 2000
 
@@ -46,8 +40,10 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
     Raises:
         CantRetrace: the plan can't be run again.
     """
-    first, decided, others = _steps(log, why)
-    steps = list(dict.fromkeys((*decided, *others)))
+    first = why.step if why.thread else len(log) - 1
+    if why.task is not None:
+        first = (why.task.motion.asked or why.task.motion.started).seq
+    steps = _steps(log, why)
     process = PlanProcess(log, recorded_source=recorded_source)
     with tempfile.TemporaryDirectory(prefix="pycram-origins-") as folder, tempfile.TemporaryFile() as errors:
         result = Path(folder) / "origins.json"
@@ -67,41 +63,37 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
     if "error" in answer:
         raise CantRetrace(answer["error"])
     moved = tuple(answer["folder"] or ("", ""))
-    found = {int(step): None if fact is None else Origin.of(fact, moved) for step, fact in answer["facts"].items()}
+    facts = {int(step): Origin.of(fact, moved) for step, fact in answer["facts"].items() if fact is not None}
+    found = {step: with_moves(log, fact, why) for step, fact in facts.items()}
     failed = found.pop(first, None)
-    known = set() if failed is None else {(failed.file, failed.line)}
-    earlier: list[Origin] = []
-    count = 0
+    earlier: dict[tuple[str, int], Origin] = {}
+    decided = 0
     for step in steps:
         each = found.get(step)
-        if each is not None and (each.file, each.line) not in known:
-            known.add((each.file, each.line))
-            earlier.append(each)
-            count += step in decided
+        if each is not None and each.place not in earlier and (failed is None or each.place != failed.place):
+            earlier[each.place] = each
+            decided += steps[step]
     notes = list(process.notes()) if recorded_source else [each for each in process.notes() if "source" in each]
     if str(first) not in answer["facts"] and answer["difference"] is None:
         notes.append(f"the plan didn't reach step {first}, where the failed call began")
     if answer["difference"] is not None:
         notes.append("the plan differs from its recording at step {step}: {text}".format(**answer["difference"]))
-    failed, earlier = (
-        (None if failed is None else with_moves(log, failed, why)),
-        [with_moves(log, each, why) for each in earlier],
-    )
-    return Origins(failed, tuple(earlier), str(process.program), count, tuple(guesses(why, failed)), tuple(notes))
+    mistakes = tuple(guesses(why, failed))
+    return Origins(failed, tuple(earlier.values()), str(process.program), decided, mistakes, tuple(notes))
 
 
-def _steps(log: RecordReader, why: Why) -> tuple[int, list[int], list[int]]:
-    """Return the step of the failed call, or of the plan's end; the steps that decided; and others that led to it."""
-    first = why.step if why.thread else len(log) - 1
-    if why.task is not None:
-        motion = why.task.motion
-        first = (motion.asked or motion.started).seq
-    found = [[*_made_by(cause)] for cause in why.causes[:_MAX_CAUSES]]
-    deciding = [cause.kind in _DECIDING for cause in why.causes[:_MAX_CAUSES]]
-    decided = [step for steps, decides in zip(found, deciding, strict=True) for step in steps if decides]
-    others = [step for steps, decides in zip(found, deciding, strict=True) for step in steps if not decides]
-    others += _made_state(log, why)
-    return first, [step for step in decided if step < why.step], [step for step in others if step < why.step]
+def _steps(log: RecordReader, why: Why) -> dict[int, bool]:
+    """Return the steps that led to the failure, and whether they decided it; these steps come first."""
+    found: dict[bool, list[int]] = {True: [], False: []}
+    for cause in why.causes[:_MAX_CAUSES]:
+        found[cause.kind in _DECIDING] += _made_by(cause)
+    found[False] += _made_state(log, why)
+    steps: dict[int, bool] = {}
+    for decides, those in found.items():
+        for step in those:
+            if step < why.step:
+                steps.setdefault(step, decides)
+    return steps
 
 
 def _made_by(cause: Any) -> Iterator[int]:

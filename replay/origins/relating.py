@@ -9,7 +9,6 @@ from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder import geometry
-from replay.errors import NoSuchName
 from replay.history.blame import blame
 from replay.history.source import PlanSource
 from replay.origins.origin import PossibleMistake
@@ -51,17 +50,13 @@ def _moved_since(log: RecordReader, origin: Origin, why: Why) -> str:
     distance = 0.0 if before is None else math.dist(before.position, world.bodies[origin.body].position)
     if distance < _MOVED:
         return ""
-    try:
-        last = blame(log, origin.body, why.step, world.name)
-    except NoSuchName:
-        return ""
-    source = PlanSource(log)
+    last = blame(log, origin.body, why.step, world.name)
     stack = last.causes.call_stack
     motion = next((each.started for each in last.causes.tasks if each.started.kind == "motion"), None)
     by = f" by {motion.name}" if motion is not None else ""
     return (
         f"{origin.body} has moved {phrases.length(distance)} since then, last at step {last.record.seq}{by}"
-        + phrases.at(stack[-1] if stack else source.line("", 0))
+        + phrases.at(stack[-1] if stack else PlanSource(log).line("", 0))
     )
 
 
@@ -70,17 +65,21 @@ def guesses(why: Why, failed: Origin | None) -> Iterator[PossibleMistake]:
     if failed is None or why.world is None or why.task is None:
         return
     facts = [failed]
-    for each in facts:
+    for each in facts:  # the list grows
         facts += each.parts
     for name, value in why.task.motion.parameters.items():
         numbers = _vector(value)
         bodies = [body for body in why.world.bodies.values() if not body.fixed_base and body.name != why.world.robot]
-        finder = _FINDERS.get(len(numbers))
-        found = None if finder is None else finder(numbers, bodies, why.world)
-        if found:
-            yield _guess(f"{name} {phrases.vector(numbers)} {found}", numbers, facts)
+        found = ""
         if len(numbers) == _POSITION:
+            found = _of_position(numbers, bodies, why.world)
             yield from _scaled(name, numbers, bodies, facts)
+        elif len(numbers) == _POSITION + 1:
+            found = _of_rotation(numbers)
+        if found:
+            made = [each for each in facts if isinstance(each.number, list) and _near(each.number, numbers)]
+            deepest = made[-1] if made else failed
+            yield PossibleMistake(f"{name} {phrases.vector(numbers)} {found}", *deepest.place)
 
 
 def _vector(value: Plain) -> list[float]:
@@ -89,13 +88,6 @@ def _vector(value: Plain) -> list[float]:
         value = value.get("position")
     plain = isinstance(value, list) and all(isinstance(each, int | float) for each in value)
     return [float(each) for each in value] if plain else []  # type: ignore[union-attr, arg-type]
-
-
-def _guess(text: str, numbers: Sequence[float], facts: Sequence[Origin]) -> PossibleMistake:
-    """Return a guess at the line that made the numbers: the deepest of those that have them."""
-    fitting = [each for each in facts if isinstance(each.number, list) and _near(each.number, numbers)]
-    line = fitting[-1] if fitting else facts[0]
-    return PossibleMistake(text, *line.place)
 
 
 def _near(one: Sequence[Any], other: Sequence[float], within: float = _MOVED) -> bool:
@@ -120,7 +112,7 @@ def _of_position(position: Sequence[float], bodies: Sequence[Body], world: World
     return ""
 
 
-def _of_rotation(rotation: Sequence[float], _: Sequence[Body], __: World) -> str:
+def _of_rotation(rotation: Sequence[float]) -> str:
     x, y, z, w = rotation
     if abs(math.hypot(*rotation) - 1) > _CLOSE or 1 - 2 * (x * x + y * y) > _TILTED:
         return ""
@@ -145,6 +137,3 @@ def _scaled(
                         f"{text} is in {unit} ({size}): {name} has {phrases.number(part)} m", *each.place
                     )
                     return
-
-
-_FINDERS: Final = {_POSITION: _of_position, _POSITION + 1: _of_rotation}

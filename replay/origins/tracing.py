@@ -26,7 +26,7 @@ _MAX_FACTS = 40  # largest number of facts about a step
 
 
 class _NotingSink(NullSink):
-    """ValueNotes which calls of the plan run at certain steps, and ends the process after the last of these steps."""
+    """Notes which calls of the plan run at certain steps, and ends the process after the last of these steps."""
 
     def __init__(self, guidance: Guidance, folder: Path, steps: list[int], result: str) -> None:
         own = str(Path(json.loads(sys.argv[1])["plan"]).parent)

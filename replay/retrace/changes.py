@@ -40,7 +40,7 @@ from recorder.tracing.forking import process
 from replay.errors import NoSuchName
 from replay.report.question import BadQuestion, Name, QueryCall, parse, unquoted
 from replay.restore.recorded_world import description_of
-from replay.retrace.decisions import BadChange, ForcedDecision, is_same, on_record, parse_decision
+from replay.retrace.decisions import BadChange, ForcedDecision, is_same, on_record, parse_decision, text_of
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
@@ -54,12 +54,7 @@ if TYPE_CHECKING:
     from replay.report.question import Term
     from replay.retrace.guide import Guide
 
-_COUNTS: Final[Mapping[str, tuple[int, ...]]] = {
-    "position": (3, 7),
-    "orientation": (4,),
-    "color": (4,),
-    "gravity": (3,),
-}
+_COUNTS: Final = {"position": (3, 7), "orientation": (4,), "color": (4,), "gravity": (3,)}
 _EXPECTED: Final = (
     "OBJECT.position=X,Y,Z (m, or these and a quaternion x,y,z,w), OBJECT.orientation=X,Y,Z,W, OBJECT.color=R,G,B,A, "
     "OBJECT.JOINT=VALUE (rad or m), OBJECT.hand=ARM (or none), gravity=X,Y,Z (m/s^2) or FLUENT=VALUE"
@@ -116,10 +111,8 @@ class Setting:
             hold(body, self.value)
         elif self.quantity == "position":
             body.set_position(self.value[:3], self.value[3:] or None)
-        elif self.quantity == "orientation":
-            body.set_orientation(self.value)
-        elif self.quantity == "color":
-            body.set_color(self.value)
+        elif self.quantity in _COUNTS:
+            getattr(body, f"set_{self.quantity}")(self.value)
         else:
             body.set_joint_position(self.quantity, *self.value)
 
@@ -281,18 +274,18 @@ class GivenAnswer:
         Raises:
             BadChange: The query has another number of answers.
         """
-        if isinstance(own, Verdict):
-            return Verdict(self.answer, own.evidence, own.picture, own.considered)
-        terms = self.answer if isinstance(self.answer, list) else []
-        if _kind(self.query) == _OF_MANY:
-            if len(terms) != len(own):
-                raise BadChange(self.text, f"the query has {len(own)} answers, not {len(terms)}")
-            items = [
-                Verdict(term, each.evidence, each.picture, each.considered)
-                for term, each in zip(terms, own, strict=True)
-            ]
-            return Found(items, own.evidence, own.picture, own.considered)
-        return Found([object_of(world, _name(term)) for term in terms], own.evidence, own.picture, own.considered)
+
+        def with_evidence(kind: Callable[..., Any], value: Any, of: Any) -> Any:
+            return kind(value, of.evidence, of.picture, of.considered)
+
+        if not isinstance(self.answer, list):
+            return with_evidence(Verdict, self.answer, own)
+        if _kind(self.query) != _OF_MANY:
+            return with_evidence(Found, [object_of(world, text_of(term)) for term in self.answer], own)
+        if len(self.answer) != len(own):
+            raise BadChange(self.text, f"the query has {len(own)} answers, not {len(self.answer)}")
+        items = [with_evidence(Verdict, term, each) for term, each in zip(self.answer, own, strict=True)]
+        return with_evidence(Found, items, own)
 
 
 def parse_answer(text: str) -> GivenAnswer | ForcedDecision:
@@ -339,8 +332,8 @@ def checked_answer(log: RecordReader, step: int, text: str) -> str:
     for argument, term in [*terms, *((_OBJECTS[0], each) for each in answer if not isinstance(each, bool))]:
         if isinstance(term, Name | str):
             known = (*loaded, "robot") if argument in _OBJECTS else _parts(log, loaded.values())
-            if _name(term) not in known:
-                raise NoSuchName(argument.rstrip("12"), _name(term), known)
+            if text_of(term) not in known:
+                raise NoSuchName(argument.rstrip("12"), text_of(term), known)
     return text
 
 
@@ -375,10 +368,6 @@ def _can_be(term: Term, kind: str) -> bool:
     return isinstance(term, list) and all(isinstance(each, wanted) for each in term)
 
 
-def _name(term: Term) -> str:
-    return term.text if isinstance(term, Name) else str(term)
-
-
 # --- while the plan runs ----------------------------------------------------------------------------------------------
 
 
@@ -401,10 +390,7 @@ class PendingChanges:
         make: Callable[[Change], None],
         refuse: Callable[[Exception], NoReturn],
     ) -> None:
-        self._changes = changes
-        self._answers = answers
-        self._make = make
-        self._refuse = refuse
+        self._changes, self._answers, self._make, self._refuse = changes, answers, make, refuse
         self._process = process()
         self._making = False
         self._done: Callable[[], None] | None = None
@@ -412,11 +398,9 @@ class PendingChanges:
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
         """Make the changes after a step as soon as possible, and then call ``done``."""
-        for change in self._changes:
-            if change.step == step and change.answer:
-                self._answers.given.append(parse_answer(change.answer))
-            elif change.step == step:
-                self.due.append(change)
+        changes = [each for each in self._changes if each.step == step]
+        self._answers.given += [parse_answer(each.answer) for each in changes if each.answer]
+        self.due += [each for each in changes if not each.answer]
         if not self.due:
             done()
             return
@@ -467,9 +451,7 @@ class AnswerOracle:
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
-        self._guide = guide
-        self._takes = taken
-        self._refuse = refuse
+        self._guide, self._takes, self._refuse = guide, taken, refuse
         self._process = process()
         self._beside: dict[int, Query] = {}  # additional fields of the record of a query by thread
         self.taken = 0  # number of used recorded answers

@@ -40,8 +40,7 @@ class BadChange(ReplayError):
 
     def __init__(self, change: str, cause: str) -> None:
         super().__init__(f"{change}: {cause}")
-        self.change = change  # text of the change
-        self.cause = cause  # the cause
+        self.change, self.cause = change, cause
 
 
 @dataclass(slots=True)
@@ -88,10 +87,10 @@ class ForcedDecision:
             return self._first(arguments["ready"])
         if kind == "solution":
             return self._admitting(arguments)
-        return self.value if kind == "timeout" else _text(self.value)
+        return self.value if kind == "timeout" else text_of(self.value)
 
     def _first(self, ready: Sequence[str]) -> str | None:
-        wanted = [_text(term) for term in (self.value if isinstance(self.value, list) else [self.value])]
+        wanted = [text_of(term) for term in (self.value if isinstance(self.value, list) else [self.value])]
         there = [name for each in wanted for name in ready if each in (name, name.partition(" ")[2])]
         if not there or (len(there) == 1 < len(wanted)):
             return None
@@ -111,7 +110,7 @@ class ForcedDecision:
             if self.slot and given.get(self.slot) is not None:
                 before, value = solution.get(self.slot), self.value
                 named = isinstance(before, Object) and isinstance(value, Name)
-                live = before.world.get_object(_text(value)) if named else _live(value)  # type: ignore[union-attr]
+                live = before.world.get_object(text_of(value)) if named else _live(value)  # type: ignore[union-attr]
                 return {**solution, self.slot: live}
             values = [solution.get(self.slot)] if self.slot else list(solution.values())
             found = number == self.number if self.number else any(_is_value(self.value, each) for each in values)
@@ -194,7 +193,9 @@ def _place(given: ForcedDecision, record: Query) -> str:
 def is_same(term: Term, value: object) -> bool:
     """Return whether an argument of a running plan has a given value."""
     if isinstance(value, Object | BulletWorld):
-        return _text(term) == value.name or (_text(term) == "robot" and isinstance(value, Object) and value.is_robot)
+        return text_of(term) == value.name or (
+            text_of(term) == "robot" and isinstance(value, Object) and value.is_robot
+        )
     if isinstance(term, list):
         same = isinstance(value, list | tuple) and len(term) == len(value)
         return same and all(is_same(*each) for each in zip(term, value, strict=True))  # type: ignore[call-overload]
@@ -216,5 +217,6 @@ def _live(term: Term) -> Any:
     return [_live(each) for each in term] if isinstance(term, list) else term.text if isinstance(term, Name) else term
 
 
-def _text(term: Term) -> str:
+def text_of(term: Term) -> str:
+    """Return a name, or another value as text."""
     return term.text if isinstance(term, Name) else str(term)

@@ -11,7 +11,7 @@ import re
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
@@ -28,16 +28,14 @@ from replay.retrace.plan_process import CantRetrace, PlanProcess
 from replay.retrace.retrace import compared
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Sequence
 
-    from recorder.records import Change, Failure
+    from recorder.records import Failure
     from replay.explain.causes.trials import Trial
     from replay.explain.why import Why
     from replay.retrace.retrace import Retracing
 
-BUDGET: Final = 12
-"""Default number of forks."""
-
+_BUDGET: Final = 12  # largest number of forks
 _AT_ONCE: Final = 2  # number of parallel forks
 _MAX_TRIALS: Final = 3  # largest number of forks of a cause
 _SECONDS: Final = (30.0, 10.0)  # largest duration of a fork: in s, and as a multiple of the original run
@@ -46,25 +44,17 @@ _RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
 
 
 def prove(
-    log: RecordReader,
-    why: Why,
-    *,
-    budget: int = BUDGET,
-    keep: Path | None = None,
-    arguments: Sequence[str] | None = None,
-    recorded_source: bool = False,
+    log: RecordReader, why: Why, *, keep: Path | None = None, recorded_source: bool = False
 ) -> tuple[Why, Retracing]:
     """Test the causes of an explanation in forks.
 
     Effects outside of the plan's worlds (files, network) happen again in each run.
 
     Args:
-        log: the recording.
+        log: The recording.
         why: The explanation of a failure in the recording.
-        budget: The largest number of forks.
         keep: A folder for the recordings of the forks. By default, the recordings are deleted.
-        arguments: the plan's arguments, instead of the recorded arguments.
-        recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
+        recorded_source: Whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Returns:
         The explanation with its verdicts, confirmed causes first, and the control run.
@@ -72,101 +62,78 @@ def prove(
     Raises:
         CantRetrace: The plan can't run again.
     """
-    unchanged = PlanProcess(log, None, arguments, recorded_source=recorded_source)
+    unchanged = PlanProcess(log, recorded_source=recorded_source)
     with (
         TemporaryDirectory(prefix="pycram-prove-") as temporary,
         ThreadPoolExecutor(_AT_ONCE) as pool,
         ExitStack() as undoing,
     ):
-        folder = Path(temporary) if keep is None else keep
-        folder.mkdir(parents=True, exist_ok=True)
         undoing.callback(unchanged.stop)  # otherwise an interrupted block would wait for its runs
         control = pool.submit(compared, unchanged, log)
-        prover = _Prover(log, why, folder, arguments, recorded_source=recorded_source, kept=keep is not None)
+        prover = _Prover(log, why, keep or Path(temporary), recorded_source=recorded_source, kept=keep is not None)
         undoing.callback(prover.stop)
         known: dict[Trial, TriedTrial] = {}  # causes may share trials
-        tried: dict[int, list[TriedTrial]] = {number: [] for number in range(len(why.causes))}
-        case = why.case
-        trials = [list(cause.trials(case)) if case is not None else [] for cause in why.causes]
+        tried: list[list[TriedTrial]] = [[] for _ in why.causes]
+        trials = [list(cause.trials(why.case)) if why.case is not None else [] for cause in why.causes]
         for turn in range(_MAX_TRIALS):
             wanted = [
-                (number, trials[number][turn])
-                for number, found in tried.items()
-                if turn < len(trials[number]) and all(each.verdict != CONFIRMED for each in found)
-            ][: max(0, budget - prover.forks)]
+                (found, each[turn])
+                for found, each in zip(tried, trials, strict=True)
+                if turn < len(each) and all(one.verdict != CONFIRMED for one in found)
+            ][: max(0, _BUDGET - prover.forks)]
             fresh = [each for each in dict.fromkeys(trial for _, trial in wanted) if each not in known]
             known |= zip(fresh, pool.map(prover.tried, fresh), strict=True)
-            for number, trial in wanted:
-                tried[number].append(known[trial])
+            for found, trial in wanted:
+                found.append(known[trial])
         result = control.result()
-        proofs = [_proof(tried[number], trials[number], why.causes[number].untestable) for number in tried]
-        if not result.identical:
-            proofs = [_uncontrolled(proof, result) for proof in proofs]
-        order = sorted(tried, key=lambda number: _RANK.index(proofs[number].verdict))
-        causes = tuple(why.causes[number] for number in order)
-        return replace(why, causes=causes, proofs=tuple(proofs[number] for number in order)), result
+        untested = [
+            "the budget of forks was spent" if each else cause.untestable
+            for each, cause in zip(trials, why.causes, strict=True)
+        ]
+        proofs = [_proof(*each, result) for each in zip(tried, untested, strict=True)]
+        ranked = sorted(zip(why.causes, proofs, strict=True), key=lambda each: _RANK.index(each[1].verdict))
+        causes, proven = zip(*ranked, strict=True) if ranked else ((), ())
+        return replace(why, causes=causes, proofs=proven), result
 
 
-def _proof(tried: Sequence[TriedTrial], trials: Sequence[Trial], untestable: str) -> Proof:
-    refuting = [each for each in tried if each.verdict == REFUTED]
-    if len(refuting) < len(tried):
-        refuting = [each for each in refuting if each.trial.decisive]
-    confirming = [each for each in tried if each.verdict == CONFIRMED]
-    for found in (confirming, refuting, [each for each in tried if each.verdict == UNTESTED], tried):
-        if found:
-            verdict = found[0].verdict if found is not tried else UNTESTED
-            text = f"{'not tested' if verdict == UNTESTED else verdict}: {found[0].text}"
-            return Proof(verdict, text, tuple(tried))
-    return Proof(UNTESTED, f"not tested: {'the budget of forks was spent' if trials else untestable}")
-
-
-def _uncontrolled(proof: Proof, control: Retracing) -> Proof:
-    difference = control.difference.text if control.difference is not None else ""
-    text = f"not tested: without a change, the plan doesn't do the same again: {difference}"
-    return Proof(UNTESTED, text, tuple(replace(each, verdict=UNTESTED) for each in proof.forks))
-
-
-@dataclass(frozen=True, slots=True)
-class _Failed:
-    """The features of a failed task, which identify the task in another run."""
-
-    kind: str
-    name: str
-    site: tuple[str, int]  # file name and line
-    parameters: str  # as recorded
-    number: int  # number of earlier tasks with this name
-    among_same: int  # number of earlier tasks with this name and the same parameters
-    size: int  # number of records from its begin to its end
-    signature: tuple[str, str]  # of its failure
+def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Proof:
+    """Return the verdict of a cause's forks. A fork that confirms the cause counts most."""
+    if not control.identical:
+        difference = control.difference.text if control.difference is not None else ""
+        untested = f"without a change, the plan doesn't do the same again: {difference}"
+        return Proof(UNTESTED, f"not tested: {untested}", tuple(replace(each, verdict=UNTESTED) for each in tried))
+    every = all(each.verdict == REFUTED for each in tried)
+    weighty = [each for each in tried if each.verdict != REFUTED or every or each.trial.decisive]
+    for verdict in (CONFIRMED, REFUTED, UNTESTED):
+        for each in weighty:
+            if each.verdict == verdict:
+                said = f"not tested: {each.text}" if verdict == UNTESTED else f"{verdict}: {each.text}"
+                return Proof(verdict, said, tuple(tried))
+    return Proof(UNTESTED, f"not tested: {untested}", tuple(tried))
 
 
 class _Prover:
     """A runner of an explanation's trials as forks."""
 
-    def __init__(
-        self,
-        log: RecordReader,
-        why: Why,
-        folder: Path,
-        arguments: Sequence[str] | None,
-        *,
-        recorded_source: bool,
-        kept: bool,
-    ) -> None:
+    def __init__(self, log: RecordReader, why: Why, folder: Path, *, recorded_source: bool, kept: bool) -> None:
         self._log = log
-        self._why = why
         self._folder = folder
-        self._arguments = arguments
         self._recorded_source = recorded_source
         self._kept = kept
         self._reading = threading.Lock()  # a single thread at a time reads the recording
-        self._task = _failed_task(log, why)
         self._end = _end(log, uncaught_failure(log))
         self._steps = len(log)
         self._seconds = max(_SECONDS[0], _SECONDS[1] * why.run.seconds)
+        self._task: Task | None = None  # the start of the failed task
+        if why.task is not None and (finished := why.task.motion.finished or why.task.finished) is not None:
+            self._task, self._failure = why.task.motion.started, finished.failure
+            self._size = finished.seq - self._task.seq
+            alike = {exact: _alike(log, self._task, exact=exact) for exact in (True, False)}
+            self._numbers = {exact: sum(each.seq < self._task.seq for each in alike[exact]) for exact in alike}
         self.forks = 0
         self._running: set[PlanProcess] = set()
         self._stopped = False
+        folder.mkdir(parents=True, exist_ok=True)
 
     def stop(self) -> None:
         """Stop all forks, and start no more forks."""
@@ -182,69 +149,72 @@ class _Prover:
             self.forks += 1
             file = self._folder / f"{self._log.path.stem}.prove-{self.forks}.mcap"
             try:
-                world = trial.world or None
-                changes = changes_of(self._log, trial.step, trial.settings, world, trial.answers, None)
-                process = PlanProcess(
-                    self._log, None, self._arguments, until=trial.step, recorded_source=self._recorded_source
-                )
+                changes = changes_of(self._log, trial.step, trial.settings, trial.world or None, trial.answers, None)
+                process = PlanProcess(self._log, until=trial.step, recorded_source=self._recorded_source)
             except ReplayError as error:
                 return TriedTrial(trial, UNTESTED, f"{trial.words}: {error}")
             self._running.add(process)
-        verdict, text = self._run(process, file, changes, trial)
-        return TriedTrial(trial, verdict, f"{trial.words} after step {trial.step}: {text}", str(file) * self._kept)
-
-    def _run(self, process: PlanProcess, file: Path, changes: Sequence[Change], trial: Trial) -> tuple[str, str]:
         timer = threading.Timer(self._seconds, process.stop)
         timer.start()
         try:
             guided = process.run(file=file, changes=changes, quiet=True)
-        except CantRetrace as error:
-            late = "the fork didn't end in time" if not timer.is_alive() else str(error)
-            return UNTESTED, late
         except ReplayError as error:
-            return UNTESTED, str(error)
+            late = isinstance(error, CantRetrace) and not timer.is_alive()
+            verdict, text = UNTESTED, "the fork didn't end in time" if late else str(error)
+        else:
+            verdict = UNTESTED
+            if guided.difference is not None:
+                text = f"the plan differs before the change: {guided.difference.text}"
+            elif guided.unused:
+                text = f"the decision {', '.join(guided.unused)} didn't come"
+            else:
+                with RecordReader(file) as forked:
+                    verdict, text = self._judged(forked, trial, len(changes))
         finally:
             timer.cancel()
-        if guided.difference is not None:
-            return UNTESTED, f"the plan differs before the change: {guided.difference.text}"
-        if guided.unused:
-            return UNTESTED, f"the decision {', '.join(guided.unused)} didn't come"
-        with RecordReader(file) as forked:
-            needed = None if not trial.needs else _next_end(forked, trial)
-            if needed is not None and needed.status != Task.SUCCEEDED:
-                return UNTESTED, f"{trial.needs} fails nevertheless: {phrases.failure(needed.failure)}"
-            return self._judged(forked, len(changes))
+        return TriedTrial(trial, verdict, f"{trial.words} after step {trial.step}: {text}", str(file) * self._kept)
 
-    def _judged(self, forked: RecordReader, added: int) -> tuple[str, str]:
+    def _judged(self, forked: RecordReader, trial: Trial, added: int) -> tuple[str, str]:
         """Return the verdict of a fork, and its outcome in words."""
         if not isinstance(forked[-1], Run):
             return UNTESTED, "the fork ended without an end of its recording"
+        wanted = "motion", trial.needs, Task.FINISHED
+        every = forked.records(Task, trial.step + 1)
+        needed = next((each for each in every if (each.kind, each.name, each.phase) == wanted), None)
+        if needed is not None and needed.status != Task.SUCCEEDED:
+            return UNTESTED, f"{trial.needs} fails nevertheless: {phrases.failure(needed.failure)}"
         end = uncaught_failure(forked)
-        task = None if self._task is None else _same_task(forked, self._task)
-        if task is None or self._task is None:
-            return self._judged_by_end(forked, end, added)
-        started, finished = task
-        name = phrases.task(started.kind, started.name, {})
-        if finished.status == Task.SUCCEEDED:
+        started, finished = self._same_task(forked)
+        if started is not None and finished is not None:
+            name = phrases.task(started.kind, started.name, {})
+            failure = None if finished.status == Task.SUCCEEDED else finished.failure
+            same = failure is not None and _signature(failure) == _signature(self._failure)
+            later = finished.status == Task.FAILED and finished.seq - started.seq > self._size
+        else:
+            name, failure = "the plan", None if end is None else end.failure
+            same = _end(forked, end) == self._end
+            later = end is not None and end.seq - added > self._steps - 1
+        if failure is None and finished is not None:
             after = "and the plan succeeds" if end is None else f"later the plan fails: {phrases.failure(end.failure)}"
             return CONFIRMED, f"{name} succeeds, {after}"
-        said = phrases.failure(finished.failure)
-        if _signature(finished.failure) == self._task.signature:
+        if failure is None:
+            return (UNTESTED, "the failed task doesn't come") if same else (CONFIRMED, "the plan succeeds")
+        said = phrases.failure(failure)
+        if same:
             return REFUTED, f"the same failure comes: {said}"
-        if finished.status == Task.FAILED and finished.seq - started.seq > self._task.size:
-            return CONFIRMED, f"{name} gets further, and fails otherwise: {said}"
-        return UNTESTED, f"{name} fails otherwise: {said}"
+        further = "gets further, and " * later
+        return CONFIRMED if later else UNTESTED, f"{name} {further}fails otherwise: {said}"
 
-    def _judged_by_end(self, forked: RecordReader, end: Run | None, added: int) -> tuple[str, str]:
-        if end is None:
-            decided = self._end is not None
-            return (CONFIRMED, "the plan succeeds") if decided else (UNTESTED, "the failed task doesn't come")
-        said = phrases.failure(end.failure)
-        if _end(forked, end) == self._end:
-            return REFUTED, f"the same failure comes: {said}"
-        if end.seq - added > self._steps - 1:
-            return CONFIRMED, f"another failure comes later: {said}"
-        return UNTESTED, f"another failure comes: {said}"
+    def _same_task(self, forked: RecordReader) -> tuple[Task | None, Task | None]:
+        """Return the start and the end of the failed task in a fork, with the same parameters if possible."""
+        if self._task is None:
+            return None, None
+        for exact, number in self._numbers.items():
+            for started in _alike(forked, self._task, exact=exact)[number : number + 1]:
+                every = forked.records(Task, started.seq)
+                ends = (each for each in every if (each.task, each.phase) == (started.task, Task.FINISHED))
+                return started, next(ends, None)
+        return None, None
 
 
 def _signature(failure: Failure) -> tuple[str, str]:
@@ -260,56 +230,12 @@ def _end(log: RecordReader, end: Run | None) -> object:
     return _signature(end.failure), parsed[-1].lines[-1:] if parsed else ()
 
 
-def _failed_task(log: RecordReader, why: Why) -> _Failed | None:
-    if why.task is None or why.task.finished is None:
-        return None
-    record = why.task.motion.started
-    finished = why.task.motion.finished or why.task.finished
-    found = [each for each in _alike(log, record.kind, record.name, _site(record)) if each.seq < record.seq]
-    given = _given(record)
-    same = sum(_given(each) == given for each in found)
-    return _Failed(
-        record.kind,
-        record.name,
-        _site(record),
-        given,
-        len(found),
-        same,
-        finished.seq - record.seq,
-        _signature(finished.failure),
-    )
+def _alike(log: RecordReader, task: Task, *, exact: bool) -> list[Task]:
+    """Return the starts of tasks with the same name at the same line, and with the same parameters if ``exact``."""
 
+    def key(each: Task) -> object:
+        site = Path(each.source_file).name, each.source_line
+        return each.phase, each.kind, each.name, site, str(argument_values(each.parameters)) if exact else ""
 
-def _same_task(log: RecordReader, wanted: _Failed) -> tuple[Task, Task] | None:
-    """Return the start and the end of the same task in another run.
-
-    Prefer a task with the same parameters, and then a task with the same number of earlier tasks.
-    """
-    found = list(_alike(log, wanted.kind, wanted.name, wanted.site))
-    same = [each for each in found if _given(each) == wanted.parameters]
-    started = same[wanted.among_same : wanted.among_same + 1] or found[wanted.number : wanted.number + 1]
-    for each in started:
-        for record in log.records(Task, each.seq):
-            if record.task == each.task and record.phase == Task.FINISHED:
-                return each, record
-    return None
-
-
-def _next_end(log: RecordReader, trial: Trial) -> Task | None:
-    """Return the end of the motion that a trial lets succeed."""
-    ends = (each for each in log.records(Task, trial.step + 1) if each.kind == "motion" and each.name == trial.needs)
-    return next((each for each in ends if each.phase == Task.FINISHED), None)
-
-
-def _alike(log: RecordReader, kind: str, name: str, site: tuple[str, int]) -> Iterator[Task]:
-    for record in log.records(Task):
-        if record.phase == Task.STARTED and (record.kind, record.name, _site(record)) == (kind, name, site):
-            yield record
-
-
-def _site(record: Task) -> tuple[str, int]:
-    return Path(record.source_file).name, record.source_line
-
-
-def _given(record: Task) -> str:
-    return str(argument_values(record.parameters))
+    wanted = key(task)
+    return [each for each in log.records(Task) if each.name == task.name and key(each) == wanted]

@@ -81,8 +81,7 @@ CONFIRMED, REFUTED, UNTESTED = "confirmed", "refuted", "untested"
 
 def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
     """Yield the trial that undoes a change right after it. Other changes may have the same effect."""
-    for trial in _undone(case, change):
-        yield replace(trial, decisive=False)
+    yield from (replace(trial, decisive=False) for trial in _undone(case, change))
 
 
 def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
@@ -103,14 +102,17 @@ def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
         yield from away(case, change.body, change.step)
     else:
         text = f"{change.joint} of {change.body}" if change.joint else change.mover or change.body
-        yield from restored(case, _changed_by(case, change), start, change.step, f"{text} is put back")
+        record, names = case.log[change.step], [change.body]
+        if isinstance(record, Mutation):  # the commanded body carries others along
+            names = [commanded(record), change.body, *(each.body for each in record.effect.bodies)]
+        yield from restored(case, names, start, change.step, f"{text} is put back")
 
 
 def restored(case: FailureCase, names: Sequence[str], then: int, step: int, words: str = "") -> Iterator[Trial]:
     """Yield the trial that gives bodies and their joints the state of an earlier step."""
     poses: dict[str, object] = {}
     joints: dict[str, object] = {}
-    for name in names:
+    for name in dict.fromkeys(names):
         body, now = _body(case, name, then), _body(case, name, step)
         if body is None or now is None:
             continue
@@ -123,18 +125,9 @@ def restored(case: FailureCase, names: Sequence[str], then: int, step: int, word
         yield _set(case, step, words or where, joints | poses)  # joints first, because they carry bodies along
 
 
-def _changed_by(case: FailureCase, change: CausingChange) -> list[str]:
-    """Return the bodies that a change moved, the commanded body first."""
-    record = case.log[change.step]
-    moved = [each.body for each in record.effect.bodies] if isinstance(record, Mutation) else []
-    owner = commanded(record) if isinstance(record, Mutation) else ""
-    return list(dict.fromkeys([*([owner] if owner else []), change.body, *moved]))
-
-
 def placed(case: FailureCase, body: str, position: Sequence[float], step: int | None = None) -> Iterator[Trial]:
     """Yield the trial with a body at a position, by default just before the failure."""
-    text = f"{body} is at {phrases.vector(position)}"
-    yield _set(case, _before(case) if step is None else step, text, {f"{written(body)}.position": position})
+    yield _set(case, step, f"{body} is at {phrases.vector(position)}", {f"{written(body)}.position": position})
 
 
 def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Trial]:
@@ -145,13 +138,13 @@ def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Tria
     values: dict[str, object] = {f"{written(body)}.position": (x + _FAR, y + _FAR, z)}
     if case.world.carrier(body) is not None:
         values = {f"{written(body)}.hand": NONE} | values
-    yield _set(case, _before(case) if step is None else step, f"{body} is far away", values)
+    yield _set(case, step, f"{body} is far away", values)
 
 
 def freed(case: FailureCase, body: str) -> Iterator[Trial]:
     """Yield the trial in which nothing holds a body. A body that the motion doesn't need is moved far away."""
     if body in case.subjects:
-        yield _set(case, _before(case), f"nothing holds {body}", {f"{written(body)}.hand": NONE})
+        yield _set(case, None, f"nothing holds {body}", {f"{written(body)}.hand": NONE})
     else:
         yield from away(case, body)
 
@@ -159,13 +152,13 @@ def freed(case: FailureCase, body: str) -> Iterator[Trial]:
 def in_hand(case: FailureCase, body: str, arm: str) -> Iterator[Trial]:
     """Yield the trial with a body in a hand just before the failure."""
     if body and arm:
-        yield _set(case, _before(case), f"the {arm} gripper holds {body}", {f"{written(body)}.hand": arm})
+        yield _set(case, None, f"the {arm} gripper holds {body}", {f"{written(body)}.hand": arm})
 
 
 def joint_at(case: FailureCase, body: str, joint: str, value: float, step: int | None = None) -> Iterator[Trial]:
     """Yield the trial with a joint at a value, by default just before the failure."""
     text = f"{joint} of {body} is at {phrases.number(value)}"
-    yield _set(case, _before(case) if step is None else step, text, {f"{written(body)}.{joint}": value})
+    yield _set(case, step, text, {f"{written(body)}.{joint}": value})
 
 
 def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[Trial]:
@@ -181,7 +174,7 @@ def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[
     ):
         ahead = distance - max(left, 0.0)
         pose = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), z, *turn)
-        trial = _set(case, _before(case), words, {f"{written(name)}.position": pose})
+        trial = _set(case, None, words, {f"{written(name)}.position": pose})
         yield replace(trial, decisive=left == _BEFORE)
 
 
@@ -202,12 +195,8 @@ def seen(case: FailureCase, task: Node) -> Iterator[Trial]:
     world = state_at(case.log, task.started.seq).worlds.get(task.started.world)
     bodies = [body.name for body in world.bodies.values() if body.type == kind] if world is not None else []
     for name in bodies[:1]:
-        yield Trial(
-            task.motion.started.seq - 1,
-            f"{name} is seen",
-            answers=(f"visible({written(name)}, ...)=true",),
-            needs=task.motion.name,
-        )
+        answer, step = f"visible({written(name)}, ...)=true", task.motion.started.seq - 1
+        yield Trial(step, f"{name} is seen", answers=(answer,), needs=task.motion.name)
 
 
 def replaced(case: FailureCase, slot: str, value: str) -> Iterator[Trial]:
@@ -225,32 +214,21 @@ def longer(started: Task, seconds: object) -> Iterator[Trial]:
 
 
 def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
-    """Yield the trial in which the condition of a wait becomes true: a single fluent, perhaps compared with a number.
-
-    Args:
-        started: The record of the wait's start, whose name is the condition.
-        values: The fluents in the condition.
-    """
+    """Yield the trial in which the condition of a wait holds: one of the fluents, perhaps compared with a number."""
     compared = _COMPARED.fullmatch(started.name)
     leaf = compared[1] if compared else started.name
     if leaf not in values:
         return
-    wanted: object = True
-    if compared:
-        try:
-            wanted = ast.literal_eval(compared[3])
-        except (ValueError, SyntaxError):
-            return
-        if isinstance(wanted, int | float) and compared[2] != "==":
-            wanted += (1 if compared[2].startswith(">") else -1) * max(_BEYOND, _BEYOND * abs(wanted))
+    try:
+        wanted = ast.literal_eval(compared[3]) if compared else True
+    except (ValueError, SyntaxError):
+        return
+    if compared and isinstance(wanted, int | float) and compared[2] != "==":
+        wanted += (1 if compared[2].startswith(">") else -1) * max(_BEYOND, _BEYOND * abs(wanted))
     joint = _JOINT.fullmatch(leaf)
     target = f"{written(joint[2])}.{joint[1]}" if joint else f"{_FLUENT}{leaf}"
-    yield Trial(
-        started.seq,
-        f"{started.name} holds",
-        (f"{target}={json.dumps(wanted)}",),
-        world="" if not joint else started.world,
-    )
+    setting = f"{target}={json.dumps(wanted)}"
+    yield Trial(started.seq, f"{started.name} holds", (setting,), world=started.world if joint else "")
 
 
 def skipped(refusal: Refusal) -> Iterator[Trial]:
@@ -272,12 +250,14 @@ def other_arm(case: FailureCase, task: Node) -> Iterator[Trial]:
         yield Trial(motion.started.seq - 1, text, answers=(f"{motion.name}.arm(...)={arm}",), needs=motion.name)
 
 
-def _set(case: FailureCase, step: int, words: str, values: Mapping[str, object]) -> Trial:
-    texts = [
+def _set(case: FailureCase, step: int | None, words: str, values: Mapping[str, object]) -> Trial:
+    """Return a trial with settings, by default just before the failure."""
+    texts = (
         f"{key}={','.join(map(repr, value)) if isinstance(value, list | tuple) else value}"
         for key, value in values.items()
-    ]
-    return Trial(step, words, tuple(texts), world=case.world.name if case.world is not None else "")
+    )
+    world = case.world.name if case.world is not None else ""
+    return Trial(_before(case) if step is None else step, words, tuple(texts), world=world)
 
 
 def _before(case: FailureCase) -> int:
