@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import nullcontext
 from contextvars import ContextVar
@@ -56,42 +55,42 @@ _SAMPLES: Final = 15  # checks per second for contacts between moving parts of a
 _SAME: Final = 1e-4  # maximum difference in rad or m of equal joint positions
 
 
-class Execution(ABC):
-    """Moves joints and bases to their targets.
+class Execution:
+    """Moves joints and bases to their targets: they jump there, and time passes only in :meth:`settle`.
 
-    Most methods return a step, and raise PlanFailure if there is no way.
+    Each change is exact. A motion holds the world's lock, so other threads never see an unfinished motion.
+    :class:`ContinuousExecution` moves in simulated time; its steps raise PlanFailure if there is no way.
     """
 
-    takes_time: bool
+    takes_time = False
     """Whether simulated time passes during a motion, so that other motions continue."""
 
-    @abstractmethod
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
         """Return the context for all steps of a motion."""
+        return world.lock
 
-    @abstractmethod
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
         """Move the base to a position xyz in m and an orientation xyzw."""
+        return partial(robot.set_position_and_orientation, position, orientation)
 
-    @abstractmethod
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
         """Move joints to positions in rad or m by name, around obstacles."""
+        return partial(robot.set_joint_positions, positions)
 
-    @abstractmethod
-    def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:
+    def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:  # noqa: ARG002
         """Move the tool on straight lines to its pose in a posture; it turns only about the vertical."""
+        return partial(robot.set_joint_positions, posture)
 
-    @abstractmethod
     def approach(
         self,
         robot: Object,
-        arm: Arm,
+        arm: Arm,  # noqa: ARG002
         posture: Mapping[str, float],
-        direction: Vector,
+        direction: Vector,  # noqa: ARG002
         *,
         opened: Mapping[str, float] | None = None,
-        ignored: Sequence[Object] = (),
-        ignored_links: Sequence[tuple[Object, str]] = (),
+        ignored: Sequence[Object] = (),  # noqa: ARG002
+        ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step:
         """Move an arm to a posture, on a straight line for the last centimetres.
 
@@ -102,104 +101,18 @@ class Execution(ABC):
             ignored: Objects that the hand may touch on the straight line.
             ignored_links: Links, with their objects, that the hand may touch on the straight line.
         """
+        return _all([partial(robot.set_joint_positions, each) for each in (opened, posture) if each is not None])
 
-    @abstractmethod
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
         """Move the joints of a gripper to positions at which nothing stops the fingers."""
+        return partial(robot.set_joint_positions, positions)
 
-    @abstractmethod
     def open(self, robot: Object, arm: Arm) -> Step:
         """Open a gripper as far as possible."""
-
-    @abstractmethod
-    def close(self, robot: Object, arm: Arm) -> Step:
-        """Close a gripper as far as possible."""
-
-    @abstractmethod
-    def pull(
-        self,
-        robot: Object,
-        container: Object,
-        joint: str,
-        values: Sequence[float],
-        postures: Sequence[Mapping[str, float]],
-    ) -> Step:
-        """Move an arm that holds a handle through postures, and the handle's joint through ``values`` in rad or m."""
-
-    @abstractmethod
-    def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
-        """Draw a hand straight back from a released object; return None if the hand stays.
-
-        ``ignored_links`` are links, with their objects, that the hand may touch.
-        """
-
-    @abstractmethod
-    def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Lift a grasped object off its support; return None if the object stays."""
-
-    @abstractmethod
-    def settle(self, world: BulletWorld) -> Collection[Object]:
-        """Let simulated time pass until all objects are at rest, at most :data:`TIMEOUT`; return the moving objects.
-
-        Raises:
-            WorldClosed: Another thread closed the world during the simulation.
-        """
-
-
-class InstantExecution(Execution):
-    """Joints and bases jump to their targets: each change is exact, and time passes only in :meth:`settle`.
-
-    A motion holds the world's lock, so other threads never see an unfinished motion.
-    """
-
-    takes_time = False
-
-    def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
-        """Return the world's lock."""
-        return world.lock
-
-    def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
-        """Set the pose of the robot."""
-        return partial(robot.set_position_and_orientation, position, orientation)
-
-    def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Set the joint positions."""
-        return partial(robot.set_joint_positions, positions)
-
-    def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:  # noqa: ARG002
-        """Set the joint positions."""
-        return partial(robot.set_joint_positions, posture)
-
-    def approach(
-        self,
-        robot: Object,
-        arm: Arm,  # noqa: ARG002  there is no path
-        posture: Mapping[str, float],
-        direction: Vector,  # noqa: ARG002
-        *,
-        opened: Mapping[str, float] | None = None,
-        ignored: Sequence[Object] = (),  # noqa: ARG002
-        ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
-    ) -> Step:
-        """Set the joint positions of gripper and arm."""
-
-        def step() -> None:
-            if opened is not None:
-                robot.set_joint_positions(opened)
-            robot.set_joint_positions(posture)
-
-        return step
-
-    def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Set the joint positions of the fingers."""
-        return partial(robot.set_joint_positions, positions)
-
-    def open(self, robot: Object, arm: Arm) -> Step:
-        """Open the fingers completely."""
         return partial(robot.set_joint_positions, arm.gripper.positions("open"))
 
     def close(self, robot: Object, arm: Arm) -> Step:
-        """Close the fingers completely, even through an object."""
+        """Close a gripper as far as possible; without simulated time, even through an object."""
         return partial(robot.set_joint_positions, arm.gripper.positions("close"))
 
     def pull(
@@ -210,7 +123,7 @@ class InstantExecution(Execution):
         values: Sequence[float],
         postures: Sequence[Mapping[str, float]],
     ) -> Step:
-        """Set each position of the handle's joint, followed by the posture of the arm."""
+        """Move an arm that holds a handle through postures, and the handle's joint through ``values`` in rad or m."""
 
         def step() -> None:
             for value, posture in zip(values[1:], postures[1:], strict=True):
@@ -225,22 +138,29 @@ class InstantExecution(Execution):
         arm: Arm,  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step | None:
-        """Return None: the hand doesn't move."""
+        """Draw a hand straight back from a released object; return None if the hand stays.
+
+        ``ignored_links`` are links, with their objects, that the hand may touch.
+        """
         return None
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002
-        """Return None: the object doesn't move."""
+        """Lift a grasped object off its support; return None if the object stays."""
         return None
 
     def settle(self, world: BulletWorld) -> Collection[Object]:
-        """Simulate until all objects are at rest, as one change of the world."""
+        """Let simulated time pass until all objects are at rest, at most :data:`TIMEOUT`; return the moving objects.
+
+        Raises:
+            WorldClosed: Another thread closed the world during the simulation.
+        """
         restless, completed = simulation.settle(world, TIMEOUT * STEPS_PER_SECOND)
         if world.exiting and not completed:
             raise WorldClosed(world.name, "continue its simulation")
         return restless
 
 
-INSTANT: Final = InstantExecution()
+INSTANT: Final = Execution()
 
 
 class ContinuousExecution(Execution):

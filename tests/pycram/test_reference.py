@@ -8,7 +8,7 @@ import pytest
 
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.foundation.failures import NoPath, Unreachable
-from pycram.motions.execution import ContinuousExecution, InstantExecution
+from pycram.motions.execution import ContinuousExecution, Execution
 from pycram.motions.modules import default_modules
 from pycram.motions.motion_types import TYPES as MOTIONS
 from pycram.reference import reference
@@ -47,7 +47,7 @@ def test_each_motion_is_told_with_its_slots() -> None:
 @pytest.mark.parametrize("cmd", MODULES)
 def test_what_modules_may_raise_is_declared_and_nothing_else(cmd: str) -> None:
     module = type(MODULES[cmd])
-    at_once = may_raise(module, InstantExecution)
+    at_once = may_raise(module, Execution)
     assert at_once
     assert set(module.failures) == at_once
     assert set(module.failures_in_time) == may_raise(module, ContinuousExecution) - at_once
