@@ -66,8 +66,8 @@ proto: .venv/ready-dev  ## compiles recorder/records/log.proto; its path is part
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=$(PROTO_OUT) --pyi_out=$(PROTO_OUT) recorder/records/log.proto
 
 reference: .venv/ready-dev  ## writes docs/reference.md and the typed constructors, from the code of motions and actions
-	$(BIN)/python -m pycram.reference docs/reference.md
-	$(BIN)/python -m pycram.constructors pycram
+	$(BIN)/python -m docs.make_reference docs/reference.md
+	$(BIN)/python -m docs.make_constructors pycram
 
 system-packages:  ## what tests of windows, viewers and the browser need (Debian, Ubuntu)
 	.ci/system-packages

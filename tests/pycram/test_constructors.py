@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, get_args
 import pytest
 
 import pycram
+from docs.make_constructors import MODULES
 from pycram import action_designators, motion_designators
 from pycram.actions import action
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.bullet_world import BulletWorld, Object
-from pycram.constructors import MODULES
 from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator
 from pycram.motions.motion_types import TYPES as MOTIONS
 from pycram.motions.slots import slot_name

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from docs.make_reference import reference
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.foundation.failures import NoPath, Unreachable
 from pycram.motions.execution import ContinuousExecution, Execution
 from pycram.motions.modules import default_modules
 from pycram.motions.motion_types import TYPES as MOTIONS
-from pycram.reference import reference
 from tests.pycram.motions.raised import may_raise
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference.md"

@@ -1,4 +1,4 @@
-"""Write docs/reference.md, the reference of motions and actions, from their code: ``python -m pycram.reference``.
+"""Write docs/reference.md, the reference of motions and actions, from their code: ``python -m docs.make_reference``.
 
 The page contains the data by which designators are checked, and docstrings, so it is always correct.
 """
@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+import pycram
 from pycram.actions import ActionFailed, LocationDesignator, ObjectDesignator
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.foundation.failures import NoPlace, PlanFailure
@@ -68,7 +69,7 @@ def reference() -> str:
         failures |= {*module.failures, *module.failures_in_time}
         parts.append(_motion(motion, module))
     # Failures are recorded under their public module, which isn't the file that defines them.
-    source = "".join(file.read_text(encoding="utf-8") for file in Path(__file__).parent.rglob("*.py"))
+    source = "".join(file.read_text(encoding="utf-8") for file in Path(pycram.__file__).parent.rglob("*.py"))
     parts += ["## Failures\n", *(_failure(kind, source) for kind in sorted(failures, key=lambda kind: kind.__name__))]
     return "\n".join(parts).replace("``", "`")  # the docstrings are reStructuredText
 

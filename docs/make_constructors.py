@@ -1,4 +1,4 @@
-"""Write the typed constructors of motion and action designators: ``python -m pycram.constructors pycram``.
+"""Write the typed constructors of motion and action designators: ``python -m docs.make_constructors pycram``.
 
 The parameters, types and texts come from the slots that check designators, so type checkers reject unknown slots.
 """
@@ -11,12 +11,12 @@ import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from docs.make_reference import demands
 from pycram.actions import LocationDesignator, ObjectDesignator
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.motions.modules import default_modules
 from pycram.motions.motion_types import TYPES as MOTIONS
 from pycram.motions.slots import ValueKind, slot_argument
-from pycram.reference import demands
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
