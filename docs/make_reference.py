@@ -95,7 +95,7 @@ def _table(slots: Iterable[Slot]) -> str:
     rows = ["| Slot | Value | Default |", "|---|---|---|"]
     for slot in slots:
         names = " or ".join(f"`{name}`" for name in (slot.name, *slot.aliases))
-        # the text of a slot's values contains its default
+        # the text about a slot's values already contains the default
         found = re.fullmatch(r"(.*); (?:by default (.*)|(.*) by default(.*))", slot.values, re.DOTALL)
         values, default = (found[1], found[2] or found[3] + found[4]) if found else (slot.values, "")
         missing = "required" if slot.required else slot.otherwise or default

@@ -1,7 +1,7 @@
 """A robot's beliefs: where it last saw, took or put down objects.
 
 ``believed("milk")`` returns the result of the robot's latest look. The robot doesn't notice later changes by others
-until it looks again. The motions ``detecting`` and ``world-state-detecting``, grasps and placements update beliefs.
+until it looks again. Grasps, placements, and the motions ``detecting`` and ``world-state-detecting`` update beliefs.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MAIN: Final = "main"  # the function whose arguments are parameters
-ANY: Final = object()  # the default isn't known before the plan runs
+ANY: Final = object()  # stands for a default that isn't known before the plan runs
 #: Distributions by name: the number of arguments, and a function that draws a value.
 _DISTRIBUTIONS: Final[Mapping[str, tuple[int, Callable[..., Any]]]] = {
     "uniform": (2, lambda dice, a, b: dice.uniform(a, b)),
@@ -57,8 +57,7 @@ export("pycram", UnknownParameter)
 def parameters(**defaults: Any) -> SimpleNamespace:
     """Return a plan's parameters: the values that this run sets, else the defaults.
 
-    Use it as ``speed = pycram.parameters(speed=0.5).speed``. A value must have the type of its default; the default
-    None allows any type.
+    Use it as ``speed = pycram.parameters(speed=0.5).speed``. A value must have the type of a default that isn't None.
 
     Raises:
         BadArgument: A value has another type than its default.
@@ -230,7 +229,7 @@ class Variations:
             values[name] = self.listed[name][index]
         for name, text in self.sampled.items():
             kind, arguments = _distribution(name, str(text))
-            dice = random.Random(f"{seed}/{number}/{name}")  # PYTHONHASHSEED doesn't affect a text as seed
+            dice = random.Random(f"{seed}/{number}/{name}")  # PYTHONHASHSEED doesn't affect seeds that are texts
             values[name] = _DISTRIBUTIONS[kind][1](dice, *arguments)
         return values
 
@@ -270,7 +269,7 @@ def sampled(text: str) -> tuple[str, str]:
     return name, distribution
 
 
-@lru_cache  # each name of a recording contains drawn values, so this is called often
+@lru_cache  # this is called often, because a sweep draws values for the name of each recording
 def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
     call = _CALL.fullmatch(text.strip())
     if call is None:
@@ -280,7 +279,7 @@ def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
         raise BadArgument(name, text, f"a distribution; {suggestion(kind, _DISTRIBUTIONS)}")
     try:
         arguments = list(ast.literal_eval(f"({values},)"))
-    except (SyntaxError, ValueError):  # texts without quotes, as in choice(cup.stl,bowl.stl)
+    except (SyntaxError, ValueError):  # the arguments are texts without quotes, as in choice(cup.stl,bowl.stl)
         words = [each.strip() for each in values.split(",")]
         if not all(map(_WORD.fullmatch, words)):
             raise BadArgument(name, text, _EXPECTED) from None

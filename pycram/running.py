@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
-MAX_SEED: Final = 2**32 - 1  # the largest seed that PYTHONHASHSEED and NumPy accept
+MAX_SEED: Final = 2**32 - 1  # largest seed that PYTHONHASHSEED and NumPy accept
 _HASH: Final = "PYTHONHASHSEED"
 #: :func:`restart` sets it to the id of the restarted process and its seed. Child processes of a plan have other ids.
 _RESTARTED: Final = "PYCRAM_SEEDED"
@@ -130,7 +130,7 @@ def run(
         if debug and code == FAILED:
             given = ["--arguments", *spec.arguments] if spec.arguments else []  # a recording omits secret arguments
             command = [sys.executable, "-P", "-m", "replay", "debug", str(recording.path), *given]
-            subprocess.run(command, check=False)  # noqa: S603  by command: this package must not import replay
+            subprocess.run(command, check=False)  # noqa: S603  this package must not import replay
     return code
 
 
@@ -220,7 +220,7 @@ def seed_random_numbers(seed: int | None) -> None:
     """Seed the global random generators of Python and NumPy; do nothing for None."""
     if seed is None:
         return
-    import numpy as np  # noqa: PLC0415  slow; the restarted process imports it
+    import numpy as np  # noqa: PLC0415  imported here, because only the restarted process needs it
 
     random.seed(seed)
     np.random.seed(seed)  # noqa: NPY002  plans may use the old interface

@@ -29,16 +29,16 @@ NEAR: Final = 0.02  # nearest visible distance in m
 FAR: Final = 20.0  # farthest visible distance in m
 _SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background at the top and at the bottom
 _HOUSING: Final = 0.005  # largest distance in m of the lens from its housing
-_LARGE: Final = 400  # pixels; a triangle with more pixels in its bounds is drawn alone
-_BAND: Final = 32  # rows of a large triangle that are drawn together, so that few pixels outside of it are tested
-_BATCH: Final = 1 << 16  # pixels of small triangles that are drawn together; larger batches need more memory
+_LARGE: Final = 400  # number of pixels in its bounds above which a triangle is drawn alone
+_BAND: Final = 32  # number of rows of a large triangle that are drawn together; few pixels outside of it are tested
+_BATCH: Final = 1 << 16  # number of pixels of small triangles that are drawn together; larger batches need more memory
 
 
 @dataclass(frozen=True, slots=True)
 class Rendering:
     """A rendered picture."""
 
-    depth: NDArray[np.float64]  # (height, width) m along the camera's axis; inf without an object
+    depth: NDArray[np.float64]  # (height, width) distance in m along the camera's axis; inf without an object
     bodies: NDArray[np.int64]  # (height, width) indices of the rendered objects; -1 without an object
     triangles: NDArray[np.float64]  # (n, 3, 3) rendered triangles in the camera's frame, m
     colors: NDArray[np.float64]  # (n, 3) colours of the triangles, RGB 0..1
@@ -75,7 +75,7 @@ class Rendering:
         corners = self.triangles[used[:-1]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-        normals *= -np.sign((normals * corners[:, 0]).sum(axis=1, keepdims=True))  # normals point to the camera
+        normals *= -np.sign((normals * corners[:, 0]).sum(axis=1, keepdims=True))  # so normals point to the camera
         light = 0.5 + 0.25 * normals @ np.asarray(up) + 0.35 * np.maximum(-normals[:, 2], 0.0)
         lit = np.zeros((len(used), 3), dtype=np.uint8)
         lit[used] = np.clip(self.colors[used[:-1]] * light[:, None], 0.0, 1.0) * 255
@@ -120,7 +120,7 @@ def drawable_link(
     return Drawable(one, np.array([pose[0]]), np.array([pose[1]]), color, is_robot)
 
 
-#: What :func:`drawable` has returned last for an object, with the state of the object.
+#: The last result of :func:`drawable` for an object, with the state of the object.
 _drawn: Final[WeakKeyDictionary[Object, tuple[Snapshot, Drawable]]] = WeakKeyDictionary()
 
 
@@ -179,7 +179,7 @@ class Camera:
         Args:
             bodies: the objects to render, of one world. The caller holds the world's lock.
             size: width and height in pixels.
-            far: m, farthest relevant distance if less than the camera's.
+            far: farthest relevant distance in m, if less than the camera's.
         """
         return self.draw([drawable(body) for body in bodies], window, size, far)
 

@@ -95,7 +95,7 @@ class _WorldVariable(Variable):
 
     def __init__(self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]) -> None:
         super().__init__(read(), f"{source} of {name}", source, tuple(body.name for body in objects))
-        self.read = read  # returns the present value; the caller holds the world's lock, and the objects exist
+        self.read = read  # a function that returns the value; its caller holds the world's lock, and the objects exist
         self.objects = objects
 
     def clock(self) -> WorldClock | None:

@@ -52,7 +52,7 @@ __all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "Projecti
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
 _MAX_MEMORY: Final = 10**12  # bytes
-_numbers: Final = threading.local()  # files of this thread's projections
+_numbers: Final = threading.local()  # files that this thread has given to projections
 _projected: ContextVar[bool] = ContextVar("pycram_projected", default=False)
 
 #: An action, or a tuple of an action and its arguments, as in ``(pick_up, milk, "left")``.
@@ -120,7 +120,7 @@ class Outcome:
         return " ".join(f"{self.action} {ended}, after {self.duration:.3f} s of simulated time".split())
 
     def __record__(self) -> object:
-        """Return the outcome as the recorded result of the projection's task."""
+        """Return the outcome in the form in which the projection's task records its result."""
         return {
             "succeeded": self.succeeded,
             "result": self.result,
@@ -262,7 +262,7 @@ class _Projection:
             self.begin()
 
     def start(self) -> Child:
-        with Uninterrupted():  # so that each child gets its callback
+        with Uninterrupted():  # each child needs its own callback
             child = Child(partial(_answer, self._action, self._task, self._recording, self.begin, self._memory))
             self.tasks.callback(child.kill)
         return child
@@ -290,7 +290,7 @@ class _Projection:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
 
     def begin(self) -> None:
-        """Record the start of the task. It isn't the current task, because several projections run in parallel."""
+        """Record the start of the task. It isn't the current task: several projections run in parallel."""
         if not self._begun:
             self._begun = True
             self._task.start(self._task_began)
@@ -349,7 +349,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
 def _pickled(answer: object) -> bytes:
     file = BytesIO()
     _Pickler(file).dump(answer)
-    _Unpickler(BytesIO(file.getvalue())).load()  # to raise errors here, not in the parent
+    _Unpickler(BytesIO(file.getvalue())).load()  # errors of unpickling are raised here, not in the parent
     return file.getvalue()
 
 

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 Job = TypeVar("Job")
 
-GRACE: Final = 5.0  # s between the interrupt of a run and its SIGKILL
+GRACE: Final = 5.0  # seconds between the interrupt of a run and its SIGKILL
 _PR_SET_PDEATHSIG: Final = 1
-_SIZE: Final = "/proc/self/statm"  # this file has the size of the process in pages
+_SIZE: Final = "/proc/self/statm"  # this file contains the size of the process in pages
 _BLOCK: Final = 1 << 20  # bytes of one read
 _CRASHED: Final = 70  # exit code of a child with an error outside of the action
 _prctl: Any = None  # loaded before any fork: loading changes half a megabyte of memory in each child
@@ -136,7 +136,7 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         die_with(parent)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, signal.SIG_DFL)
-        nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  open until the process ends
+        nothing = open(os.devnull, "r+", encoding="utf-8")  # noqa: SIM115, PTH123  it stays open until the process ends
         errors = open(os.devnull, "w", encoding="utf-8", errors="backslashreplace")  # noqa: SIM115, PTH123  as above
         for descriptor in range(3):  # native code and handlers of logging may print
             os.dup2(nothing.fileno(), descriptor)
@@ -158,7 +158,7 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
 
 def _leave(writing: int, parent: int) -> None:
     """Prepare a process that the child's action has forked: it doesn't send the answer, and it ends with the child."""
-    if os.getppid() == parent:  # the child's own children inherit the open file
+    if os.getppid() == parent:  # processes that the child forks inherit the open file
         os.close(writing)
         die_with(parent)
 
@@ -180,7 +180,7 @@ def limit_memory(memory: int) -> None:
     """Limit the additional memory of this process to some bytes; larger requests raise MemoryError."""
     import resource  # noqa: PLC0415  this module exists only on systems that can fork
 
-    with open(_SIZE, encoding="ascii") as file:  # noqa: PTH123  the name is a string
+    with open(_SIZE, encoding="ascii") as file:  # noqa: PTH123  the name of the limit is a string
         pages = int(file.read().split()[0])
     limit = pages * resource.getpagesize() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -275,7 +275,8 @@ class ChildPool(Generic[Job]):
 def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
     """Return the index of the first question that is true; None if none is, or if the process can't be copied now.
 
-    A copy of this process answers each question, and may change its worlds. Nothing is recorded; an error means no.
+    A copy of this process answers each question, and may change its worlds. Nothing is recorded; an error counts as
+    "no".
     """
     if obstacle() or is_held():
         return None

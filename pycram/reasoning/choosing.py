@@ -37,7 +37,7 @@ class Question:
     evidence: Mapping[str, object] = field(default_factory=dict)  # facts behind the answer
     picture: records.Picture | None = None  # the camera's picture, if the query renders one
     considered: Choice | None = None  # the candidates, if the question is a choice
-    steps: Mapping[Journal, int] = field(default_factory=dict)  # step of the question's record in each recording
+    steps: Mapping[Journal, int] = field(default_factory=dict)  # steps of the question's record, one in each recording
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:

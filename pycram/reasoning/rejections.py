@@ -45,7 +45,7 @@ class Excluded(Rejection):
 class OutOfReach(Rejection):
     """No posture reaches the target."""
 
-    distance: float | None  # distance in m between the nearest posture and the target; None if unknown
+    distance: float | None  # distance in distance in m between the nearest posture and the target; None if unknown
     turn: float = 0.0  # angle in rad between the nearest posture and the target
 
     def miss(self) -> float:
@@ -119,7 +119,7 @@ class Slips(Rejection):
     sides: int  # number of sides of the object that the fingers would touch
 
     def alike(self) -> Hashable:
-        """Return the number of sides."""
+        """Return the number of sides that the fingers would touch."""
         return self.sides
 
 
@@ -165,7 +165,7 @@ class Unseen(Rejection):
         return tuple(self.hidden_by)
 
     def miss(self) -> float:
-        """Return the share that isn't seen."""
+        """Return the share of the object that the camera wouldn't see."""
         return 1.0 - self.share
 
 

@@ -55,7 +55,7 @@ class CancelScope(Condition):
         super().__init__()
         #: The scopes around this scope, innermost first; without this scope, because reference cycles are freed late.
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
-        if len(self.around) >= sys.getrecursionlimit():  # Python checks only the stack of one branch
+        if len(self.around) >= sys.getrecursionlimit():  # Python checks the depth of the stack only within one branch
             raise RecursionError(f"{len(self.around)} nested blocks and timeouts of the plan")
         known = parent.deadlines if parent is not None else ()
         #: The deadlines of this scope and of the scopes around it, innermost first.
@@ -167,7 +167,7 @@ def before_change(change: str) -> None:
     around = body.get()
     if around is not None:
         around.before_change(change)
-    if not _uninterruptible.get() and not is_held():  # under a lock, several changes may form a whole
+    if not _uninterruptible.get() and not is_held():  # several changes under a lock may belong together
         checkpoint()
 
 

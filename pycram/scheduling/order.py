@@ -110,7 +110,7 @@ class AppliedPrecedence(NamedTuple):
     precedence: Precedence
     first: BranchLine  # line of the branch that ran first
     second: BranchLine  # line of the other branch
-    #: Smaller precedences: the branch runs before each ready branch that it overtook; branches with near ranks first.
+    #: Smaller precedences that put the branch before only some of the branches that it overtook; near ranks first.
     passed: list[Precedence]
 
 
@@ -229,7 +229,7 @@ class Order:
         """Return the branch that a precedence puts before the branch with the first rank; early precedences count."""
         asked = self._asked.get((top.number, top.stops), ())
         while asked:
-            number = asked.popleft()  # a branch that isn't ready loses its precedence
+            number = asked.popleft()  # the precedence is lost if its first branch isn't ready
             for each in ready:
                 if each.number == number:
                     return each

@@ -193,7 +193,7 @@ Ready: TypeAlias = "Waiter | _Branch"
 def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine:
     innermost = None
     if suspended is not None:
-        innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  inspect uses it, too
+        innermost = sys._getframe() if suspended is getcurrent() else suspended.gr_frame  # noqa: SLF001  as in ``inspect``
     lines = [(recorded_file(frame.f_code.co_filename), frame.f_lineno) for frame in plan_frames(innermost)]
     if branch is not None:  # prefer a line of the file that added the branch to a line of a helper function
         own = [line for line in lines if line[0] == branch.site[0]] or [branch.site]
@@ -589,7 +589,7 @@ def threads_of_plan() -> bool:
     if forking.others():
         return True
     known = {thread.ident for thread in threading.enumerate()}
-    return bool(sys._current_frames().keys() - known - _BEFORE)  # noqa: SLF001  only this function returns all threads
+    return bool(sys._current_frames().keys() - known - _BEFORE)  # noqa: SLF001  no other function returns all threads
 
 
 class _Local(threading.local):
@@ -672,7 +672,7 @@ def is_held() -> bool:
     """Return whether this thread holds a lock."""
     if _held.count:
         return True
-    for is_owned in _shared:  # noqa: SIM110  any() takes three times as long
+    for is_owned in _shared:  # noqa: SIM110  any() would take three times as long
         if is_owned():
             return True
     return False

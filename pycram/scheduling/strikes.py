@@ -52,7 +52,7 @@ class StrikeSource(Condition):
 
     def __init__(self, end: float = math.inf) -> None:
         super().__init__()
-        self.struck = False  # whether the scheduler has seen the strike
+        self.struck = False  # whether the scheduler has polled it after the strike
         self.end = end
         self._scheduler = scheduler()
 
@@ -82,7 +82,7 @@ class StrikeSource(Condition):
 
 
 def limited(seconds: float) -> float:
-    """Return the seconds of a limit; a fork may force others."""
+    """Return the seconds of a limit; in a fork of a run, another limit may be forced."""
     return float(forced("timeout timeout", {"seconds": seconds}) or seconds)
 
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LIMIT", "RunLost", "RunOutcome", "Sweep", "SweepRefused", "sweep"]
 
-LIMIT: Final = 300.0  # s, default time limit of a run
+LIMIT: Final = 300.0  # default time limit of a run in s
 FORMAT: Final = 1  # version of the format of sweep.json
 SWEEP: Final = "sweep.json"
 _LOCK: Final = "sweep.lock"
@@ -199,7 +199,7 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
     progress(result, None)
     if not missing:
         return result
-    # forks would lack the threads of this process, and would have its worlds
+    # a fork would have no threads of this process, but all of its worlds
     kind = Worker if forking.others() or open_worlds() else Local
     try:
         with closing(kind(spec, cores, models if models in there else None)) as process:

@@ -77,8 +77,8 @@ class SweepSpec:
     seed: int = 0  # determines the seeds and drawn parameters of the runs
     listed: Mapping[str, list[Any]] = field(default_factory=dict)  # values by parameter
     sampled: Mapping[str, str] = field(default_factory=dict)  # distributions by parameter
-    limit: float = 300.0  # seconds of wall-clock time for a run
-    memory: int = 0  # bytes of additional memory for a run; 0 for no limit
+    limit: float = 300.0  # secondlimit in s of wall-clock time for a run
+    memory: int = 0  # limit in bytes of additional memory for a run; 0 for no limit
 
     def run(self, number: int) -> RunSpec:
         """Return the settings of a run."""
@@ -160,7 +160,8 @@ def run_once(
         attempt: Number of the attempt, from 1.
         began: Start of the run by the system's monotonic clock, in s.
         noting: Whether the answer contains notes that warm later runs.
-        lost: Why the run's process ended in each attempt. If it is given, the plan doesn't run, and this is recorded.
+        lost: Why the run's process ended in each attempt. If it isn't empty, the plan doesn't run; the recording
+            has it.
     """
     run, part, name = spec.run(number), spec.part(number), spec.name(number)
     if spec.memory and not lost:

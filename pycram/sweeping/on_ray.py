@@ -29,9 +29,9 @@ with needed():
     import fsspec
     import ray
 
-_BATCH: Final = 10  # runs of a task; starting a task costs some ms, and a lost node loses its batches
-_CALLS: Final = 50  # batches after which a Ray process ends
-_AHEAD: Final = 3  # waiting batches per core
+_BATCH: Final = 10  # number of runs of a task; starting a task costs some ms, and a lost node loses its batches
+_CALLS: Final = 50  # number of batches after which a Ray process ends
+_AHEAD: Final = 3  # number of waiting batches per core
 
 
 def sweep_on_ray(

@@ -30,11 +30,11 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.urdf import Urdf
 
-_CONTACT_GAP: Final = 0.003  # m; a body at rest is about half a millimetre above its support
-_DROP_HEIGHT: Final = 0.03  # m; largest height of a body above the floor of the drawer that contains it
-_GRIP_GAP: Final = 0.001  # distance in m between a body and a finger that holds it
-_SLIGHT: Final = 2e-3  # m; bodies with a smaller overlap move apart without pushing each other
-_BELOW: Final = -0.1  # z of a unit normal; a smaller z means that a body touches another body from above
+_CONTACT_GAP: Final = 0.003  # distance in m above its support at which a body rests; half a millimetre is usual
+_DROP_HEIGHT: Final = 0.03  # largest height in m of a body above the floor of the drawer that contains it
+_GRIP_GAP: Final = 0.001  # distance in distance in m between a body and a finger that holds it
+_SLIGHT: Final = 2e-3  # overlap in m below which bodies move apart without pushing each other
+_BELOW: Final = -0.1  # z of a contact's unit normal below which a body touches another body from above
 
 
 class StillHeld(UserWarning):

@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 LOST: Final = {"revolute": 0.1, "prismatic": 0.05}
 """Largest deviation of a joint from its trajectory, rad or m; without contacts, joints deviate by less than 1e-3."""
 _MAX_SECONDS: Final = 3600.0
-_MAX_NUMBERS: Final = 200_000  # values of a trajectory: a minute with 100 rows a second for 30 joints
+_MAX_NUMBERS: Final = 200_000  # maximum number of values of a trajectory: a minute with 100 rows a second for 30 joints
 _FARTHEST: Final = 1e6  # largest position of a trajectory, m or rad
 _FASTEST: Final = 1e3  # largest velocity of a trajectory, m/s or rad/s
-_START: Final = 0.2  # share of LOST by which a joint may deviate from the start of its trajectory
-_BASE_START: Final = (0.01, 0.01, 0.02)  # x and y in m, yaw in rad by which a base may deviate from the start
+_START: Final = 0.2  # deviation at the start of a trajectory that is allowed for a joint, as a share of ``LOST``
+_BASE_START: Final = (0.01, 0.01, 0.02)  # deviations at the start that are allowed for a base: x and y in m, yaw in rad
 
 
 class Followed:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from recorder.urdf import Urdf
 
-_LIMIT_TOLERANCE: Final = 1e-3  # rad or m by which positions may exceed limits; motors and splines exceed them a little
-_MIMIC_TOLERANCE: Final = 1e-3  # rad or m by which positions of a mimic group may differ; files contain rounded values
+_LIMIT_TOLERANCE: Final = 1e-3  # tolerance in rad or m of limits; motors and splines exceed limits a little
+_MIMIC_TOLERANCE: Final = 1e-3  # tolerance in rad or m of positions in a mimic group; files contain rounded values
 
 
 def set_positions(body: Object, positions: Mapping[str, float]) -> None:

@@ -16,7 +16,7 @@ DEEP: Final = 5e-3
 """Depth in m above which an overlap is an error; the solver lets resting objects overlap a little."""
 
 
-_SUNK: Final = 0.015  # m below a surface, from which the engine pushes an object elsewhere than straight up
+_SUNK: Final = 0.015  # depth in m below a surface from which the engine doesn't push an object straight up
 
 
 class Overlapping(UserWarning):
@@ -40,8 +40,7 @@ def sunk(world: BulletWorld) -> list[tuple[Object, records.Overlap, float]]:
     """Return the free objects with their underside far below a surface of furniture that they are inside of.
 
     Each has its overlap, and the distance in m from its underside up to the surface. The engine throws such an object,
-    also through the furniture. The contents of furniture whose shape is a hull aren't sunk: no surface goes through
-    them.
+    also through the furniture. Objects inside of a hull of furniture aren't sunk: no surface goes through them.
     """
     found = []
     furniture = [body for body in world.objects if body.fixed and not body.is_robot]

@@ -41,8 +41,8 @@ SLOW_TURN: Final = 2e-2
 """Angular speed in rad/s below which an object may be at rest."""
 INTERVALS: Final = 4
 """Number of consecutive intervals in which an object at rest must be slow."""
-_GAIN: Final = 1.15  # allowed gain of speed over the intervals; a 2 m high shelf that starts to tip gains more
-_STRAY: Final = 0.25  # s of slow motion; an object at rest may move that far
+_GAIN: Final = 1.15  # largest gain of speed over the intervals at rest; a 2 m high shelf that starts to tip gains more
+_STRAY: Final = 0.25  # duration in s: an object at rest may move as far as at the slow speed in this time
 _TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # steps after which an object that trembles in place is at rest
 _TO_AND_FRO: Final = 4.0  # minimum ratio of the path length of a trembling object to its displacement
 _NOISE: Final = 0.1  # share of the slow speed below which changes of speed are noise of the solver
@@ -50,12 +50,12 @@ _NOISE: Final = 0.1  # share of the slow speed below which changes of speed are 
 _MAX_LISTED: Final = 5  # largest number of objects in a warning
 
 _SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
-_SAMPLE_TOLERANCE: Final = 1e-5  # m or rad; samples omit smaller movements
-_MANIPULATION_TOLERANCE: Final = 1e-4  # rad or m; a smaller movement of a furniture joint fires no event
+_SAMPLE_TOLERANCE: Final = 1e-5  # movement in m or rad below which samples omit an object
+_MANIPULATION_TOLERANCE: Final = 1e-4  # movement of a furniture joint in rad or m below which no event fires
 _MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # maximum number of steps in one record of a wait
 
-_PERIOD: Final = 1 / 30  # s of real time in one record
-_MAX_LAG: Final = 0.1  # s; real time drops a larger lag, because a slow machine could never catch up
+_PERIOD: Final = 1 / 30  # seconds of real time in one record
+_MAX_LAG: Final = 0.1  # largest lag in s that real time makes up for; a slow machine could never catch up with more
 
 
 # --- steps -----------------------------------------------------------------------------------------------------------
@@ -260,7 +260,7 @@ class WorldClock:
         self._world = world
         self._last = last
         self._began: tuple[float, int] | None = None  # wall-clock time in s and simulated step when keeping pace began
-        self._end = math.inf  # the last step to which time may pass now
+        self._end = math.inf  # the last step up to which time may pass now
 
     def may_pass(self) -> bool:
         """Return whether time may pass now; in real time, another thread simulates."""

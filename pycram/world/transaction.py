@@ -55,7 +55,7 @@ class Transaction:
     attached: dict[tuple[str, str], BodyAttachment] = field(default_factory=dict)
     detached: list[BodyAttachment] = field(default_factory=list)  # attachments that ended
     samples: list[records.Sample] = field(default_factory=list)  # states within a simulation
-    number: Callable[[Journal], None] | None = None  # sets step numbers in the command for each recording
+    number: Callable[[Journal], None] | None = None  # called to set step numbers in the command for each recording
     #: Functions that are called under the lock when the transaction is recorded; their results are called without it.
     callbacks: list[Callable[[], Callable[[], None]]] = field(default_factory=list)
 
@@ -100,7 +100,7 @@ class TransactionManager:
         self.query = ""  # the reasoning query that runs now and forbids changes; "" without a query
         self.observer: Observer | None = None
         self._recorded: dict[str, Snapshot] = {}
-        self._since_keyframe = self._changed_since_keyframe = 0  # changes, and objects that they changed
+        self._since_keyframe = self._changed_since_keyframe = 0  # counts of changes and of changed objects
 
     @contextmanager
     def begin(self, command: records.Mutation) -> Iterator[Transaction]:

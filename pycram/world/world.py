@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["BulletWorld", "Object"]
 
-_MAX_SECONDS: Final = 366 * 86400.0  # s; a longer simulation is probably a mistake
+_MAX_SECONDS: Final = 366 * 86400.0  # duration in s above which a simulation is probably a mistake
 
 _lock = threading.Lock()
 _numbers = itertools.count(1)

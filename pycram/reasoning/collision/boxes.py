@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     Owner = tuple[str, str]
 
 
-_MARGIN: Final = 1.5e-3  # m on each side of a box, because the engine pads shapes by 1 mm
-_PARALLEL: Final = 1e-5  # added to cosines, because cross products of parallel edges are zero, up to rounding
-_MAX_BOXES: Final = 8  # boxes of a link; a link with more pieces, such as a bowl, has a single box
+_MARGIN: Final = 1.5e-3  # margin in m on each side of a box, because the engine pads shapes by 1 mm
+_PARALLEL: Final = 1e-5  # number added to cosines, because cross products of parallel edges are zero, up to rounding
+_MAX_BOXES: Final = 8  # maximum number of boxes of a link; a link with more pieces, such as a bowl, has a single box
 _CORNERS: Final = np.array(list(itertools.product((0.0, 1.0), repeat=3)))  # corners of a box as shares of its edges
 
 # Indices for the cross products of edge i of a box and edge j of another box; the product has the number 3 * i + j.
@@ -51,7 +51,7 @@ _KJ, _LJ = 3 * _K + _J, 3 * _L + _J
 _SIZES: Final = np.concatenate([_K, _L, 3 + _M, 3 + _N])
 _COSINES: Final = np.concatenate([_LJ, _KJ, 3 * _I + _N, 3 * _I + _M])
 _CACHED: Final = 64
-_NEIGHBOURS: Final = 3  # links with up to this number of joints between them may have hulls that always overlap
+_NEIGHBOURS: Final = 3  # maximum number of joints between two links whose hulls may always overlap
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +275,7 @@ class MovingLinks:
         positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
         self.positions = {name: positions[name] for name in joints}  # present positions of the joints, rad or m
         self.base_pose = engine.pose(body)
-        # computes the transforms of the links by the joints
+        # computes how the joints move the links
         self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))
         swung = [each for other, link, each in held if link in fixed.moving]
         # names of the objects that moving links hold
@@ -329,7 +329,7 @@ class _Structure:
     # indices of the first and second boxes of pairs that may touch, in ascending order, without neighbours
     pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
     own: NDArray[np.intp]  # (n, n) number of joints above the first box's link that aren't above the second box's link
-    numbers: Mapping[str, int]  # index of a box of each link
+    numbers: Mapping[str, int]  # index of any one box of each link
 
 
 @lru_cache(maxsize=_CACHED)
@@ -359,12 +359,12 @@ def _structure(
     names, own_links = np.array(links), np.arange(len(links)) < len(robot_links)
     own = _own_joints(urdf, links, joints)
     every = _own_joints(urdf, links, urdf.movable)
-    still = np.where(checked, 0, every.T)  # links that aren't checked, such as links of another arm
+    still = np.where(checked, 0, every.T)  # only links that aren't checked, such as links of another arm
     apart = checked[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
     for link, other in map(sorted, may_touch):
         pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
         apart &= ~(pair | pair.T)
-    first, second = np.nonzero(apart & ~(checked & (names[:, None] >= names)))  # each pair counts once
+    first, second = np.nonzero(apart & ~(checked & (names[:, None] >= names)))  # each pair is considered once
     return _Structure(
         moving=moving,
         owners=list(itertools.compress(owners, checked)),

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     #: A moving object and its link, then another object and its link.
     Pair = tuple[Object, str, Object, str]
 
-DEPTH: Final = 2e-3  # m; shapes with a smaller overlap don't collide, because the engine pads shapes
+DEPTH: Final = 2e-3  # overlap in m above which shapes collide; the engine pads shapes
 _SELF_DEPTH: Final = (
     0.02  # minimum overlap in m of the robot's own links that collide; their hulls overlap more than the links
 )
@@ -69,7 +69,7 @@ class CollisionChecker:
         ignored: objects that the robot may touch.
         all_links: whether to check all links of the robot, not only links that move.
         ignored_links: links that the robot may touch, with their objects; for example, links that move along.
-        margin: m; objects up to this distance are checked, too.
+        margin: objects up to this distance in m are checked, too.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class CollisionChecker:
         )
         self.moving = links.moving  # checked links of the robot
         self._link_of = {body: link for body, link, _ in self._held}
-        # pairs of a held object and an object through which it passes, because they overlapped at the grasp
+        # pairs of a held object and an object that overlapped at the grasp; they may pass through each other
         self._passed = {
             (body, left) for body in self._link_of for each in body.attachments.values() for left in each.left
         }
@@ -118,7 +118,7 @@ class CollisionChecker:
         self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
         self._copies: dict[tuple[Object, str], LoadedBody] = {}  # checked bodies by object and link
-        self._base = links.base_pose  # present pose of the clone's robot
+        self._base = links.base_pose  # pose of the clone's robot now
         self._placed: PostureCandidate | None = None
 
     def __enter__(self) -> Self:
@@ -180,7 +180,7 @@ class CollisionChecker:
         """Return the pairs of links with overlapping boxes, each pair once, without pairs of the robot's own links.
 
         The first pair of each object comes first, then the second pairs, and so on, because it matters most which
-        objects are touched. Furniture comes after other objects, because its boxes are wide.
+        objects are touched. Furniture comes after other objects, because boxes of furniture are wide.
         """
         if not candidate.pairs:
             boxes, others = candidate.overlaps

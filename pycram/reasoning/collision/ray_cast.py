@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_PADDING: Final = 1e-3  # m by which the engine pads convex hulls
+_PADDING: Final = 1e-3  # thickness in m of the padding that the engine adds to convex hulls
 _PARALLEL: Final = 1e-9  # a line with a smaller component along a plane's unit normal is parallel to the plane
 
 
@@ -140,7 +140,7 @@ class RayCaster:
         reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
         near = (np.abs(away) <= reach + np.abs(half)).all(axis=2)
         where, which = np.nonzero(near)
-        # the range of lines along u that may meet each piece
+        # for each piece, the first and the last line along u that may meet it
         middles, spread = away[where, which, 0], reach[where, which, 0]
         paces = np.where(steps == 0.0, _PARALLEL, steps)[where]
         middles, spread = middles / paces + last[where] / 2, np.abs(spread / paces)
@@ -151,7 +151,7 @@ class RayCaster:
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
         u, v, along, room = planes.T
-        # a line along a plane leaves it far ahead if the line is inside, and far behind if the line is outside
+        # a line parallel to a plane leaves it far ahead if the line is inside, and far behind if it is outside
         along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
         factors = np.empty((len(planes), 3))
         factors[:, 0] = room - u * (firsts[where] + begins * steps[where])[number]

@@ -83,7 +83,7 @@ class SimulationClone:
                 copy.state = None
 
     def cached(self, body: Object, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return a computed value of an object, which the clone computes again after the object has moved.
+        """Return a value that is computed from an object's state; it is cached until the object moves.
 
         ``key`` identifies the value.
         """
@@ -125,7 +125,7 @@ class PosingClone(SimulationClone):
         copy = self._copies.get((name, ""))
         if (
             copy is not None and copy.state is self._states[name]
-        ):  # this is usual, because a query uses a body many times
+        ):  # mostly nothing has changed, because a query uses a body many times
             return copy.body
         body: Object = self.world.get_object(name)
         if copy is None:

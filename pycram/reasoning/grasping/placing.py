@@ -101,7 +101,7 @@ def _resting_height(
     z = target[2]
     high = z + _ABOVE
     blockers = still = touched(high)
-    while still and high - _STEP >= z:  # a hanging object, such as a shelf, may leave less room
+    while still and high - _STEP >= z:  # an obstacle above the target, such as a shelf, may leave less room
         high -= _STEP
         still = touched(high)
     if still:

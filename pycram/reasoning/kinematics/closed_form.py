@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 
 _ROUNDING: Final = 1e-9  # tolerance in rad beyond a limit
 _MEET: Final = 1e-6  # largest distance in m of axes that meet
-_SAMPLES: Final = 44  # samples of joint 1 for a pose
+_SAMPLES: Final = 44  # number of samples of joint 1 for a pose
 _SAMPLES_AROUND_A_MISS: Final = 13  # samples of joint 1
-_SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # samples of joints 1, 5 and 6
+_SAMPLES_FOR_A_POSITION: Final = (8, 6, 4)  # numbers of samples of joints 1, 5 and 6 for a position
 _ROUNDING_ANGLE: Final = 1e-9  # tolerance of a cosine
 
 
@@ -54,7 +54,7 @@ class ClosedForm:
     span: tuple[float, float]  # least and greatest distance between the wrist and the shoulder, m
     shoulders: Array  # (n, 3) positions of the shoulder for samples of joint 1
     swing: float  # largest distance in m between the shoulder and the nearest of these positions
-    elbow: Hinge  # relation of joint 4 and the distance between the shoulder and the wrist
+    elbow: Hinge  # how joint 4 determines the distance between the shoulder and the wrist
     # (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`)
     rotations: Array
     hand: Array  # (2, 3) two perpendicular unit vectors, also perpendicular to the last axis with all joints at zero
@@ -247,7 +247,7 @@ class ClosedForm:
 
     @property
     def _step(self) -> float:
-        """The distance between samples of joint 1, rad."""
+        """The angle between neighbouring samples of joint 1, rad."""
         return float(self.upper[0] - self.lower[0]) / (_SAMPLES - 1)
 
     def _samples(self, joint: int, count: int, home: Array) -> Array:

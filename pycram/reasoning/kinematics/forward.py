@@ -152,12 +152,12 @@ class Chain:
 
 def rotation_error(now: Array, goal: Array) -> Array:
     """Return rotation vectors (n, 3) from orientations (n, 3, 3) to a goal (3, 3) or (n, 3, 3)."""
-    difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # elements in the order of rows
+    difference = (goal @ now.transpose(0, 2, 1)).reshape(-1, 9)  # the elements of each matrix, row by row
     vector = 0.5 * (difference[:, [7, 2, 3]] - difference[:, [5, 6, 1]])
     sine = norms(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
-    # near half a turn the rotation vector vanishes, so any axis is good
+    # the sine vanishes at half a turn, so any axis is good
     flipped = (sine < _OPPOSITE) & (cosine < 0)
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])

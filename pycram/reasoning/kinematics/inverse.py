@@ -39,22 +39,22 @@ POSITION_TOLERANCE: Final = 1e-3  # m
 TURN_TOLERANCE: Final = 1e-2  # rad
 _DAMPING: Final = 1e-2
 _ITERATIONS: Final = 40
-_MAX_STEP: Final = 0.5  # rad or m of a joint in one iteration
-_MAX_ERROR: Final = 0.6  # m or rad, largest error that one iteration corrects
-_STALE: Final = (8, 0.9)  # a search ends if the least error is above this share of that some iterations ago
-_CLOSE: Final = 0.005  # m or rad; a search with a smaller error continues
+_MAX_STEP: Final = 0.5  # largest motion in rad or m of a joint in one iteration
+_MAX_ERROR: Final = 0.6  # largest error in m or rad that one iteration corrects
+_STALE: Final = (8, 0.9)  # a search ends if its least error is above this share of its least error some iterations ago
+_CLOSE: Final = 0.005  # error in m or rad below which a search always continues
 THRESHOLD: Final = 1e-3  # largest distance in m between the tool and a reached target (thesis 4.4.5)
 _TURN_THRESHOLD: Final = math.radians(2)  # largest angle in rad between equal orientations
-_BATCHES: Final = (4, 28)  # starting postures; first a few, because most targets are easy
-_CHUNK: Final = 32  # targets that are solved together
-_MAX_COMPARED: Final = 60  # compared misses of the closed form
-_MAX_STARTS: Final = 6  # misses of the closed form from which a search starts
+_BATCHES: Final = (4, 28)  # numbers of starting postures; first a few, because most targets are easy
+_CHUNK: Final = 32  # maximum number of targets that are solved together
+_MAX_COMPARED: Final = 60  # number of the closed form's misses that are compared
+_MAX_STARTS: Final = 6  # number of the closed form's misses from which a search starts
 _DIFFERENT: Final = 0.35  # minimum difference in rad or m of a joint between distinct postures
 _MAX_POSTURES: Final = 16  # maximum number of returned postures
-_MAX_PAIRED: Final = 40  # up to this number of postures, all pairs are compared together
-_MAX_STRAIN: Final = 1.0  # rad; a posture with a larger strain has no solution nearby
-_MAX_SEARCHED: Final = 0.6  # rad; no search from a posture with a larger strain has succeeded
-_HOPELESS: Final = 0.02  # m; if a target is farther out of reach, a search is useless
+_MAX_PAIRED: Final = 40  # maximum number of postures of which all pairs are compared together
+_MAX_STRAIN: Final = 1.0  # strain in rad above which a posture has no solution nearby
+_MAX_SEARCHED: Final = 0.6  # strain in rad above which no search from a posture has succeeded
+_HOPELESS: Final = 0.02  # distance in m out of reach above which a search for a target is useless
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
 _MAX_KNOWN: Final = 8  # number of searches with cached results
 _MAX_CHAINS: Final = 16  # number of cached chains of a robot
@@ -120,7 +120,7 @@ def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
 def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:
     """Return changes (n, joints) of postures that reduce errors (n, 3 or 6), whose norms are ``length`` (n, 1)."""
     correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
-    # a joint at its limit doesn't move beyond it
+    # a joint at its limit doesn't move farther
     gradient = np.einsum("nrj,nr->nj", jacobian, correction)
     stuck = chain.bounded & (
         ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
@@ -203,7 +203,7 @@ class ArmKinematics:
             seeds: the first starting postures.
             thorough: whether to use all starting postures, even if some reach the target.
             quick: whether to use only a few starting postures; a miss then proves nothing.
-            enough: m; a farther miss is useless for the caller.
+            enough: distance in m from the target above which a posture is useless for the caller.
 
         Returns:
             At least one posture for each target; if the first doesn't reach it, none does.
@@ -260,7 +260,7 @@ class ArmKinematics:
         known = self._known.get(key)
         if known is None:
             known = search_postures(self.chain, start, goals, turns, which, stop_early=stop_early)
-            if len(self._known) >= _MAX_KNOWN:  # another thread may also add results
+            if len(self._known) >= _MAX_KNOWN:  # the lock is necessary, because another thread may also add results
                 self._known.clear()
             self._known[key] = known
         return known

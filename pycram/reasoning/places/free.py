@@ -51,22 +51,22 @@ SIDES: Final = get_args(Side)
 
 
 _SPOTS: Final = 40  # places in a batch
-_BATCHES: Final = 3  # the search on a surface ends after this number of batches without a place
-_LATER: Final = 0.6  # factor of a surface's score for each place that was found there
+_BATCHES: Final = 3  # number of batches without a place after which the search on a surface ends
+_LATER: Final = 0.6  # a surface's score is multiplied by this for each place that was found there
 _BASE: Final = 0.005  # height in m above an object's lowest point; points below this height are its base
 _RESTS: Final = 0.01  # tolerance in m between the height of the surface and the height at which the object rests
-_YAWS: Final = 12  # orientations about the vertical; the motion tries the same orientations
+_YAWS: Final = 12  # number of orientations about the vertical; the motion tries the same orientations
 EDGE: Final = 0.01  # minimum distance in m of an object from the edge of its surface
 FINGERS: Final = 0.025  # minimum distance in m of an object from other objects, so that a finger fits between them
 _RESOLUTION: Final = 0.025  # distance in m between cells
-_FINEST: Final = 0.005  # minimum distance in m of cells on a surface that is hardly wider than the object
-_CELLS: Final = 3  # cells across the part of a surface where the object's middle can be
+_FINEST: Final = 0.005  # minimum distance in m between cells of a surface that is hardly wider than the object
+_CELLS: Final = 3  # number of cells across the part of a surface where the object's middle can be
 _ABOVE: Final = 0.003  # height in m below which parts aren't obstacles, because the surface's boxes are too high
-_NEAR: Final = 0.15  # distance in m from a point at which a score is halved
-_FAR: Final = 1.0  # largest distance in m of a place that is near a point or an object
-_AWAY: Final = 0.4  # minimum distance in m of a place that is away from a point
-_APART: Final = 0.04  # minimum distance in m from offered or tried places
-_EASY: Final = 0.5  # distance in m from the nearest place of the robot at which a score is halved
+_NEAR: Final = 0.15  # distance in m from a point at which a score is half of the best
+_FAR: Final = 1.0  # largest distance in m between a place and the point or object that it is near
+_AWAY: Final = 0.4  # minimum distance in m between a place and the point ``away``
+_APART: Final = 0.04  # minimum distance in m of a new place from offered or tried places
+_EASY: Final = 0.5  # distance in m from the robot's nearest place at which a score is half of the best
 _FLOOR: Final = 0.15  # distance in m between places of the robot for which the reach is estimated
 _COARSE: Final = 0.1  # distance in m between points of a surface for which the reach is estimated
 
@@ -224,7 +224,7 @@ class SurfaceSearch(Search):
         spots = []
         for cell, (x, y) in draw_cells(grid, scores, _SPOTS, random):
             step = int(random.integers(_YAWS))
-            if self._stays() and step % 2:  # an arm puts an object down most easily in its orientation at the grasp
+            if self._stays() and step % 2:  # an arm puts an object down most easily in the orientation of the grasp
                 step = 0
             yaw = start + 2 * math.pi * step / _YAWS
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)

@@ -41,9 +41,9 @@ if TYPE_CHECKING:
     from pycram.reasoning.rejections import Rejection
     from recorder.geometry import Pose, Quaternion, Vector
 
-_TURNS: Final = 6  # orientations about the vertical for an object without a given orientation
-_MAX_SINGLE: Final = 30  # places; for more places, one search for all of them is faster
-_STEP: Final = 0.1  # m or rad between positions of a drawer or door at which its handle must be reached
+_TURNS: Final = 6  # number of orientations about the vertical for an object without a given orientation
+_MAX_SINGLE: Final = 30  # maximum number of places that are checked one by one; for more, one search for all is faster
+_STEP: Final = 0.1  # distance in m or rad between joint positions at which the handle must be reached
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +179,7 @@ class TakeGoal:
         unfit = _no_free_hand(self._robot, arm)
         if unfit is not None:
             return unfit
-        solver = Solver(self._robot, arm.tool_frame)  # first a cheap test, because most places are out of reach
+        solver = Solver(self._robot, arm.tool_frame)  # a cheap test first, because most places are out of reach
         grasps = [
             *candidates(self.body, self._robot, arm, self._grasps, base=base),
             *candidates(self.body, self._robot, arm, self._grasps, base=base, off_center=True),

@@ -35,19 +35,19 @@ _UPRIGHT: Final = 0.999  # minimum vertical component of a unit axis of an uprig
 _LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the horizontal axes of a box by its vertical axis
 _DIRECTIONS: Final = 36
 _BEHIND: Final = 1e-4  # score of a cell behind an obstacle; it isn't 0, because all cells may be behind obstacles
-_AT_ONCE: Final = 1 << 15  # pairs of a rectangle and a point that are compared together, to fit into the cache
-_SURE: Final = 0.85  # share of the radius of a circle within an outline that surely fits, because boxes are too wide
+_AT_ONCE: Final = 1 << 15  # number of pairs of a rectangle and a point that fit into the processor's cache together
+_SURE: Final = 0.85  # share of the inner circle's radius that surely fits within an outline, because boxes are too wide
 RESOLUTION: Final = 0.05  # distance in m between cells
 _MAX_CELLS: Final = 1 << 16
 _FLOOR: Final = 0.03  # height in m above the ground; the base drives over lower obstacles
 _LAYERS: Final = (0.35, 0.7, 1.0, 1.4)  # heights in m that divide a robot into layers with an outline each
 _POSTURES: Final = 60_000
-_PARTS: Final = 30  # parts of the postures that are computed one after the other, to fit into the cache
+_PARTS: Final = 30  # number of parts into which postures are divided, so that each part fits into the processor's cache
 _LEVEL: Final = math.sin(math.radians(30))  # maximum vertical component of the tool's axis of a level hand
 _DOWN: Final = -math.cos(math.radians(30))  # maximum vertical component of the tool's axis of a hand that points down
 _CELL: Final = 0.08  # size in m of a cell in distance and height
 _SECTORS: Final = 24  # number of sectors of the bearing in a full turn
-_FULL: Final = 0.9  # quantile of the counts with the full score
+_FULL: Final = 0.9  # quantile of the counts from which a cell has the full score
 
 
 def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
@@ -276,7 +276,7 @@ class ArmReach:
         counts = np.zeros(shape)
         bearing = np.arctan2(flat[:, 1], flat[:, 0])
         np.add.at(counts, self._cells(points[:, 2], distance, bearing, shape), 1.0)
-        for axis, wrap in ((0, False), (1, False), (2, True)):  # cells have few postures, so neighbours count, too
+        for axis, wrap in ((0, False), (1, False), (2, True)):  # a cell has few postures, so its neighbours count, too
             counts = _smoothed(counts, axis, wrap=wrap)
         counts /= np.maximum(np.arange(shape[1]) + 0.5, 0.5)[None, :, None]  # distant cells have larger volumes
         full = np.quantile(counts[counts > 0.0], _FULL) if counts.any() else 1.0
@@ -324,7 +324,7 @@ def _smoothed(counts: Array, axis: int, *, wrap: bool) -> Array:
     return smoothed
 
 
-_known: dict[tuple[Path, str, str], ArmReach] = {}  # by model, text of the description, and arm
+_known: dict[tuple[Path, str, str], ArmReach] = {}  # reaches of arms by model, text of the description, and arm
 
 
 def arm_reach(robot: Object, arm: Arm) -> ArmReach:

@@ -54,9 +54,9 @@ class FoundPlace:
 class Spot:
     """A place that a search considers."""
 
-    name: str  # a unique name in its batch
+    name: str  # name of the place, unique in its batch
     pose: Pose  # pose of the base or of the object in the world
-    yaw: float  # rad about the vertical
+    yaw: float  # orientation about the vertical, rad
     score: float  # 0 to 1
 
 

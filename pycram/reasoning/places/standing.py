@@ -40,22 +40,22 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
-_SPOTS: Final = (30, 120, 120)  # places in a batch, by the number of batches since the last place
-_AT_FIRST: Final = 4  # places that are checked together first; the number then doubles, as an early place is often good
-_TRIES: Final = 40  # places of a batch that are checked one by one; if these fail, other places probably fail, too
-_FEWER: Final = 16  # places of a batch that are checked if an arm has no closed form, because its search takes longer
-_JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # rad about the best heading, by batch
+_SPOTS: Final = (30, 120, 120)  # number of places in a batch, by the number of batches since the last found place
+_AT_FIRST: Final = 4  # number of places that are checked together; it doubles, as an early place is often good
+_TRIES: Final = 40  # number of places of a batch that are checked one by one; if these fail, others probably fail, too
+_FEWER: Final = 16  # the same number if an arm has no closed form, because its search takes longer
+_JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # turns in rad from the best heading, by batch
 _APART: Final = 0.07  # minimum distance in m between offered places
-_TRIED: Final = 0.02  # m around rejected places where no place is drawn
-_POOR: Final = 1e-3  # share of the best score; places with lower scores aren't drawn
+_TRIED: Final = 0.02  # distance in m from rejected places within which no place is drawn
+_POOR: Final = 1e-3  # share of the best score below which places aren't drawn
 _HERE: Final = "where it stands"
-_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # rad from the heading to the target
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # angles of headings to the target
 _FACING: Final = 0.5  # share of the score that is lost if the target is at a right angle to the heading
-_SIGHT: Final = (0.6, 2.5)  # m, the distance up to which the camera sees well, and the farthest distance of a place
+_SIGHT: Final = (0.6, 2.5)  # distance in m up to which the camera sees well, and the farthest distance of a place
 _ROOM: Final = 1.5  # largest distance in m to a point that the robot must be near
-_NEAR: Final = 0.7  # distance in m from a point at which a score is halved
-_SHORT_WAY: Final = 8.0  # distance in m from the robot at which a score is halved
-_LEVEL: Final = 0.05  # height in m above the target; lower objects aren't obstacles
+_NEAR: Final = 0.7  # distance in m from a point at which a score is half of the best
+_SHORT_WAY: Final = 8.0  # distance in m from the robot at which a score is half of the best
+_LEVEL: Final = 0.05  # height in m above the target below which objects aren't obstacles
 
 
 def standing_places(

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
 MARGIN: Final = 1e-3
-"""m; objects with a smaller gap touch, because the engine leaves up to half a millimetre between resting objects."""
+"""gap in m below which objects touch: the engine leaves up to half a millimetre between resting objects."""
 
 
 @query
@@ -33,8 +33,8 @@ def contact(object1: Object, object2: Object, world: BulletWorld | None = None, 
 def supporting(object1: Object, object2: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether the first object carries the second from below (thesis 4.4.7).
 
-    The normals of their contacts must point up. So a wall doesn't support an object that leans against it, but a hook
-    supports a cup that hangs on it.
+    The normals of the contacts between them must point up. So a wall doesn't support an object that leans against it,
+    but a hook supports a cup that hangs on it.
 
     Returns:
         The answer. The evidence has the links and the normals of the support.

@@ -1,8 +1,8 @@
 """Stability: whether an object stays in place in a simulation (thesis 4.4.1).
 
-An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. Solvers let resting objects
-creep, but at a tenth of this speed. The simulation ends early if the limit is exceeded, or if all relevant bodies are
-at rest and stand firmly.
+An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. The solver lets resting
+objects creep at a tenth of this speed. The simulation ends early if the limit is exceeded, or if all relevant bodies
+are at rest and stand firmly.
 
 A body stands firmly if its center of mass, together with all bodies on it, is well within its support polygon. The
 polygon contains the points where its underside and the tops of its supports overlap, and the contacts that friction
@@ -53,14 +53,14 @@ if TYPE_CHECKING:
 HORIZON: Final = 2 * STEPS_PER_SECOND  # number of steps in 2 s
 MOVED: Final = 0.01  # largest motion in m of a stable object
 TURNED: Final = math.radians(5)  # largest rotation of a stable object
-_PERIOD: Final = 6  # steps between samples of the speeds
-_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which firm standing is checked, because the check is slow
+_PERIOD: Final = 6  # number of steps between samples of the speeds
+_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which a slow check of firm standing is made
 _LEANING: Final = 0.005  # largest distance in m of a body that leans on a robot: a gap of 0.5 mm, and some settling
 _CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries
 _FLAT: Final = 0.002  # largest difference in m of heights between corners of one level
 _FRICTION: Final = 0.8  # largest slope of a contact as a share of the friction angle
-_TILT: Final = math.radians(3)  # rad by which a firm body can be tilted before it falls
-_MANY: Final = 24  # bodies without attachments; if there are more, bodies at rest sleep
+_TILT: Final = math.radians(3)  # angle in rad by which a firm body can be tilted before it falls
+_MANY: Final = 24  # number of bodies without attachments above which bodies at rest sleep
 
 
 @query

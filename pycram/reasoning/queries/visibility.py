@@ -41,12 +41,12 @@ if TYPE_CHECKING:
 VISIBLE_SHARE: Final = 0.8
 """Share of an object's pixels above which the object is visible (thesis 4.4.3)."""
 
-_PIXELS: Final = 80**2  # pixels of the rendered part
+_PIXELS: Final = 80**2  # number of pixels of the rendered part
 _FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of view of cameras without a description
 _MAX_NAMES: Final = 250  # maximum number of named objects in a picture
 _MARGIN: Final = 0.05  # margin around the object as a share of the part's size
-_RAY: Final = 1e-3  # half the width of a ray, at 1 m
-_AT: Final = 0.05  # m in front of a point; objects there, such as a board, don't hide the point
+_RAY: Final = 1e-3  # half the width of a ray at a distance of 1 m
+_AT: Final = 0.05  # distance in m in front of a point within which objects, such as a board, don't hide the point
 
 
 @query
@@ -194,7 +194,7 @@ def _pixels(
     """Return the names of the bodies in a picture, and the number of the body at each pixel."""
     owners = np.where(
         before.depth < alone.depth, before.bodies + 1, alone.bodies
-    )  # 0 stands for the object, -1 for no object
+    )  # the number 0 stands for the object, -1 for no object
     near = [int(owner) for owner in distinct(owners) if owner > 0][:_MAX_NAMES]
     numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # by owner; the last number is for owner -1, no object
     numbers[0] = 1
