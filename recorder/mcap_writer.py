@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: Inflated chunks have at most this many times the size of the file. Usual ratios are 3 to 13.
 MAX_RATIO: Final = 32
-FREE: Final = 4 << 20  # bytes; chunks of any file may inflate to this size
+FREE: Final = 4 << 20  # chunks of any file may inflate to this number of bytes
 #: Fields of a message: opcode, length of the rest, channel, sequence, log time, publish time.
 _MESSAGE: Final = struct.Struct("<BQHIQQ")
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def deciding(lines: Sequence[tuple[str, int]], text_of: Callable[[str], str] | None = None) -> int:
-    """Return the index of the first line that decides; 0 if all lines only pass values on.
+    """Return the index of the first line that chooses arguments; 0 if all lines only pass arguments on.
 
     Args:
         lines: Files and numbers of lines, innermost line first.
@@ -46,4 +46,4 @@ def _is_passed(argument: ast.AST, own: set[str]) -> bool:
             return isinstance(value, ast.Name) and value.id in own
         case ast.Name(id=name):
             return name in own
-    return isinstance(argument, ast.Call)  # its own arguments are looked at
+    return isinstance(argument, ast.Call)  # the arguments of the inner call are checked, too

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from recorder.records import Run
 
 
-_TIMEOUT: Final = 2.0  # s; git must answer in this time
+_TIMEOUT: Final = 2.0  # git must answer in this time, s
 _PACKAGES: Final = ("pycram", "recorder")  # these packages run plans
 
 

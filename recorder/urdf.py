@@ -229,8 +229,8 @@ class Mimic(NamedTuple):
     """The rule of a mimicking joint: its value is ``multiplier * value of the leader + offset``."""
 
     leader: str  # name of the mimicked joint
-    multiplier: float = 1.0  # unitless, or in m/rad or rad/m
-    offset: float = 0.0  # in rad or m
+    multiplier: float = 1.0  # factor between joint values: unitless, m/rad or rad/m
+    offset: float = 0.0  # constant part of the joint value, rad or m
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 
-_LOAD_TIMEOUT: Final = 20.0  # s; the viewer must load a file in this time
+_LOAD_TIMEOUT: Final = 20.0  # the viewer must load a file in this time, s
 _POLL_PERIOD: Final = 0.1  # seconds between checks
 
 

@@ -55,7 +55,7 @@ _KINDS: Final = {
     **dict.fromkeys(("speed", "position", "orientation", "velocity", "carrier"), ""),
 }
 """Units of quantities. Other quantities are joints."""
-_MAX_LENGTH: Final = 2000  # characters; Python's parser fails on deeply nested text
+_MAX_LENGTH: Final = 2000  # largest number of characters, because Python's parser fails on deeply nested text
 
 
 class BadProperty(PortableError, ValueError):
@@ -84,7 +84,7 @@ class Truth(NamedTuple):
     holds: bool
 
     def negated(self) -> Truth:
-        """Return the truth of the opposite condition."""
+        """Return whether the opposite condition holds, and its margin."""
         return Truth(-self.margin, not self.holds)
 
 
@@ -438,7 +438,7 @@ class PropertyExpression:
 
         if name not in _OF_BODIES and name != "count":
             return call
-        self.quantities = before  # the call is shown as a whole
+        self.quantities = before  # messages show the whole call
         if name != "upright":
             return self._quantity(node, call)
         self.units.add("rad")

@@ -54,9 +54,9 @@ class Violation:
 
     statement: Property
     moment: CheckedMoment
-    margin: float  # negative; 0 if a value equals a limit that it must not reach
+    margin: float  # margin of the property: negative, or 0 if a value equals a limit that it must not reach
     values: dict[str, Any]  # values of the property's quantities by the texts of the quantities
-    cause: str = ""  # cause of a violation that the values don't show
+    cause: str = ""  # cause of the violation if the values don't show it
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +64,12 @@ class PropertyVerdict:
     """The result of a property for a whole run."""
 
     statement: Property
-    margin: float  # distance of the run from the other answer, in the property's unit; may be infinite
+    margin: float  # smallest change of a quantity that reverses the result, in the property's unit; may be infinite
     closest: CheckedMoment | None  # moment with this margin; None without episodes
     values: dict[str, Any]  # values of the quantities at the moment ``closest``
     violations: list[Violation]
     episodes: int  # number of episodes
-    note: str = ""  # why there was no episode
+    note: str = ""  # reason why the property never applied; "" if it applied
 
     @property
     def holds(self) -> bool:

@@ -53,7 +53,7 @@ _LEVELS: Final = {
     "CRITICAL": _ERROR,
 }
 _LITTLE: Final = 0.005  # texts omit a smaller share of an object outside of the picture
-_NOTABLE_ERROR: Final = 0.01  # rad or m; a motor's usual error is smaller
+_NOTABLE_ERROR: Final = 0.01  # smaller errors of a motor aren't mentioned, rad or m
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # faster than a loop for the most frequent length
 
 

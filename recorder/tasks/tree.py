@@ -40,7 +40,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Return a status of a newer release, whose name is its number."""
+        """Return an unknown status of a newer release. The status is named by its number."""
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)

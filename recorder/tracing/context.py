@@ -26,7 +26,7 @@ class BranchIdentity(NamedTuple):
     """The identity of a branch of a plan."""
 
     thread: int  # ident of the branch's thread; threads that the branch starts may have its context
-    ident: int  # negative; idents of threads are positive
+    ident: int  # negative number, unlike the idents of threads
     name: str
 
 
@@ -140,7 +140,7 @@ def require_stack_room(frames: int) -> None:
 
 
 def greenlets_begin() -> None:
-    """Note the depth at which greenlets begin. Python counts the frames below a greenlet, but doesn't show them."""
+    """Store the number of frames below a greenlet. Python counts the frames below a greenlet, but doesn't show them."""
     global _outside  # noqa: PLW0603  if the number is too large, checks only take longer
     below, frame = 0, sys._getframe()  # noqa: SLF001  as above
     while frame.f_back is not None:

@@ -52,7 +52,7 @@ class Host(Protocol):
         """Return whether a Ctrl-C in this frame must wait for a checkpoint of the host."""
 
     def interrupt(self) -> None:
-        """Note a deferred Ctrl-C. The signal handler calls this method between any two instructions."""
+        """Defer a Ctrl-C to the next checkpoint. The signal handler calls this method between any two instructions."""
 
 
 _host: Host | None = None

@@ -63,7 +63,7 @@ class NullSink:
 
 
 class RecordedWorld(KnownWorld, Protocol):
-    """The part of a world that journals use."""
+    """The methods of a world that journals call."""
 
     def record_keyframe(self, journal: Journal) -> None:
         """Append the whole state and its assets to a journal."""
@@ -198,7 +198,7 @@ class Journal:
 
 
 class RunningTask(Protocol):
-    """The part of a task that journals use."""
+    """The methods of a task that journals call."""
 
     @property
     def id(self) -> int:
@@ -219,7 +219,7 @@ def task_id() -> int:
 
 
 def announced_task_id() -> int:
-    """Return the id of the running task of this context, after recording its request; 0 without a task.
+    """Record the request of this context's running task, and return the task's id; 0 without a task.
 
     The body of a block runs before the branch starts, and may change a world.
     """
@@ -232,7 +232,7 @@ def announced_task_id() -> int:
 
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
-_opened = 0  # number of journals that were opened
+_opened = 0  # number of journals that this process has opened
 _sources: tuple[RecordedWorld, ...] = ()  # the known worlds; replaced, not mutated
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
@@ -266,7 +266,7 @@ def unrecorded(*journals: Journal) -> Iterator[None]:
         _isolated.reset(token)
 
 
-#: The step in each journal of the event whose handler runs in this context.
+#: The event that this context handles: its step in each journal.
 _cause: ContextVar[Mapping[Journal, int]] = ContextVar("pycram_cause", default=MappingProxyType({}))
 
 

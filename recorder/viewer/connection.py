@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 PORT: Final = 9876  # the default port of viewers
-_POLL_PERIOD: Final = 0.2  # seconds between attempts to reach a viewer
+_POLL_PERIOD: Final = 0.2  # time between attempts to reach a viewer, s
 HOST: Final = "127.0.0.1"  # recordings are private: never listen on the network
 
 _SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
@@ -35,7 +35,7 @@ _HINT: Final = f"use spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 _SOCKETS: Final = Path("/proc/net/tcp")
 _LISTENS: Final = "0A"  # state of a listening socket in /proc/net/tcp
-_ANSWER_TIMEOUT: Final = 1.0  # seconds; a running viewer answers within milliseconds
+_ANSWER_TIMEOUT: Final = 1.0  # longest wait for an answer of a running viewer, s
 
 
 class ViewerGone(Exception):

@@ -54,11 +54,11 @@ if TYPE_CHECKING:
     from recorder.viewer.translator import Translator
 
 
-_END_TIMEOUT: Final = 1.8  # s; the viewer must take the remaining records in this time
+_END_TIMEOUT: Final = 1.8  # the viewer must take the remaining records in this time, s
 #: Seconds for a viewer to start, even if the plan ends earlier.
 _START_TIMEOUTS: Final = {ViewerKind.SPAWN: 5.0, ViewerKind.CONNECT: 3.0, ViewerKind.SERVE: 3.0}
-_LINGER_TIMEOUT: Final = 30.0  # s; after the end of a recording, the process waits this long for a late viewer
-_HAND_OVER_TIMEOUT: Final = 0.5  # s; the process must read the remaining records in this time
+_LINGER_TIMEOUT: Final = 30.0  # longest wait for a late viewer after the end of a recording, s
+_HAND_OVER_TIMEOUT: Final = 0.5  # the process must read the remaining records in this time, s
 _BATCH_PERIOD: Final = 0.2  # seconds between batches: many small batches cost too much
 _MAX_ITEMS: Final = 500  # largest number of items in a batch
 _MAX_BYTES: Final = 4 << 20

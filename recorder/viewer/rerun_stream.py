@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 APPLICATION: Final = "pycram"  # viewers remember a layout for this name
-_WRITE_TIMEOUT: Final = 60.0  # s; the rows of a file must be written in this time
+_WRITE_TIMEOUT: Final = 60.0  # the rows of a file must be written in this time, s
 _SWITCH: Final = "RERUN"  # this environment variable turns viewers off
 
 

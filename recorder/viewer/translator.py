@@ -142,7 +142,7 @@ class ActiveWorlds:
         self.front = ""  # the first open world; "" before a plan acts
 
     def follow(self, record: Record) -> None:
-        """Note that a plan begins to act in a world or closes the world. The scene must already show the record."""
+        """Add a world when a plan begins to act there, or remove a closed world. The scene already shows the record."""
         world, action = record.world, _action(record)
         if world not in self.centres and action not in _SETUP:
             self.centres[world] = self._scene.centre(world)

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 _PORT: Final = 9090  # preferred port of pages
 _MAX_TRIES: Final = 5
-_START_TIMEOUT: Final = 5.0  # s; the file must be written in this time
+_START_TIMEOUT: Final = 5.0  # the file must be written in this time, s
 _PIECE: Final = 1 << 20  # largest number of bytes in a write
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
@@ -115,7 +115,7 @@ class GrowingFile:
 
 RECORDS: Final = "records.rrd"
 INDEX: Final = "index.html"
-_REQUEST_TIMEOUT: Final = 10.0  # s; a client must send its request in this time
+_REQUEST_TIMEOUT: Final = 10.0  # a client must send its request in this time, s
 _TYPES: Final = {
     "html": "text/html",
     "js": "text/javascript",
@@ -223,7 +223,7 @@ class _Request(BaseHTTPRequestHandler):
 
 NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
 _PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
-_TIMEOUT: Final = 20.0  # s; the program must answer in this time
+_TIMEOUT: Final = 20.0  # the program must answer in this time, s
 _ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
 # With an address of records, the program only serves the page. CI=1 turns its usage statistics off.
 _OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from recorder.terminal import Parser
     from replay.recording import Recording
 
-_LIMIT: Final = 0.1  # s; names that take longer to read aren't completed
+_LIMIT: Final = 0.1  # names that take longer to read aren't completed, s
 
 
 def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.ArgumentParser], None]) -> None:

@@ -105,7 +105,7 @@ class RecordFilter:
     #: A file of the plan in the record's call stack, and a line number or None.
     where: tuple[str, int | None] | None = None
     _tasks: set[int] = field(default_factory=set)  # ids of the matching tasks
-    _led_to: set[int] = field(default_factory=set)  # ids of the tasks whose call stack contains the line
+    _led_to: set[int] = field(default_factory=set)  # ids of tasks; the call stack of each task contains the line
     _known: int = 0  # first step that has not been searched for tasks
 
     def matches(self, log: Recording, start: int, stop: int) -> Iterator[tuple[Record, str]]:

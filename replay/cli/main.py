@@ -73,7 +73,7 @@ _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.f
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
-_PROGRESS_PERIOD: Final = 1.0  # s; the first line of progress comes after this time
+_PROGRESS_PERIOD: Final = 1.0  # time until the first line of progress, s
 _MAX_SKIPPED: Final = 8  # at most this many skipped files are named
 _POINT_OPTIONS: Final = ("--from", "--to")
 _NEGATIVE: Final = re.compile(r"-[\d.]")

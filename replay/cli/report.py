@@ -87,7 +87,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _film(log: Recording, tree: Tree, end: int) -> list[dict[str, object]]:
-    """Return pictures of moments at which the loaded scene had changed; empty if the scene can't be drawn."""
+    """Return pictures of the run after changes of the scene; return no pictures if the scene can't be drawn."""
     records = [
         record for record in log.records(Mutation, stop=end + 1) if record.WhichOneof("command") not in _BUILDING
     ]

@@ -97,8 +97,8 @@ def _lines(verification: Verification, seconds: float) -> Iterator[str]:
     if verification.exact:
         yield f"exact  {changes} had the recorded effects, bit for bit"
     else:
-        largest = f"within {verification.largest.size:.3g}" if verification.largest else "bit for bit"
-        yield f"near   {changes} had the recorded effects {largest}"
+        largest = f"effects within {verification.largest.size:.3g} of" if verification.largest else "exactly"
+        yield f"near   {changes} had {largest} the recorded effects"
     if verification.largest is not None:
         yield f"       largest deviation: {verification.largest}"
     yield from _notes(verification)

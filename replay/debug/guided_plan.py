@@ -98,7 +98,7 @@ class GuidedPlan:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
             raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
-        # by the recorded clock, because the machine may now be slower
+        # the recorded clock counts, because the machine may now be slower
         spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
         self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
@@ -373,7 +373,7 @@ class PlanCopies:
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
         """Accept the child that continues from a copy."""
-        if running is not None:  # this process sends that it waits
+        if running is not None:  # the parent process reports that it waits
             message = _received(running.channel)
             if message is None:
                 self._lost(running)

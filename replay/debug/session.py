@@ -246,7 +246,7 @@ class Timeline:
                 task_stacks[record.task] = stack
             self._stacks[record.seq] = stack
             before = latest.get(record.thread, ())
-            again = bool(own) and not isinstance(record, Output)  # a line with output also has other records
+            again = bool(own) and not isinstance(record, Output)  # the line of an output record also made other records
             for depth, site in enumerate(stack):
                 if before[: depth + 1] != stack[: depth + 1] or (again and depth == len(stack) - 1):
                     hits = self._lines[site]
@@ -359,25 +359,25 @@ class NoSuchPlace(ReplayError, LookupError):
 
     def __init__(self, place: str, cause: str) -> None:
         super().__init__(f"{place}: {cause}")
-        self.place = place  # the place, as the user wrote it
+        self.place = place  # text of the place from the user
 
 
 @dataclass(slots=True)
 class Breakpoint:
     """A breakpoint, or a watch."""
 
-    number: int  # number by which commands name it, from 1
-    text: str  # description for the user
-    steps: list[int] = field(default_factory=list)  # steps at which it stops the plan, sorted
-    temporary: bool = False  # whether it is removed after it has stopped the plan
-    enabled: bool = True  # whether it stops the plan
+    number: int  # number of the breakpoint in commands, from 1
+    text: str  # description of the breakpoint for the user
+    steps: list[int] = field(default_factory=list)  # sorted steps at which the breakpoint stops the plan
+    temporary: bool = False  # whether the breakpoint is removed after its first stop
+    enabled: bool = True  # whether the breakpoint is switched on
     line: tuple[str, int] | None = None  # for a breakpoint at a line of the plan: its file and number
     changes: dict[int, ValueChange] = field(default_factory=dict)  # for a watch on recorded states: the changes by step
     watched: WatchedExpression | None = None  # for a watch on the plan's variables: the expression
 
     @property
     def counted(self) -> str:
-        """The steps at which it stops the plan, in words."""
+        """The steps of the breakpoint in words."""
         if self.watched is not None:
             return "the plan must run to find its changes"
         count = len(self.steps)

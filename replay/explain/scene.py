@@ -73,7 +73,7 @@ class InvolvedBody:
 
 @dataclass(frozen=True, slots=True)
 class FailedBranch:
-    """A failed part of the failed block, besides the explained part."""
+    """A failed part of the failed block, other than the explained part."""
 
     task: Node
     line: Line | None  # the plan's line that requested the failed part

@@ -43,14 +43,14 @@ _FIRST, _LAST = 5, 20  # this many first and last attempts have the robot's stat
 _LISTED: Final = 3  # at most this many first choices and last choices are listed
 _MAX_IMAGINED: Final = 6
 _MAX_PLACES: Final = 5  # at most this many last queries for places are listed
-_MOVED: Final = 0.001  # m; smaller moves after a query are ignored
+_MOVED: Final = 0.001  # objects that moved less since a query count as unmoved, m
 
 
 @dataclass(frozen=True, slots=True)
 class FailedAttempt:
     """An attempt at the failed task."""
 
-    task: Node  # part in which the failure began
+    task: Node  # task in which the failure of this attempt began
     robot: Body | None  # the robot before the attempt; None without a robot, and for middle attempts of many
 
 
@@ -93,12 +93,12 @@ class Why:
     #: Local variables of the plan's functions at the failure, by file and line: names, and values as text.
     variables: Mapping[tuple[str, int], Mapping[str, str]] = field(default_factory=dict)
     world: World | None = None  # the world of the failure; None without an open world
-    is_default: bool = True  # whether it is the default world of verbs
+    is_default: bool = True  # whether verbs use this world by default
     bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies of the task
     removed: tuple[str, ...] = ()  # names of the task's bodies that were removed before the failure
     attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, with this attempt
     other_failures: int = 0  # number of other tasks that failed before
-    forgotten: int = 0  # number of skipped earlier failures
+    forgotten: int = 0  # number of earlier failures that the explanation leaves out
     choices: tuple[Query, ...] = ()  # the choices of the failed motion's process module
     tried: TriedAction | None = None  # the failed action around the task
     queries: tuple[RelevantQuery, ...] = ()  # the queries on which the plan relied
@@ -108,9 +108,9 @@ class Why:
     unfinished: tuple[Node, ...] = ()  # the innermost unfinished tasks of a recording that was cut off
     endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
-    case: FailureCase | None = field(default=None, compare=False)  # the facts in which the causes were found
+    case: FailureCase | None = field(default=None, compare=False)  # facts around the failure, which show the causes
     proofs: tuple[Proof, ...] = ()  # verdict on each cause that was tested in forks
-    path: str = ""  # path of the recording in commands
+    path: str = ""  # path of the recording for printed commands
 
     def __repr__(self) -> str:
         from replay.explain import why_report  # noqa: PLC0415  it imports this module
@@ -377,7 +377,7 @@ class TriedAction:
     imagined: tuple[Node, ...]  # projections of choices, in order
     places: tuple[Query, ...]  # queries for places of the action and its parts
     spent: bool  # whether the action has used up its budget of attempts
-    last: str  # reason for the failure of the last choice; "" if all choices were tried
+    last: str  # why no choice remained; "" if all choices were tried
 
     def lines(self) -> Iterator[str]:
         """Yield the choices of the action with their outcomes, and the reason for its end."""

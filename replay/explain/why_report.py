@@ -35,8 +35,8 @@ _NO_CAUSE: Final = (
     "no cause is on record; these were looked for: failures and refusals before it, moved and removed objects, "
     "wrong beliefs, full or empty hands, obstacles, distances, deadlines, other worlds and gravity"
 )
-_MAX_LINES: Final = 12  # differences have at most this many lines
-_NEARER: Final = 0.35  # m; the suggested ``ask --move`` moves the object to this distance from the robot
+_MAX_LINES: Final = 12  # a difference of states is shown in at most this many lines
+_NEARER: Final = 0.35  # the suggested ``ask --move`` moves the object to this distance from the robot, m
 
 
 # --- as JSON data ----------------------------------------------------------------------------------------------------

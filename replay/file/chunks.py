@@ -53,7 +53,7 @@ _CHANNEL: Final = struct.Struct("<HI")  # the first fields of a message: channel
 _FIELDS: Final = 22  # size of a message's fields in bytes
 _PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before the payload of a message
 _MESSAGES: Final = 100  # number of messages in a chunk of sorted messages
-_IN_MEMORY: Final = 16 << 20  # bytes; inflated chunks up to this size stay in memory
+_IN_MEMORY: Final = 16 << 20  # inflated chunks with at most this many bytes stay in memory
 _LOOSE: Final = -1  # chunk number of a message outside of chunks
 _NUMBER: Final = 40  # number of low bits of a sort key, which are the message's number; the high bits are the step
 
@@ -176,7 +176,7 @@ class Chunks:
             return list(self.records(number))
 
     def misplaced(self, number: int, record: Record) -> None:
-        """Note the impossible step of a record in a chunk."""
+        """Add the impossible step of a record to the known damage of its chunk."""
         self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
 
     def share_worlds(self) -> bool:
@@ -319,7 +319,7 @@ class _MessagePlaces:
         self.keys: list[int] = []  # step and number of each message
         self.channels = array("H")
         self.chunks = array("l")  # chunk of each message, or -1
-        # bytes; offsets are in the chunk, or in the file for messages outside of chunks
+        # offset of each message in its chunk, or in the file for messages outside of chunks, bytes
         self.offsets, self.lengths = array("Q"), array("Q")
         self.sorted = True  # whether the records are in the order of their steps
         self._last = -1

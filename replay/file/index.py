@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 _BLOCK: Final = 1 << 20  # number of bytes of a read
-_MAX_LENGTH: Final = 1 << 32  # bytes; longer records are damaged
+_MAX_LENGTH: Final = 1 << 32  # a record with more bytes is damaged
 #: A part of the head of each compressed chunk, which finds the next chunk after damage.
 _MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"

@@ -38,7 +38,7 @@ _ENTRY: Final = 16  # size of the entry of a message, bytes
 _MAP_LENGTH: Final = struct.Struct("<I")
 #: Fields: start, end, size, CRC, and length of the compression's name.
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
-MAX_INFLATED: Final = 64 << 20  # bytes; larger chunks are rejected, because recorders close chunks at about 1 MiB
+MAX_INFLATED: Final = 64 << 20  # larger chunks (bytes) are rejected, because recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
 #: Errors of a damaged chunk, with errors of Zstandard and LZ4 (RuntimeError).

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
 
-_FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # from cm, mm, degrees; misplaced points
+_FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
 _OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
     ast.Add: (ast.Sub,),
     ast.Sub: (ast.Add,),

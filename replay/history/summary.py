@@ -34,7 +34,7 @@ class Summary:
 
     plan: str
     started: datetime  # wall-clock time of the first record, UTC
-    seconds: float  # s, from the first to the last record
+    seconds: float  # time from the first to the last record, s
     worlds: tuple[WorldTime, ...]  # the worlds in the order of their opening
     outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" for a damaged end
     failure: str  # failure of the plan, such as "Type: message"; "" without a failure

@@ -43,7 +43,7 @@ with needed("render"):
     from replay.restore.recorded_world import description_of, model_of, world_state
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # default horizontal field of view
-_NEAR, _FAR = 0.02, 30.0  # range of a camera in m
+_NEAR, _FAR = 0.02, 30.0  # nearest and farthest visible distance of a camera, m
 _OVERSAMPLING: Final = 2  # each pixel is the mean of this many pixels per side, for smooth edges
 _MAX_SIDE: Final = 4096  # largest width and height in pixels
 _SURROUNDINGS: Final = 0.7  # a picture of a small object shows at least this much of the scene, m
@@ -71,7 +71,7 @@ _ROBOT_SHARE: Final = 0.4  # this share of a robot's pixels is enough, because o
 _RATED: Final = 3  # number of moments of a film for which viewpoints are rated
 _GLANCE: Final = (40, 40)  # size of the window around an object in pixels
 _MAX_CUTS: Final = 6  # at most this many layers of furniture and walls are cut away
-_ROOM: Final = 1.5  # m; a smaller fixed link is furniture, in which no viewpoint may be
+_ROOM: Final = 1.5  # a smaller fixed link is furniture, and no viewpoint is inside it, m
 _CUT_GAP: Final = 0.02  # distance between a cut and the visible object in m
 _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for number in range(8)])
 

@@ -297,7 +297,7 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
         pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
-        cause = f"step {gap.start} is lost; restore the world without exact"
+        cause = f"step {gap.start} is lost; restore the world without exact=True (--exact)"
         raise Damaged(log.path, f"the part before step {step}", cause)
     with Reexecution(log, str(step), mode) as reexecution:
         for record in log.records_of(lifetime, (Mutation, Keyframe), chunks):
@@ -306,10 +306,10 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
             if isinstance(record, Mutation):
                 if record.drags:
                     dragged = f"{record.drags[0].body} was dragged by hand at step {record.seq}"
-                    raise NotRestored(step, f"{dragged}; restore the world without exact")
+                    raise NotRestored(step, f"{dragged}; restore the world without exact=True (--exact)")
                 reexecution.repeat(record, observed=False)
             elif name not in reexecution.worlds:
-                raise NotRestored(step, f"{name} began before the recording; restore the world without exact")
+                raise NotRestored(step, f"{name} began before the recording; restore it without exact=True (--exact)")
         return reexecution.worlds.pop(name)
 
 

@@ -54,8 +54,8 @@ class Fork:
     records: int  # number of records
     succeeded: bool  # whether the plan succeeded
     notes: tuple[str, ...]  # differences from the recorded conditions
-    control: Retracing | None = None  # comparison of the unchanged plan with the recording; None without a request
-    unused: tuple[str, ...] = ()  # given answers of decisions that didn't come
+    control: Retracing | None = None  # comparison of the unchanged plan with the recording; None if it wasn't requested
+    unused: tuple[str, ...] = ()  # answers for decisions that the plan never made
 
 
 def fork(

@@ -3,7 +3,7 @@
 A run without a file ends when the comparison ends. With a file, a fork continues into its own recording. The result is
 a line of JSON on another file descriptor, because stdout and stderr belong to the plan.
 
-Call stacks of the plan leave out frames of this module. The plan calls the sinks of records, so they are in
+The plan's call stacks end at the first frame of this module. The plan calls the sinks of records, so the sinks are in
 :mod:`.guide`.
 """
 

@@ -86,8 +86,8 @@ class GuidedResult:
     equal: int  # number of equal records before the first difference
     difference: FirstDifference | None  # None if all compared records are equal
     taken: int  # number of answers that were taken from the recording
-    notes: tuple[str, ...] = ()  # differences from the recorded conditions that were found during the run
-    unused: tuple[str, ...] = ()  # given answers of decisions that didn't come
+    notes: tuple[str, ...] = ()  # differences from the recorded conditions that appeared during the run
+    unused: tuple[str, ...] = ()  # answers for decisions that the plan never made
 
 
 class PlanProcess:

@@ -43,8 +43,8 @@ _READS: Final[Mapping[str, str]] = {
     "input": _INPUT,
     "fileinput": _INPUT,
 }
-_STDIN: Final = "sys.stdin"  # calls and loops read from it
-_METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # methods of any object
+_STDIN: Final = "sys.stdin"  # calls of its methods and loops over its lines read data
+_METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # methods of these names read data, for any object
 
 
 @dataclass(frozen=True, slots=True)

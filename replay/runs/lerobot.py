@@ -45,7 +45,7 @@ _FILES: Final = 1000  # number of files in a folder
 _DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO: Final = "observation.images.camera"
 _VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_MAX_VIDEO: Final = 200  # MB; after a video file of this size, the next episode begins a new file
+_MAX_VIDEO: Final = 200  # after a video file of this size in MB, the next episode begins a new file
 _PICTURE: Final = (320, 240)  # width and height in pixels
 _FORMAT: Final = "yuv420p"
 _CODECS: Final = {"libsvtav1": {"g": "2", "crf": "30", "preset": "8"}, "libx264": {"g": "2", "crf": "23"}}
@@ -310,7 +310,7 @@ def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
 
 
 def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[float]]]:
-    """Return the statistics by which LeRobot normalises: lists with a number for each component of a feature."""
+    """Return LeRobot's statistics for normalisation: lists with a number for each component of a feature."""
     found = {}
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)
@@ -392,7 +392,7 @@ class _Videos:
         return {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"], "info": info}
 
     def statistics(self, frames: int) -> dict[str, Any]:
-        """Return the statistics by which LeRobot normalises the pictures of all episodes."""
+        """Return LeRobot's statistics for the normalisation of all pictures."""
         return _picture_statistics(self._counts, frames)
 
     @property
@@ -445,7 +445,7 @@ class _Videos:
 
 
 def _picture_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, Any]:
-    """Return the statistics by which LeRobot normalises pictures, for each channel, 0 to 1.
+    """Return LeRobot's statistics for the normalisation of pictures, for each channel, 0 to 1.
 
     ``counts`` is the number of pixels for each channel and value 0..255.
     """

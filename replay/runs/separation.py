@@ -47,7 +47,7 @@ _MAX_SITES: Final = 20_000
 _MAX_MARKS: Final = 60  # the order of at most this many events of a run is compared
 _MAX_TEXT: Final = 80  # values have at most this many characters
 _MAX_VALUES: Final = 12  # sites with more different texts aren't compared
-_CUTS: Final = 16  # at most this many cuts between ranges of a number
+_CUTS: Final = 16  # the values of a number are split into ranges at no more than this many bounds
 _LARGE: Final = 0.71  # probability that a number exceeds another number: a large effect (Vargha and Delaney 2000)
 _ROUNDS: Final = 1000  # number of random permutations of the failures
 _LEAST: Final = 200  # smallest number of permutations for many facts about many runs
@@ -209,7 +209,7 @@ class _Sites:
         self.cases = cases
         self.numbers = {case.run: number for number, case in enumerate(cases)}
         self.sites: dict[tuple[str, str], Site] = {}
-        self.marks: list[dict[str, tuple[int, str]]] = [{} for _ in cases]  # first step and branch by event
+        self.marks: list[dict[str, tuple[int, str]]] = [{} for _ in cases]  # first step and branch of each event
         self.branches: list[dict[int, str]] = [{} for _ in cases]
 
     def add(self, kind: str, name: str, number: int, value: Plain, step: int) -> None:
@@ -227,7 +227,7 @@ class _Sites:
         return number if number is not None and step <= self.cases[number].end else None
 
     def mark(self, number: int, name: str, step: int, task: int) -> None:
-        """Note the first step and the branch of an event."""
+        """Store the first step and the branch of an event."""
         self.marks[number].setdefault(name, (step, self.branches[number].get(task, "")))
 
     def parameters(self, runs: Runs) -> None:
@@ -250,9 +250,9 @@ class _Sites:
             if number is None or (run, body, command) in seen:
                 continue
             seen.add((run, body, command))
-            how = "loaded" if command == "load_body" else "moved first"
+            how = "when it was loaded" if command == "load_body" else "after its first move"
             for axis, value in zip(_AXES, place, strict=True):
-                self.add("pose", f"{axis} of {body}, where it was {how}", number, value, step)
+                self.add("pose", f"{axis} of {body} {how}", number, value, step)
 
     def tasks(self, runs: Runs) -> None:  # noqa: C901
         """Add the tasks that runs reached, and their slots, resolvers and process modules."""
@@ -331,8 +331,8 @@ class _Sites:
         """Add the order of two events of different branches.
 
         If only a single event happened before the failure, it was the first. A pair only counts if its order is known
-        in nearly all failures, because otherwise the failures would select the pairs. Its events must be usual in
-        successes.
+        in nearly all failures, because otherwise the failures would select the pairs. Both events must
+        happen in at least half of the successful runs.
         """
         failures = sum(case.failed for case in self.cases)
         usual: Counter[str] = Counter()

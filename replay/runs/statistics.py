@@ -58,7 +58,7 @@ class Share:
 class FailureCause:
     """The runs that failed for the same cause."""
 
-    cause: str  # the cause without numbers
+    cause: str  # text of the cause without its numbers
     count: int
     share: float  # share of all failures
     first: str  # name of the first run
@@ -74,7 +74,7 @@ class Slow:
 
     what: str  # name and objects
     count: int  # number of calls
-    total: float  # total time in s in all runs
+    total: float  # total time of all runs, s
     median: float  # median time in s
     longest: float  # longest time in s
     run: str  # name of the recording with the longest time

@@ -368,7 +368,7 @@ class FailureCase:
         return found
 
 
-_SETTLED = 0.02, math.radians(15)  # m and rad; an object with smaller moves in simulation settles
+_SETTLED = 0.02, math.radians(15)  # an object with smaller changes (m, rad) in simulation only settles
 
 
 def _mover(record: Mutation | Keyframe) -> str:

@@ -39,14 +39,14 @@ _YES: Final = {
     "PlaceFailed": ("stable",),
 }
 _NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
-_MOVED: Final = (1e-3, 5e-3)  # m and rad; smaller moves don't count as changes
-_LOADED: Final = ("load", "removed")  # these changes give or take a body
-_IN_HAND: Final = 0.05  # m; smaller moves are adjustments
+_MOVED: Final = (1e-3, 5e-3)  # smaller changes of a pose (m, rad) are ignored
+_LOADED: Final = ("load", "removed")  # these changes add or remove a body
+_IN_HAND: Final = 0.05  # smaller moves of an object in a hand are adjustments, m
 _SEARCHED: Final = 5_000  # this many records before the failure are searched
 _BELIEVED: Final = frozenset(
     ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
 )
-_AWAY: Final = 0.02  # m; an object with a smaller move only settles
+_AWAY: Final = 0.02  # a belief with a smaller error isn't wrong, m
 #: Matches messages of WorldClosed of all releases.
 _GONE: Final = re.compile(r": object (.+) (?:is gone|was removed|has been removed|no longer exists)$")
 

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
-_NEARER: Final = 0.05  # m; with a smaller difference, no place is nearer to the target
-_IN: Final = 0.03  # m; objects in a drawer are within this distance of its boxes
+_NEARER: Final = 0.05  # places with a smaller difference of their distances are equally near to the target, m
+_IN: Final = 0.03  # objects in a drawer are within this distance of the drawer's boxes, m
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = (

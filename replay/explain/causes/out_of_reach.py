@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 
-_OPEN: Final = 0.01  # rad or m; doors and drawers with a larger position aren't closed
+_OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # these causes explain the causes in this module
 
 
@@ -89,7 +89,7 @@ class UnreachedTarget(Cause):
     distance: float  # distance from the robot's base to the target on the ground, m
     miss: float | None  # distance between the nearest reachable posture and the target, m
     orientation: tuple[float, ...]  # requested orientation of the tool, xyzw; empty for every orientation
-    changes: tuple[CausingChange, ...]  # the last changes of the robot, its torso and the object
+    changes: tuple[CausingChange, ...]  # the last changes of the robot, the robot's torso and the object
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[UnreachedTarget]:

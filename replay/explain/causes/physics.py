@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _MOVED: Final = 0.05  # an object that moves less only settles, m
 _TILTED: Final = math.radians(15)
-_FELL: Final = 0.05  # in m, downwards
+_FELL: Final = 0.05  # smallest downward move of an object that fell, m
 _PART: Final = 0.3  # an object has begun to fall or move after this fraction of its displacement
 _NEAR: Final = 0.6  # largest distance between the bases of an object and its possible support, m
 _ABOVE: Final = 0.15  # largest distance between the bases of stacked objects on the ground, m
@@ -47,8 +47,8 @@ _HOW: Final = {
     "remove_body": "detached",
     "move_joints": "along",
 }
-_FAST: Final = 0.1  # m/s; lower speeds at a release aren't mentioned
-_SPINNING: Final = 1.0  # rad/s; lower speeds at a release aren't mentioned
+_FAST: Final = 0.1  # lower speeds at a release aren't mentioned, m/s
+_SPINNING: Final = 1.0  # lower angular speeds at a release aren't mentioned, rad/s
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +63,7 @@ class Physics(Cause):
     tilt: float  # increase of the object's lean in rad
     moved_at: int  # step of the simulation in which the motion began
     line: Line | None  # the plan's line of the simulation
-    since: int  # step of the plan's success or change before the motion
+    since: int  # step of the last success or change before the object moved
     stood_on: str = ""  # moved support of the object; "" without a moved support
     lets: tuple[CausingChange, ...] = ()  # changes that may have let the object move; empty if only time passed
     speed: float | None = None  # speed at the release in m/s; None without a release

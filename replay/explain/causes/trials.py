@@ -29,16 +29,16 @@ if TYPE_CHECKING:
     from replay.explain.causes.case import CausingChange, FailureCase
     from replay.state.state import Body
 
-_MOVED: Final = 1e-6  # rad or m; joints with a larger change have moved
-_FAR: Final = 30.0  # m; an obstacle is moved this far away
-_BEFORE: Final = 0.65  # m; arms work well within this distance of a target
-_ROOM: Final = 0.1  # m; the robot moves nearer by the arm's miss and this distance
-_LONGER: Final = 10.0  # factor of a limit
+_MOVED: Final = 1e-6  # a joint with a larger change has moved, rad or m
+_FAR: Final = 30.0  # distance to which an obstacle is moved away, m
+_BEFORE: Final = 0.65  # distance between robot and target at which arms work well, m
+_ROOM: Final = 0.1  # the robot moves nearer by this distance and the distance that the arm lacked, m
+_LONGER: Final = 10.0  # limits of waits are multiplied by this factor
 NONE: Final = "none"
 _FLUENT: Final = "fluent:"
 _COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
 _JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # a fluent that follows a joint
-_BEYOND: Final = 0.01  # a number exceeds a bound by this amount, or by this share of the bound
+_BEYOND: Final = 0.01  # the new number exceeds a bound by this amount, or by this share of the bound
 _WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls without a result, in addition to setters
 
 
@@ -46,7 +46,7 @@ _WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls w
 class Trial:
     """A fork that takes a cause away."""
 
-    step: int  # the last unchanged step
+    step: int  # the last step before the change
     words: str  # change in words
     settings: tuple[str, ...] = ()  # values of ``fork --set``
     answers: tuple[str, ...] = ()  # values of ``fork --answer``
@@ -60,7 +60,7 @@ class TriedTrial:
     """A finished fork."""
 
     trial: Trial
-    verdict: str  # as of a proof
+    verdict: str  # verdict on the cause from this fork alone, as in :class:`Proof`
     text: str  # outcome in words
     file: str = ""  # recording of the fork; "" if it was deleted
 

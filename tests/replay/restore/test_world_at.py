@@ -195,7 +195,7 @@ def test_a_world_is_not_called_exact_where_a_change_is_lost(file: Path) -> None:
         assert log.world_at(step).get_object("cup").get_position() == [0, 0, 119]
     with (
         replay.open(file) as log,
-        pytest.raises(replay.Damaged, match=r"the part before step .* is lost; restore the world without exact"),
+        pytest.raises(replay.Damaged, match=r"the part before step .* is lost; restore the world without exact=True"),
     ):
         log.world_at(step, exact=True)
     assert len(open_worlds()) == 1, "the one that could be had"

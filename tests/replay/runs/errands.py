@@ -55,7 +55,7 @@ def drawn(seed: int) -> Cause:
         "threshold": (
             (dice.uniform(0.4, 0.7), ("load",)),
             (dice.uniform(0.3, 0.6), ("fluent battery",)),
-            ((part, part + 0.4), (f"y of {thing}, where it was loaded",)),
+            ((part, part + 0.4), (f"y of {thing} when it was loaded",)),
         ),
         "arm": (
             (arm, (f"what arm({thing}) chose={arm}", f"arm={arm} at lift({thing})")),

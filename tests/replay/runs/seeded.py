@@ -67,7 +67,7 @@ class Cause:
         kind, thing = KINDS[seed % len(KINDS)], dice.choice(THINGS)
         strength = dice.choice((1.0, 0.9))
         if kind == "threshold":
-            return cls(kind, thing, dice.uniform(0.3, 0.7), (f"x of {thing}, where it was loaded",), strength)
+            return cls(kind, thing, dice.uniform(0.3, 0.7), (f"x of {thing} when it was loaded",), strength)
         if kind == "arm":
             arm = dice.choice(ARMS)
             return cls(kind, thing, arm, (f"arm={arm} at pick-up({thing})",), strength)
