@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import recorder  # noqa: F401  before numpy: it limits threads
+import recorder  # noqa: F401  imported before numpy, because it limits numpy's threads
 
 if TYPE_CHECKING:
     from pycram.actions import perform

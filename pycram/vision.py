@@ -342,7 +342,7 @@ def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.
     u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
     edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]  # not finite for a triangle that is seen edge-on
+        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]  # not finite for triangles that are seen edge-on
         nearness = (weights * inverse[:, :, None]).sum(axis=1, keepdims=True)
     return np.concatenate([weights, nearness], axis=1)
 

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
 
 _TURNS: Final = (30, 60, 90, 120, 150)  # tried turns about the vertical, in degrees
-_FAR: Final = (90, 30)  # the same if the robot may drive; fewer, because each try searches for a place of the robot
+_FAR: Final = (90, 30)  # turns in degrees if the robot may drive; fewer, because each searches for a place of the robot
 _ON: Final = 0.02  # maximum distance in m between an object's underside and its surface
 _INSIDE: Final = 0.02  # distance in m of a slid object's middle from the edge
 _EDGES: Final = 4  # number of nearest edges that are tried; half as many if the robot may drive
@@ -80,7 +80,7 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
 
 
 def _failures(failure: BaseException) -> Iterator[BaseException]:
-    """Yield the failures of the tries of an action and of its subactions; without tries, the action's failure."""
+    """Yield the failures of all tried choices of an action and of its subactions; if none, the action's failure."""
     tried = getattr(failure, "tried", ())
     for each in tried:
         if not isinstance(each.failure, ReasoningError):  # skip obstacles that couldn't be cleared away
@@ -131,7 +131,7 @@ def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
 
 def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, moves_base: bool) -> bool:
     """Move an object, in a copy of the process; return whether it comes to rest and the robot can take it."""
-    engine = body.world.engine  # not by a transaction, which would call handlers of the plan
+    engine = body.world.engine  # the engine moves it without a transaction, which would call handlers of the plan
     with body.world.lock:
         there = resting_position(body, *pose), pose[1]
         engine.set_pose(body.handle, there)

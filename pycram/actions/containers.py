@@ -64,7 +64,7 @@ class Access:
 
 
 def _known_container(name: str, value: Any) -> Any:
-    """Return the Access of a container or of its name; an Object, whose joint or handle selects it, is only checked."""
+    """Return the Access of a container or of a container's name; an Object is only checked, and returned."""
     if isinstance(value, Object):
         return BODY(name, value)
     known = containers()

@@ -235,7 +235,7 @@ def _act(designator: Designator) -> _Act:
     BulletWorld.current_robot()
     kinds = [cls for cls in type(designator).__mro__ if issubclass(cls, ActionDesignator)]
     if next(designator.branches(), None) is None and not any(cls.resolvers for cls in kinds):
-        designator.check()  # not if a resolver of the plan may know other slots
+        designator.check()  # unless a resolver of the plan may know other slots
     return _Act(designator)
 
 
@@ -308,7 +308,7 @@ class _Tries(FailureHandling):
         budget: _Budget,
         ahead: Thinking | None,
     ) -> None:
-        super().__init__(_ENDLESS)  # the budget ends the tries
+        super().__init__(_ENDLESS)  # the budget limits the number of tries
         self._kind = kind
         self._given = given
         self._budget = budget
@@ -373,7 +373,7 @@ def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], It
     """Return the next solutions and an iterator over the rest, which raises a failure of the search."""
     found: list[Solution] = []
     try:
-        found.extend(itertools.islice(solutions, size))  # not list(), which loses the solutions before an error
+        found.extend(itertools.islice(solutions, size))  # list() would lose the solutions before an error
     except PlanFailure as failure:
         if not found:
             raise

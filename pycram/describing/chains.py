@@ -36,7 +36,7 @@ class ArmChain:
     """An arm in a URDF."""
 
     name: str
-    joints: tuple[UrdfJoint, ...]  # from the shoulder to the wrist
+    joints: tuple[UrdfJoint, ...]  # joints from the shoulder to the wrist
     fingers: tuple[UrdfJoint, ...]  # joints below the last link of the arm
 
 

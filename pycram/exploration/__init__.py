@@ -68,7 +68,7 @@ VIOLATED = "succeeded but violated"  # the run violated a property, and only rec
 _WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings of runs that return their order
 DEPTH: Final = 3  # default depth of races; most known races aren't deeper (Burckhardt et al.)
 LIMIT: Final = 60.0  # default limit of a run's wall-clock time, in s
-_ROUND: Final = 16  # number of runs whose orders are drawn over the same number of turns
+_ROUND: Final = 16  # number of runs in a round; their orders are drawn for the same number of turns
 _EXPLAINED: Final = 8  # maximum number of explained endings, because each run may have another ending
 _MAX_TRIES: Final = 200  # maximum number of runs in the search for the precedences that cause an ending
 # States with smaller differences are alike, because physics computes each order a little differently.
@@ -290,7 +290,7 @@ class _Tries:
 
 
 def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending) -> OrderedRun | None:
-    """Return a run with the given ending and a minimum of the given precedences; None for a non-deterministic plan."""
+    """Return a run with the wanted ending and as few precedences as possible; None for a non-deterministic plan."""
     tries = _Tries(runs, ending)
     best = tries.first_of([precedences])
     parts = 2
@@ -326,7 +326,7 @@ class OrderedRun:
 
     order: str  # the requested order
     ending: Ending
-    turns: int  # number of turns at which two or more branches were ready
+    turns: int  # number of turns with two or more ready branches
     made: tuple[AppliedPrecedence, ...]  # order of the run, as exceptions from the ranks of branches
     seconds: float
 
@@ -461,7 +461,7 @@ def _same(a: object, b: object) -> bool:
 
 
 class EndingSink:
-    """Computes the ending of a run from its records; forwards the records to a file, if there is one."""
+    """Computes how a run ended, from its records; forwards the records to a file, if there is one."""
 
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()

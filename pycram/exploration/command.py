@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pycram.running import RunSpec
     from pycram.scheduling.order import BranchLine
 
-_MAX_TOLD: Final = 6  # maximum number of printed differences of states, and of printed precedences
+_MAX_TOLD: Final = 6  # maximum number of printed differences of states, and of printed orders of two branches
 _WIDTH: Final = 200  # maximum number of characters of a printed failure
 
 

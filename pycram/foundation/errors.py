@@ -95,7 +95,7 @@ def floats(values: Sequence[float]) -> list[float]:
 
 @dataclass_transform(eq_default=False, field_specifiers=(field, kept_as))
 def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
-    """Make an error a dataclass whose message comes from its template or its ``_message()``.
+    """Make an error a dataclass; its template or its ``_message()`` makes the message.
 
     A plan may derive a frozen dataclass from the error: the error doesn't keep the attributes that mark a dataclass.
     Errors stay equal by identity, and print like other exceptions.

@@ -150,7 +150,7 @@ class Blocked(Unreachable):
 
     def __init__(self, arm: str, target: Sequence[float], pairs: Sequence[CollisionPair], reason: str = "") -> None:
         super().__init__(arm, target, None, f"{phrases(pairs)}{'; ' + reason if reason else ''}")
-        self.pairs = list(pairs)  # for each object the pair of links that would overlap most
+        self.pairs = list(pairs)  # deepest overlapping pair of links with each object
         self.bodies = _bodies(pairs)
 
 
@@ -161,7 +161,7 @@ class InCollision(PlanFailure):
     position: Sequence[float] = kept_as(floats)  # position of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
     bodies: Sequence[str] = kept_as(list)  # names of the objects that the robot would touch
-    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # for each object the links that overlap most
+    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # deepest overlapping pair of links with each object
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
@@ -207,7 +207,7 @@ class NoPath(PlanFailure):
     checks: int  # configurations that were checked for collisions
     nearest: Mapping[str, float] = kept_as(dict)  # reached configuration nearest to the goal
     distance: float  # distance from ``nearest`` to the goal in joint values; for a base in m, 0.5 m per radian
-    pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links whose contact most often ended a path
+    pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links that touched most often when a path ended
     reason: str = ""  # another cause
 
     def _message(self) -> str:
@@ -378,10 +378,10 @@ class AccessFailed(PlanFailure):
     joint: str
     reason: str
     _: KW_ONLY
-    handle: str = ""  # name of the link by which the arm should move the door or drawer
+    handle: str = ""  # name of the handle's link
     arm: str = ""
     asked: float | None = None  # requested position of the joint in rad or m
-    value: float | None = None  # joint position at which the path fails; None if the path isn't the cause
+    value: float | None = None  # joint position at which the arm's path fails; None if the path isn't the cause
     reached: float | None = None  # joint position that the arm could reach; None if it can't begin
     orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation at ``value``
     remedies: Sequence[str] = kept_as(list, default=())  # texts

@@ -80,7 +80,7 @@ class Block:
         self.immediate = policy.concurrent  # whether an action starts regardless of earlier actions
         self.reads_blocks = policy.concurrent  # whether a branch runs each inner block
         self.adds_actions = not policy.propagates  # whether actions in the body become branches
-        self.branches: list[Branch] = []  # in the order of adding
+        self.branches: list[Branch] = []  # in the order in which the plan added them
         self.scope = CancelScope(current_scope())  # cancelled when the block is decided
         self.decider: Branch | None = None  # the branch that decided the block
         self.state = State.CREATED
@@ -299,7 +299,7 @@ class Block:
         failed = BranchesFailed(self.name, failures)
         if self._collected is None:
             return failed
-        self._span.error = failed  # not raised, but recorded in the task tree
+        self._span.error = failed  # this error is only recorded in the task tree
         return None
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:

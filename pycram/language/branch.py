@@ -114,7 +114,7 @@ class Branch:
         self._changed.notify_all()
 
     def abandon(self, error: BaseException) -> None:
-        """Fail a branch whose end an error has prevented, such as an error of a signal handler."""
+        """Fail a branch that couldn't end because of an error, such as an error of a signal handler."""
         if not self.done:
             self.settle(State.FAILED, error=error)
 

@@ -270,7 +270,7 @@ def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
 
 
 def _normalize(element: ET.Element, tree: Urdf) -> None:
-    """Scale an axis to length 1, by which PyBullet multiplies joint values; remove limits of continuous joints."""
+    """Scale an axis to length 1, because PyBullet multiplies joint values by it; remove limits of continuous joints."""
     joint = tree.joints[element.get("name", "")]
     axis, limit = element.find("axis"), element.find("limit")
     if joint.movable:

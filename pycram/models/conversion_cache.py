@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
     Piece = tuple[str, bytes, Sequence[float] | None]
 
-_WORTH: Final = 50_000  # bytes; a smaller binary STL takes longer to look up than to convert
-_LARGEST: Final = 1_000_000_000  # bytes of all entries; if there are more, the least recently used entries are deleted
+_WORTH: Final = 50_000  # size in bytes below which a binary STL takes longer to look up than to convert
+_LARGEST: Final = 1_000_000_000  # total size in bytes above which the least recently used entries are deleted
 _CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "shapes.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)
@@ -101,7 +101,7 @@ def _materials(file: Path, content: bytes) -> list[bytes]:
 def _textures(file: Path, content: bytes) -> list[bytes]:
     """Return the file names of the textures that a mesh names."""
     if file.suffix.lower() == ".dae":
-        if b"<texture" not in content:  # no effect uses the images
+        if b"<texture" not in content:  # no effect of the file uses its images
             return []
         return [name.removeprefix(b"file://").replace(b"%20", b" ") for name in _IMAGE.findall(content)]
     return [name for materials in _materials(file, content) for name in _MAP.findall(materials)]

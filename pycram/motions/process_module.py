@@ -283,7 +283,7 @@ class Motion:
     def carry_out(self) -> Any:
         """Wait for the turn, resolve the designator, run the process module, and return the module's result."""
         try:
-            for branch in self._designator.branches():  # before the motion holds resources, which the branches may need
+            for branch in self._designator.branches():  # before the motion holds resources that the branches may need
                 branch.result()
             with self.ticket.turn():
                 checkpoint()

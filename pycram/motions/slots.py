@@ -183,7 +183,7 @@ class SlotTable:
     slots: tuple[Slot, ...]  # all slots but ``type``
     one_of: tuple[str, ...] = ()  # at least one of these slots is required
     only_one: bool = False  # whether exactly one of these slots is required
-    designator: str = ""  # for a class without a slot ``type``, its name, such as "an ObjectDesignator"
+    designator: str = ""  # name of a class without a slot ``type``, such as "an ObjectDesignator"
     takes_designators: ClassVar[bool] = False  # whether designators may replace values (ValueKind.designator)
 
     def describe(self) -> str:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 _JOINT_STEP: Final = 0.05  # motion in rad or m of a joint between checked configurations in a search
-_THERE: Final = 1e-3  # rad or m from its goal within which a joint doesn't move, because motors aren't more accurate
+_THERE: Final = 1e-3  # distance to the goal below which a joint doesn't move, in rad or m; motors aren't more accurate
 _LINE_STEP: Final = 0.01  # motion in m of the tool between neighbouring postures
 _LINE_TURN: Final = 0.05  # turn in rad of the tool between neighbouring postures
 _JUMP: Final = 0.35  # motion in rad or m of a joint between neighbouring postures; a larger one changes the posture

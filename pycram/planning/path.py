@@ -129,7 +129,7 @@ def _searched(query: Query, clearance: Clearance, space: Space, budget: int, rea
 
 
 def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knots:
-    """Return the fastest knots of a path whose rounded corners are free."""
+    """Return the fastest knots of a path, rounded at corners that stay free of collisions."""
     for spacing in timing.SPACINGS:
         knots = timing.timed(path, query.rates, spacing)
         if clearance.free(_looked_at(query, knots, fine)):

@@ -33,7 +33,7 @@ Job = TypeVar("Job")
 GRACE: Final = 5.0  # seconds between the interrupt of a run and its SIGKILL
 _PR_SET_PDEATHSIG: Final = 1
 _SIZE: Final = "/proc/self/statm"  # this file contains the size of the process in pages
-_BLOCK: Final = 1 << 20  # bytes of one read
+_BLOCK: Final = 1 << 20  # number of bytes of one read
 _CRASHED: Final = 70  # exit code of a child with an error outside of the action
 _prctl: Any = None  # loaded before any fork: loading changes half a megabyte of memory in each child
 with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has it

@@ -105,7 +105,7 @@ class BranchLine(NamedTuple):
 
 
 class AppliedPrecedence(NamedTuple):
-    """A precedence that changed the order of a run."""
+    """A precedence that changed the order of branches in a run."""
 
     precedence: Precedence
     first: BranchLine  # line of the branch that ran first
@@ -175,7 +175,7 @@ class Order:
 
     Args:
         draw: Chooses branches at random; None to choose the branch with the first rank.
-        precedences: Exceptions from the ranks.
+        precedences: Exceptions from the order of the ranks.
     """
 
     def __init__(self, draw: Pct | None = None, precedences: Iterable[Precedence] = ()) -> None:

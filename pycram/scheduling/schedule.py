@@ -506,7 +506,7 @@ class Scheduler:
         """
         if self.awaits_strike() or threads_of_plan() or interrupts.has_handlers():
             return True
-        return not self._bell.locked()  # after the other checks: a thread may ring the bell and end
+        return not self._bell.locked()  # this check is last, because a thread may ring the bell and end
 
     def _fail_deadlocked(self) -> None:
         """Raise DeadlockedBranches outside of the branches; if that didn't end the waits, raise it in a branch.

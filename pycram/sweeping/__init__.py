@@ -105,7 +105,7 @@ def sweep(
     folder: str | Path,
     *,
     seed: int = 0,
-    set: Mapping[str, Sequence[Any]] | None = None,  # noqa: A002  as on the command line
+    set: Mapping[str, Sequence[Any]] | None = None,  # noqa: A002  the name of the option on the command line
     sample: Mapping[str, str] | None = None,
     cores: int = 0,
     limit: float = LIMIT,

@@ -287,7 +287,7 @@ class Local:
         going = {job.number for job in waiting}
 
         def start(job: _Job) -> Child:
-            began = time.monotonic()  # before the time limit begins
+            began = time.monotonic()  # measured before the child's time limit begins
             once = partial(run_once, self._spec, job.number, job.attempt, self._models, began)
             return run_from_start(partial(once, noting=not self._warm, lost=job.lost))
 

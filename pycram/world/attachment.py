@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.urdf import Urdf
 
-_CONTACT_GAP: Final = 0.003  # distance in m above its support at which a body rests; half a millimetre is usual
+_CONTACT_GAP: Final = 0.003  # largest distance in m between a resting body and its support; half a millimetre is usual
 _DROP_HEIGHT: Final = 0.03  # largest height in m of a body above the floor of the drawer that contains it
 _GRIP_GAP: Final = 0.001  # distance in distance in m between a body and a finger that holds it
 _SLIGHT: Final = 2e-3  # overlap in m below which bodies move apart without pushing each other

@@ -56,7 +56,7 @@ class Followed:
         self.trajectory = with_followers(body, Trajectory.of_record(following.begin.trajectory))
         #: The moving joints; empty for the base.
         self.joints: tuple[MovableJoint, ...] = tuple(body.handle.joints[name] for name in self.trajectory.joints)
-        self.time = time_of(following, sim_step)  # s of the trajectory that the body has followed
+        self.time = time_of(following, sim_step)  # time in s up to which the body has followed the trajectory
         self.lost: tuple[str, float] | None = None  # the first joint that deviated by more than LOST, and its deviation
         self.ended = False
         self._targets: Sequence[float] = self.trajectory.at(self.time)[0]

@@ -26,7 +26,7 @@ RECOGNISABLE: Final = 0.5
 
 
 class Detecting(SimulatedModule):
-    """Finds the object of a type of which the robot's camera sees the largest share."""
+    """Finds an object of a type in the camera's view; of several, the one with the largest visible share."""
 
     failures = (PerceptionError, MissingPart)
 

@@ -91,7 +91,7 @@ class PickUp(SimulatedModule):
                 release = None if giver is None else _release(robot, giver, body)
                 if giver is not None:
                     attachment.detach(robot, body)
-                along = [load for load in along if load.alive and load.carrier is None]  # not taken by another hand
+                along = [load for load in along if load.alive and load.carrier is None]  # no other hand took it
                 left = [other for other in left if other.alive and other.carrier is None]
                 attachment.attach(robot, body, arm.tool_frame, None, along=along, left=left)
                 lift = self.execution.lift(robot, arm) if giver is None else None

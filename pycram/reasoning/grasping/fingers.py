@@ -41,9 +41,7 @@ _MANY: Final = 3  # minimum number of moving parts that close one by one; two ja
 _ALONE: Final = 64  # steps between open and closed for a part that closes alone
 _REACH: Final = 0.005  # total gap in m that opposite fingers may leave, because hand and object give way
 _ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
-_AROUND: Final = (
-    0.4  # the same component for fingers around a center; two of three touch a carton's edges at 60 degrees
-)
+_AROUND: Final = 0.4  # the same for fingers around a center; two of three fingers touch a carton's edges at 60 degrees
 _CACHED: Final = 32
 _SWEPT: Final = 8  # steps between open and closed; within a step, fingers stay within the margins of their boxes
 
@@ -97,7 +95,7 @@ def finger_motion(
     loads = [] if release is None else release.carried
     absent = robot, release, *(load.body for load in loads)
     others = _near(clone, robot, gripper, palm, there, [o for o in robot.world.objects if o not in absent])
-    if not others and release is None:  # nothing is near, so the clone isn't necessary
+    if not others and release is None:  # nothing is near, so no simulation clone is necessary
         return FingerMotion(gripper.at(goal), goal)
     engine, hand = clone.engine, clone.body(robot.name)
 

@@ -202,7 +202,7 @@ class ArmKinematics:
             targets: xyz in m and orientations xyzw in the base link; all targets have an orientation, or none.
             seeds: the first starting postures.
             thorough: whether to use all starting postures, even if some reach the target.
-            quick: whether to use only a few starting postures; a miss then proves nothing.
+            quick: whether to use only a few starting postures; if they fail, the target may still be reachable.
             enough: distance in m from the target above which a posture is useless for the caller.
 
         Returns:

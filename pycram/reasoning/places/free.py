@@ -334,7 +334,7 @@ class SurfaceSearch(Search):
         assert robot is not None  # noqa: S101  the caller has checked that there is a robot
         (x, y, height), here = grid.origin, robot.get_position()
         low, high = (x, y), (x + grid.shape[1] * grid.resolution, y + grid.shape[0] * grid.resolution)
-        lift = float(np.ptp(self._corners[:, 2])) / 2  # m; arms grasp objects at about half of their height
+        lift = float(np.ptp(self._corners[:, 2])) / 2  # arms grasp objects at about half of their height, m
         shoulders = [
             (arm_reach(robot, arm), height + lift - robot.get_link_position(arm.base_link)[2]) for arm in self._arms
         ]

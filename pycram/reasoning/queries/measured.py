@@ -32,7 +32,7 @@ class ContactClient:
 
     model_of: Callable[[str, LoadBody], Model]
     _engine: Engine | None = None
-    _copies: dict[tuple[str, str, str], _Copy] = field(default_factory=dict)  # by world, body and model
+    _copies: dict[tuple[str, str, str], _Copy] = field(default_factory=dict)  # copies by world, body and model
     _known: dict[object, tuple[object, list[ClosestPoint]]] = field(default_factory=dict)  # latest results by pair
 
     def touch(self, world: FoldedWorld, one: tuple[str, str], other: tuple[str, str]) -> Touch:
