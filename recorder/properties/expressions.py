@@ -16,6 +16,7 @@ import re
 import tomllib
 import warnings
 from contextlib import suppress
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import cache
 from itertools import pairwise
@@ -77,8 +78,9 @@ class NoValue(LookupError):
         self.known = tuple(known)
 
 
-class Truth(NamedTuple):
-    """Whether a condition holds, and its margin."""
+@dataclass(frozen=True, order=True, slots=True)
+class Truth:
+    """Whether a condition holds, and its margin. It isn't a tuple, so calculations with conditions fail."""
 
     margin: float
     holds: bool
@@ -147,23 +149,29 @@ class Scene:
                 return held.body
         return None
 
-    def touches(self, one: str, other: str) -> Contacts:
+    def touches(self, one: str, other: str) -> dict[tuple[tuple[str, str], tuple[str, str]], Touch]:
         """Return the contacts of pairs of bodies. Both names are a body, BODY.LINK, a link, or a pattern with ``*``."""
         if self.geometry is None:
             raise NoValue("contacts need the executor")
         for world in self.opened():
             first, second = (list(self._matching(world, self.geometry, name)) for name in (one, other))
             if first and second:
-                pairs = {(a, b): None for a in first for b in second if a[0] != b[0] and (b, a) != (a, b)}
-                return Contacts({pair: self.geometry.touch(world, *pair) for pair in pairs})
+                return {(a, b): self.geometry.touch(world, a, b) for a in first for b in second if a[0] != b[0]}
         for name in (one, other):
-            if "*" not in name:
+            if not _is_pattern(name):
                 self.named(name)
         raise NoValue(f"no objects are called {one} and {other}")
 
+    def matching(self, pattern: str) -> list[BodyQuantities]:
+        """Return the bodies whose names match a pattern."""
+        for world in self.opened():
+            if found := [BodyQuantities(world, each) for each in world.bodies if fnmatchcase(each, pattern)]:
+                return found
+        raise NoValue(f"no objects are called {pattern}")
+
     @staticmethod
     def _matching(world: FoldedWorld, geometry: Geometry, name: str) -> Iterator[tuple[str, str]]:
-        if "*" in name or "?" in name:
+        if _is_pattern(name):
             yield from ((each, "") for each in world.bodies if fnmatchcase(each, name))
             return
         found = _find(world, name)
@@ -176,16 +184,20 @@ class Scene:
             yield owner, link
 
 
-class Contacts:
-    """Whether pairs of bodies touch."""
+class Conditions:
+    """A condition of each object, or each pair of objects, that matches a pattern. It means "any" or "all" of them."""
 
-    def __init__(self, pairs: Mapping[tuple[tuple[str, str], tuple[str, str]], Touch]) -> None:
-        self.touching = [f"{a[0]} and {b[0]}" for (a, b), touch in pairs.items() if touch.contact.holds]
-        self.truth = max((touch.contact for touch in pairs.values()), default=Truth(-RANGE, False))
-        self.on = max((touch.on for touch in pairs.values()), default=Truth(-RANGE, False))
+    def __init__(self, truths: Iterable[Truth], choose: Callable[[Iterable[Truth]], Truth] = max) -> None:
+        self.truths = list(truths)
+        self._choose = choose
+        self.truth = choose(self.truths) if self.truths else Truth(-RANGE, False)
+
+    def negated(self) -> Conditions:
+        """Return the opposite conditions: "all" in place of "any"."""
+        return Conditions([each.negated() for each in self.truths or [self.truth]], max if self._choose is min else min)
 
     def __len__(self) -> int:
-        return len(self.touching)
+        return sum(each.holds for each in self.truths)
 
 
 class BodyQuantities:
@@ -220,6 +232,10 @@ class BodyQuantities:
     def tilt(self) -> float:
         """The angle between the vertical axes of the body and the world in rad."""
         return geometry.lean(geometry.IDENTITY[1], self._body.orientation)
+
+
+def _is_pattern(name: object) -> bool:
+    return isinstance(name, str) and ("*" in name or "?" in name)
 
 
 @cache
@@ -262,10 +278,8 @@ def plain(value: object) -> Any:
     """Return a value as numbers, texts, None and tuples."""
     if isinstance(value, BodyQuantities):
         return value.part("position"), value.part("orientation")
-    if isinstance(value, Truth):
-        return value.holds
-    if isinstance(value, Contacts):
-        return bool(value.touching)
+    if isinstance(value, Truth | Conditions):
+        return truth(value).holds
     if not isinstance(value, str | int | float | tuple | None):
         raise NoValue("a world has no value; name a body of the world")
     return value
@@ -275,7 +289,7 @@ def truth(value: object) -> Truth:
     """Return the truth of a value. Values other than conditions are true as in Python, with an infinite margin."""
     if isinstance(value, Truth):
         return value
-    if isinstance(value, Contacts):
+    if isinstance(value, Conditions):
         return value.truth
     return Truth(math.inf, True) if value else Truth(-math.inf, False)
 
@@ -355,6 +369,8 @@ class PropertyExpression:
                 return lambda scene: choose([truth(operand(scene)) for operand in operands])
             case ast.UnaryOp(op=op) | ast.BinOp(op=op) if operation := _OPERATIONS.get(type(op)):
                 nodes = [node.operand] if isinstance(node, ast.UnaryOp) else [node.left, node.right]
+                if not isinstance(op, ast.Not):
+                    self._check_numbers(node, nodes)
                 operands = [self._compile(each) for each in nodes]
                 return lambda scene: operation(*[operand(scene) for operand in operands])
             case ast.Compare():
@@ -373,8 +389,10 @@ class PropertyExpression:
     def _comparison(self, node: ast.Compare) -> Function:
         nodes = [node.left, *node.comparators]
         terms = [self._compile(each) for each in nodes]
-        for one, other in pairwise(nodes):
+        for (one, other), op in zip(pairwise(nodes), node.ops, strict=True):
             self._check_kinds(one, other)
+            if isinstance(op, ast.Lt | ast.LtE | ast.Gt | ast.GtE) or any(map(_is_amount, (one, other))):
+                self._check_numbers(node, (one, other))
         comparisons = [_COMPARISONS[type(each)] for each in node.ops]
 
         def compare(scene: Scene) -> Truth:
@@ -391,6 +409,15 @@ class PropertyExpression:
             if _kind(quantity) in ("rad", "joint"):
                 self._check_angle(number)
         self.units |= kinds & {"m", "rad", "s"} or {""}
+
+    def _check_numbers(self, node: ast.expr, nodes: Iterable[ast.expr]) -> None:
+        """Refuse to calculate with conditions."""
+        for each in nodes:
+            if isinstance(each, ast.List | ast.Tuple):
+                self._check_numbers(node, each.elts)
+            elif _is_condition(each):
+                count = "count(...) is the number of objects for which a condition holds"
+                self._refuse(f"{_written(node)}: {_written(each)} is a condition, not a number; {count}")
 
     def _check_angle(self, node: ast.expr) -> None:
         """Refuse an angle in degrees without a unit."""
@@ -421,16 +448,14 @@ class PropertyExpression:
             return lambda _: size
         if name not in _FUNCTIONS:
             self._refuse(f"there is no function {name}{did_you_mean(name, _FUNCTIONS)}")
-        least, most = _FUNCTIONS[name]
-        if not least <= len(arguments) <= most:
-            takes = str(least) if least == most else f"{least} to {most}"
-            self._refuse(f"{name} takes {takes} argument{'' if takes == '1' else 's'}, not {len(arguments)}")
+        self._check_arguments(node, name, arguments)
         if name in _BY_NAME:
             return self._quantity(node, self._function_of_names(name, [self._name(each) for each in arguments]))
-        for each in arguments[_ANGLES.get(name, 9) :]:
-            self._check_angle(each)
         before = dict(self.quantities)
         terms = [self._compile(_meant(each) if name in _OF_BODIES else each) for each in arguments]
+        if name == "upright" and isinstance(arguments[0], ast.Name | ast.Constant) and _has_pattern(arguments[0]):
+            pattern = self._name(arguments[0])
+            terms[0] = lambda scene: scene.matching(pattern)
         function = _CALLED[name]
 
         def call(scene: Scene) -> Any:
@@ -442,8 +467,20 @@ class PropertyExpression:
         if name != "upright":
             return self._quantity(node, call)
         self.units.add("rad")
-        self.quantities[f"tilt({_written(arguments[0])})"] = lambda scene: _body(terms[0](scene)).tilt
+        self.quantities[f"tilt({_written(arguments[0])})"] = lambda scene: _tilt(terms[0](scene))
         return call
+
+    def _check_arguments(self, node: ast.expr, name: str, arguments: Sequence[ast.expr]) -> None:
+        least, most = _FUNCTIONS[name]
+        if not least <= len(arguments) <= most:
+            takes = str(least) if least == most else f"{least} to {most}"
+            self._refuse(f"{name} takes {takes} argument{'' if takes == '1' else 's'}, not {len(arguments)}")
+        for each in arguments[_ANGLES.get(name, 9) :]:
+            self._check_angle(each)
+        if name in _OF_NUMBERS:
+            self._check_numbers(node, () if name == "len" and _is_condition(arguments[0], ("contact",)) else arguments)
+        if name == "count" and isinstance(arguments[0], ast.BoolOp | ast.Compare) and _has_pattern(arguments[0]):
+            self._refuse(f"{_written(node)}: count takes a single condition with a pattern")
 
     def _function_of_names(self, name: str, names: list[str]) -> Function:
         self.names |= dict.fromkeys(names)
@@ -451,7 +488,10 @@ class PropertyExpression:
             return lambda scene: scene.holding(*names)
         self.needs_geometry = True
         self.units.add("m")
-        return lambda scene: scene.touches(*names).on if name == "on" else scene.touches(*names)
+        if name == "on":
+            return lambda scene: Conditions(touch.on for touch in scene.touches(*names).values())
+        pairs = operator.methodcaller("touches", *names)
+        return lambda scene: Conditions({frozenset(pair): each.contact for pair, each in pairs(scene).items()}.values())
 
     def _name(self, node: ast.expr) -> str:
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
@@ -473,6 +513,23 @@ def _meant(node: ast.expr) -> ast.expr:
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return ast.Name(node.value, ast.Load())
     return node
+
+
+def _is_condition(node: ast.expr, calls: Sequence[str] = ("contact", "on", "upright")) -> bool:
+    match node:
+        case ast.Compare() | ast.BoolOp() | ast.UnaryOp(op=ast.Not()):
+            return len(calls) > 1
+        case ast.Call(func=ast.Name(id=name)):
+            return name in calls
+    return False
+
+
+def _is_amount(node: ast.expr) -> bool:
+    return isinstance(node, ast.Constant) and isinstance(node.value, int | float) and node.value not in (0, 1)
+
+
+def _has_pattern(node: ast.expr) -> bool:
+    return any(isinstance(each, ast.Constant) and _is_pattern(each.value) for each in ast.walk(node))
 
 
 def _kind(node: ast.expr) -> str:
@@ -530,7 +587,7 @@ def _equal(a: Any, b: Any) -> Truth:
 
 
 def _holds(value: Any) -> Any:
-    return truth(value).holds if isinstance(value, Truth | Contacts) else value
+    return truth(value).holds if isinstance(value, Truth | Conditions) else value
 
 
 def _is_number(value: object) -> bool:
@@ -555,7 +612,7 @@ def _among(value: Any, others: Any) -> Truth:
 
 
 _OPERATIONS: Final[Mapping[type, Callable[..., Any]]] = {
-    ast.Not: lambda value: truth(value).negated(),
+    ast.Not: lambda value: (value if isinstance(value, Conditions) else truth(value)).negated(),
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
     ast.Add: operator.add,
@@ -599,15 +656,31 @@ def _body(value: Any) -> BodyQuantities:
     return value
 
 
+def _tilt(value: Any) -> Any:
+    return tuple(each.tilt for each in value) if isinstance(value, list) else _body(value).tilt
+
+
+def _upright(value: Any, tolerance: float = _UPRIGHT) -> Truth | Conditions:
+    if isinstance(value, list):
+        return Conditions(_at_least(tolerance, each.tilt) for each in value)
+    return _at_least(tolerance, _tilt(value))
+
+
+def _count(value: Any) -> int:
+    """Return how many objects of a pattern, or elements of a list, fulfil their condition."""
+    each = value.truths if isinstance(value, Conditions) else value if isinstance(value, tuple) else (value,)
+    return sum(truth(one).holds for one in each)
+
+
 _CALLED: Final[Mapping[str, Callable[..., Any]]] = {
     **{each.__name__: each for each in (abs, len, max, min, round, sum)},
     "sqrt": math.sqrt,
     "degrees": math.degrees,
-    "count": lambda value: len(value) if isinstance(value, Contacts | tuple) else int(truth(value).holds),
+    "count": _count,
     "distance": lambda a, b: math.dist(_point(a), _point(b)),
     "angle": _angle,
-    "tilt": lambda body: _body(body).tilt,
-    "upright": lambda body, tolerance=_UPRIGHT: _at_least(tolerance, _body(body).tilt),
+    "tilt": _tilt,
+    "upright": _upright,
 }
 #: Smallest and largest number of arguments of each function.
 _FUNCTIONS: Final = {
@@ -618,5 +691,6 @@ _FUNCTIONS: Final = {
     "holding": (0, 1),
 }
 _BY_NAME: Final = ("holding", "contact", "on")  # functions of names
+_OF_NUMBERS: Final = ("abs", "round", "sum", "len", "sqrt", "degrees")
 _ANGLES: Final = {"upright": 1, "angle": 0}  # index of the first angle among the arguments
 _OF_BODIES: Final = ("distance", "angle", "tilt", "upright")  # a text argument of these functions is an object

@@ -98,6 +98,15 @@ def test_contacts_are_measured_at_each_moment(log: Recording) -> None:
     assert (bool(lying), lying.verdict.margin) == (True, pytest.approx(0.001, abs=1e-3))
 
 
+def test_a_count_of_conditions_is_a_number_of_objects(log: Recording) -> None:
+    counted = log.check(
+        'at end count(on("*", floor)) == 1',  # the milk is in the air
+        'at end count(not on("*", floor)) == 1',
+        'at end count(contact("*", "*")) == 1',
+    )
+    assert all(counted), [each.verdict.values for each in counted]
+
+
 def test_the_verb_prints_results_and_fails_if_one_is_violated(
     log: Recording, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
