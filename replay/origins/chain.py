@@ -197,22 +197,17 @@ class Tracer:
         return None if note is None else note.result
 
     def _bind(self, node: ast.Name, place: Evaluation) -> tuple[Note, int] | None:
-        """Return the note that gave a name its value, and the index of its value."""
-        functions = 0
+        """Return the note of a name's value, and the index of the value."""
         for around in self._parents(node):
             if isinstance(around, _COMPREHENSIONS):
                 for each in around.generators:
                     if node.id in bound_names(each) and (note := self._noted(each, place)) is not None:
                         return note, bound_names(each).index(node.id)
-            if isinstance(around, FUNCTIONS):
-                functions += 1
-                if functions == 1 and (found := self._last(place.frame, node.id, place.time)) is not None:
-                    return found
-                entered = self._noted(around, place) if functions > 1 or isinstance(around, ast.Lambda) else None
-                if entered is not None and (found := self._last(entered.frame, node.id, place.time)) is not None:
-                    return found
-        if not functions and (found := self._last(place.frame, node.id, place.time)) is not None:
-            return found
+            elif isinstance(around, FUNCTIONS | ast.Module):
+                entered = None if isinstance(around, ast.Module) else self._noted(around, place)
+                for frame in (place.frame, place.frame if entered is None else entered.frame):
+                    if (found := self._last(frame, node.id, place.time)) is not None:
+                        return found
         return self._in_module(self._file(node), node.id, place.time)
 
     def _last(self, frame: int, name: str, time: int) -> tuple[Note, int] | None:
@@ -294,7 +289,6 @@ class Tracer:
         yield self._fact(kind, located, name, held, note.step, joined(parts, made), remark=remark)
 
     def _remark(self, name: str, note: Note, place: Evaluation) -> str:
-        """Return what is unusual about a name: it outlived its loop, or hides another one."""
         node, code = self._node(note), self._notes.codes[note.frame]
         if isinstance(node, ast.For) and note.frame != place.frame:
             return "as the loop left it"
@@ -313,7 +307,6 @@ class Tracer:
         return ""
 
     def _argument(self, name: str, note: Note, held: Held, changes: list[Origin]) -> Facts:
-        """Yield how a function got an argument."""
         node, call = self._node(note), note.parent
         if call is None:
             return
@@ -334,7 +327,6 @@ class Tracer:
             yield self._fact("argument", located, name, held, note.step, joined(changes, inner))
 
     def _changed(self, ref: Any, since: int, until: int, key: Any = None) -> Facts:
-        """Yield the last changes of a container or object between two moments."""
         if isinstance(ref, bool | int | float | str | tuple | type(None) | ModuleType):
             return
         notes = [note for note in self._changes.get(id(ref), ()) if since < note.time and note.time < until]

@@ -490,7 +490,7 @@ class AnswerOracle:
         for given in self.given:
             if isinstance(given, ForcedDecision) and given.fits(kind, name, arguments):
                 value = given.decide(kind, arguments)
-                if value is not None and not given.lasts:
+                if value is not None and kind != "order":
                     self.given.remove(given)
                 given.used |= value is not None
                 return value

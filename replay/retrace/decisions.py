@@ -57,11 +57,6 @@ class ForcedDecision:
     used: bool = False
     _in_a_row: list[str] = field(default_factory=list)
 
-    @property
-    def lasts(self) -> bool:
-        """Whether the value applies to all later decisions."""
-        return self.name == _ORDER
-
     def fits(self, kind: str, name: str, arguments: Mapping[str, Any]) -> bool:
         """Return whether a decision of the running plan matches."""
         if name != self.name or (kind == "call") != (self.value == Name(SKIPPED)) or (self.slot and kind != "solution"):
@@ -166,28 +161,22 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
     if given.number > len(names):
         listed = ", ".join(f"#{number} {name}" for number, name in enumerate(names, 1))
         raise BadChange(given.text, f"the choice at step {found.seq} has {len(names)} candidates: {listed}")
-    name = names[given.number - 1] if given.number else _place(given, found)
+    spots = zip(found.grid.spots, names, strict=False)
+    near = (name for spot, name in spots if _is_value(given.value, list(spot.position)))
+    name = names[given.number - 1] if given.number else next(near, None)
+    if name is None:
+        text = f"no candidate of step {found.seq} is within {_NEAR * 100:.0f} cm of that place"
+        raise BadChange(given.text, text)
     return f"{given.text.rpartition('=')[0]}={name!r}"
 
 
 def _candidates(record: Query) -> Iterator[str]:
     """Yield the names of the recorded candidates. Places are in the order of their scores."""
-    if record.name in _PLACES:
-        decimals = _PLACES[record.name]
-        for spot in record.grid.spots:
-            x, y, _ = spot.position
-            yield f"[{x:.{decimals}f}, {y:.{decimals}f}]"
-        return
-    for candidate in record.candidates:
+    decimals = _PLACES.get(record.name)
+    for spot in record.grid.spots if decimals is not None else ():
+        yield f"[{spot.position[0]:.{decimals}f}, {spot.position[1]:.{decimals}f}]"
+    for candidate in record.candidates if decimals is None else ():
         yield from candidate.names
-
-
-def _place(given: ForcedDecision, record: Query) -> str:
-    """Return the name of the candidate at a place."""
-    for spot, name in zip(record.grid.spots, _candidates(record), strict=False):
-        if _is_value(given.value, list(spot.position)):
-            return name
-    raise BadChange(given.text, f"no candidate of step {record.seq} is within {_NEAR * 100:.0f} cm of that place")
 
 
 def is_same(term: Term, value: object) -> bool:
