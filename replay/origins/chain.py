@@ -49,7 +49,7 @@ class Tracer:
             id(part): node for _, node in notes.nodes for part in ast.iter_child_nodes(node) if hasattr(part, "_fields")
         }
         self._of_node: dict[int, list[Note]] = defaultdict(list)
-        self._binds: dict[tuple[int, str], list[tuple[int, Note, int]]] = defaultdict(list)
+        self._binds: dict[tuple[int, str], list[tuple[Note, int]]] = defaultdict(list)
         self._returns: dict[int, Note] = {}
         self._modules: dict[str, int] = {}  # number of the module's frame, by file
         self._changes: dict[int, list[Note]] = defaultdict(list)  # by id of the changed object
@@ -70,7 +70,7 @@ class Tracer:
             self._returns[note.parent.time] = note
         if note.kind == "bind":
             for at, name in enumerate(bound_names(node)):
-                self._binds[note.frame, name].append((note.time, note, at))
+                self._binds[note.frame, name].append((note, at))
         elif note.kind == "store":
             self._changes[id(note.values[0].ref)].append(note)
         elif note.kind == "call":
@@ -205,15 +205,15 @@ class Tracer:
                         return note, bound_names(each).index(node.id)
             elif isinstance(around, FUNCTIONS | ast.Module):
                 entered = None if isinstance(around, ast.Module) else self._noted(around, place)
-                for frame in (place.frame, place.frame if entered is None else entered.frame):
+                for frame in (place.frame, entered.frame if entered is not None else -1):
                     if (found := self._last(frame, node.id, place.time)) is not None:
                         return found
         return self._in_module(self._file(node), node.id, place.time)
 
     def _last(self, frame: int, name: str, time: int) -> tuple[Note, int] | None:
         binds = self._binds.get((frame, name), [])
-        until = bisect_right(binds, time, key=lambda bind: bind[0])
-        return (binds[until - 1][1], binds[until - 1][2]) if until else None
+        until = bisect_right(binds, time, key=lambda bind: bind[0].time)
+        return binds[until - 1] if until else None
 
     def _in_module(self, file: str, name: str, time: int) -> tuple[Note, int] | None:
         found = self._last(self._modules.get(file, -1), name, time)
@@ -267,15 +267,13 @@ class Tracer:
             yield from self._argument(name, note, held, parts)
             return
         kind, source, remark = "value", getattr(node, "value", None), self._remark(name, note, place)
+        located = node.target if isinstance(node, ast.comprehension) else node
         if isinstance(node, ast.For | ast.AsyncFor | ast.comprehension):
             kind, source = "item", node.iter
             written = {value: self.value(value, before) for _, value in self._written(node.iter, before)[0]}
             elements = [each for each, value in written.items() if value and _same(value.copy, held.copy)]
             if len(elements) == 1:
-                (element,) = elements
-                inner = joined(parts, self._inputs(element, before))
-                yield self._fact(kind, element, name, held, note.step, inner, remark=remark)
-                return
+                located = source = elements[0]
         elif isinstance(node, ast.With | ast.AsyncWith):
             source = node.items[0].context_expr
         elif isinstance(node, ast.AugAssign):
@@ -283,7 +281,6 @@ class Tracer:
             parts += self._bound(name, *earlier, before) if earlier is not None else ()
         elif isinstance(node, ast.Assign):
             source = _matching(node.targets[0], node.value, name)
-        located = node.target if isinstance(node, ast.comprehension) else node
         made = () if source is None else self._inputs(source, before)
         remark = remark or self._rounding(source, before)
         yield self._fact(kind, located, name, held, note.step, joined(parts, made), remark=remark)

@@ -84,15 +84,13 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
 
 def _steps(log: RecordReader, why: Why) -> dict[int, bool]:
     """Return the steps that led to the failure, and whether they decided it; these steps come first."""
-    found: dict[bool, list[int]] = {True: [], False: []}
-    for cause in why.causes[:_MAX_CAUSES]:
-        found[cause.kind in _DECIDING] += _made_by(cause)
-    found[False] += _made_state(log, why)
+    causes = [(each, each.kind in _DECIDING) for each in why.causes[:_MAX_CAUSES]]
+    causes.sort(key=lambda each: not each[1])
+    found = [(step, decides) for cause, decides in causes for step in _made_by(cause)]
     steps: dict[int, bool] = {}
-    for decides, those in found.items():
-        for step in those:
-            if step < why.step:
-                steps.setdefault(step, decides)
+    for step, decides in (*found, *((step, False) for step in _made_state(log, why))):
+        if step < why.step:
+            steps.setdefault(step, decides)
     return steps
 
 

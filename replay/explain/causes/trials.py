@@ -235,10 +235,11 @@ def skipped(refusal: Refusal) -> Iterator[Trial]:
     """Yield the trial in which a refused call isn't made, if such calls have no result."""
     if refusal.name.startswith("set_") or refusal.name in _WITHOUT_RESULT:
         subject = argument_values(refusal.arguments).get("object")
-        name = subject.get("object") if isinstance(subject, dict) else None
-        given = f"object={written(str(name))}" if name else "..."
-        answer = f"{refusal.name}({given})=skip"
-        yield Trial(refusal.seq - 1, f"{phrases.refused(refusal)} isn't called", answers=(answer,))
+        given = (
+            f"object={written(str(subject['object']))}" if isinstance(subject, dict) and "object" in subject else "..."
+        )
+        answers = (f"{refusal.name}({given})=skip",)
+        yield Trial(refusal.seq - 1, f"{phrases.refused(refusal)} isn't called", answers=answers)
 
 
 def other_arm(case: FailureCase, task: Node) -> Iterator[Trial]:
