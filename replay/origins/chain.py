@@ -410,25 +410,24 @@ class Tracer:
 
     def _item(self, node: ast.Subscript, place: Evaluation) -> Facts:
         note, owner, key = self._noted(node, place), self.value(node.value, place), self.value(node.slice, place)
-        held = None if note is None else note.result
-        if owner is not None and key is not None and held is not None:
+        parts = [node.value, node.slice]
+        if owner is not None and key is not None and note is not None and note.result is not None:
             changed = [*self._changed(owner.ref, -1, place.time, key.copy)][:1]
-            if changed:
-                yield from changed
-                yield from self._inputs(node.slice, place)
-                return
             written, at = self._written(node.value, place)
             element = next((value for each, value in reversed(written) if _same(each, key.copy)), None)
-            if element is not None and not self._is_known(self._numbers[id(element)], ast.unparse(node)):
+            if changed:
+                yield from changed
+                parts = [node.slice]
+            elif element is not None and not self._is_known(self._numbers[id(element)], ast.unparse(node)):
                 name = ast.unparse(node)
                 if not isinstance(node.slice, ast.Constant):
                     name += f", {ast.unparse(node.slice)} = {shown(key.copy)}"
-                changes = self._changed(held.ref, at.time, place.time)
-                parts = joined(changes, self._inputs(node.slice, place), self._inputs(element, at))
-                yield self._fact("item", element, name, held, -1 if note is None else note.step, parts)
+                changes = self._changed(note.result.ref, at.time, place.time)
+                made = joined(changes, self._inputs(node.slice, place), self._inputs(element, at))
+                yield self._fact("item", element, name, note.result, note.step, made)
                 return
-        yield from self._inputs(node.value, place)
-        yield from self._inputs(node.slice, place)
+        for each in parts:
+            yield from self._inputs(each, place)
 
     def _written(self, node: Any, at: Evaluation) -> tuple[list[tuple[Any, ast.expr]], Evaluation]:
         """Return the keys and elements of a container as they are in the source, and the container's evaluation."""

@@ -30,12 +30,9 @@ class _NotingSink(NullSink):
 
     def __init__(self, guidance: Guidance, folder: Path, steps: list[int], result: str) -> None:
         own = str(Path(json.loads(sys.argv[1])["plan"]).parent)
-        packages = tuple(
-            str(Path(sys.modules[name].__file__ or "").parent) + os.sep for name in ("pycram", "recorder", "replay")
-        )
-        self.notes = ValueNotes(
-            lambda file: file.startswith(own) and "site-packages" not in file and not file.startswith(packages)
-        )
+        names = "pycram", "recorder", "replay"
+        others = "site-packages", *(str(Path(sys.modules[name].__file__ or "").parent) + os.sep for name in names)
+        self.notes = ValueNotes(lambda file: file.startswith(own) and not any(each in file for each in others))
         self.guided = GuidedRun(guidance, folder, self._report, self._refuse)
         self._steps, self._result = set(steps), result
         self._tasks: dict[int, Note | None] = {}
@@ -86,9 +83,8 @@ def main() -> None:
     """Run a plan with notes, as requested in JSON by :func:`replay.origins.origins.origins`."""
     request = json.loads(sys.argv[1])
     die_with(request["parent"])
-    sink = _NotingSink(
-        Guidance.of_json(request["guidance"]), Path(request["folder"]), request["steps"], request["result"]
-    )
+    guidance, folder = Guidance.of_json(request["guidance"]), Path(request["folder"])
+    sink = _NotingSink(guidance, folder, request["steps"], request["result"])
     sink.notes.install()
     sink.guided.run(request["plan"], request["arguments"], lambda _: sink.guided.sink(sink))
     sink.finish()

@@ -146,18 +146,15 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
         state_at(log, step).world(world)  # unknown names raise an error even without settings
     for text in texts:
         setting = parse_setting(text, fluent=_is_of_fluent(log, text))
-        name = ""
-        if setting.quantity:
-            there = state_at(log, step).world(world)
-            name = there.name
-        if setting.quantity not in ("", _GRAVITY):
+        there = state_at(log, step).world(world) if setting.quantity else None
+        if there is not None and setting.quantity != _GRAVITY:
             is_robot = setting.name == "robot" and "robot" not in there.bodies
             if is_robot and not there.robot:
                 raise BadChange(text, f"{there.name} has no robot at step {step}")
             body = there.body(there.robot if is_robot else setting.name)
             if setting.quantity not in (*_COUNTS, _HAND) and setting.quantity not in body.joints:
                 raise NoSuchName(f"position, orientation, color or joint of {body.name}", setting.quantity, body.joints)
-        changes.append(Change(step=step, set=text, world=name))
+        changes.append(Change(step=step, set=text, world=there.name if there is not None else ""))
     return changes
 
 
@@ -321,17 +318,13 @@ def checked_answer(log: RecordReader, step: int, text: str) -> str:
     given = parse_answer(text)
     if isinstance(given, ForcedDecision):
         return on_record(log, step, given, ANSWERABLE)
-    loaded: dict[str, LoadBody] = {}
-    for record in log.records((Mutation, records.Keyframe)):
-        if isinstance(record, records.Keyframe):
-            loaded |= {each.body: each for each in record.loaded}
-        elif isinstance(record, Mutation) and record.HasField("load_body"):
-            loaded[record.load_body.body] = record.load_body
+    loaded = {each.load_body.body: each.load_body for each in log.records(Mutation) if each.HasField("load_body")}
+    loaded |= {each.body: each for keyframe in log.records(records.Keyframe) for each in keyframe.loaded}
     answer = given.answer if isinstance(given.answer, list) else []
     terms = [(each, given.arguments.get(each)) for each in (*_OBJECTS, *_PARTS)]
     for argument, term in [*terms, *((_OBJECTS[0], each) for each in answer if not isinstance(each, bool))]:
         if isinstance(term, Name | str):
-            known = (*loaded, "robot") if argument in _OBJECTS else _parts(log, loaded.values())
+            known = [*loaded, "robot"] if argument in _OBJECTS else [*_parts(log, loaded.values())]
             if text_of(term) not in known:
                 raise NoSuchName(argument.rstrip("12"), text_of(term), known)
     return text

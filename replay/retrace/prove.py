@@ -87,7 +87,7 @@ def prove(
                 found.append(known[trial])
         result = control.result()
         untested = [
-            "the budget of forks was spent" if each else cause.untestable
+            "the limit of forks was reached" if each else cause.untestable
             for each, cause in zip(trials, why.causes, strict=True)
         ]
         proofs = [_proof(*each, result) for each in zip(tried, untested, strict=True)]
@@ -166,7 +166,7 @@ class _Prover:
             if guided.difference is not None:
                 text = f"the plan differs before the change: {guided.difference.text}"
             elif guided.unused:
-                text = f"the decision {', '.join(guided.unused)} didn't come"
+                text = f"the decision {', '.join(guided.unused)} wasn't made"
             else:
                 with RecordReader(file) as forked:
                     verdict, text = self._judged(forked, trial, len(changes))
@@ -177,12 +177,12 @@ class _Prover:
     def _judged(self, forked: RecordReader, trial: Trial, added: int) -> tuple[str, str]:
         """Return the verdict of a fork, and its outcome in words."""
         if not isinstance(forked[-1], Run):
-            return UNTESTED, "the fork ended without an end of its recording"
+            return UNTESTED, "the recording of the fork has no end"
         wanted = "motion", trial.needs, Task.FINISHED
         every = forked.records(Task, trial.step + 1)
         needed = next((each for each in every if (each.kind, each.name, each.phase) == wanted), None)
         if needed is not None and needed.status != Task.SUCCEEDED:
-            return UNTESTED, f"{trial.needs} fails nevertheless: {phrases.failure(needed.failure)}"
+            return UNTESTED, f"{trial.needs} still fails: {phrases.failure(needed.failure)}"
         end = uncaught_failure(forked)
         started, finished = self._same_task(forked)
         if started is not None and finished is not None:
@@ -198,12 +198,12 @@ class _Prover:
             after = "and the plan succeeds" if end is None else f"later the plan fails: {phrases.failure(end.failure)}"
             return CONFIRMED, f"{name} succeeds, {after}"
         if failure is None:
-            return (UNTESTED, "the failed task doesn't come") if same else (CONFIRMED, "the plan succeeds")
+            return (UNTESTED, "the fork doesn't start the failed task") if same else (CONFIRMED, "the plan succeeds")
         said = phrases.failure(failure)
         if same:
             return REFUTED, f"the same failure comes: {said}"
         further = "gets further, and " * later
-        return CONFIRMED if later else UNTESTED, f"{name} {further}fails otherwise: {said}"
+        return CONFIRMED if later else UNTESTED, f"{name} {further}fails in another way: {said}"
 
     def _same_task(self, forked: RecordReader) -> tuple[Task | None, Task | None]:
         """Return the start and the end of the failed task in a fork, with the same parameters if possible."""
