@@ -89,7 +89,7 @@ class McapSink:
         self._pending = 0  # records in the buffer
         self._count = 0
         self._now = 0
-        self._failed: tuple[str, str] | None = None  # cause and hint of the first error
+        self._failed: tuple[str, str] | None = None  # cause and hint of the first write error
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[_Key, int] = {}
@@ -270,7 +270,7 @@ class McapSink:
             # a finalizer may print in this thread; recording that text would wait for this lock
             with unrecorded(), self._lock:
                 if self._pending and self._failed is None and not self._closed:
-                    with contextlib.suppress(RecordingError), self._guarded():  # the next write raises the error
+                    with contextlib.suppress(RecordingError), self._guarded():  # the next write also raises this error
                         self._flush()
 
     def _check(self) -> None:

@@ -64,7 +64,7 @@ class _Pager(io.TextIOBase):
     def __init__(self, terminal: IO[str], command: str) -> None:
         self._target: IO[str] = terminal
         self._command = command
-        self._held: list[str] | None = []  # the held text; None after it was printed
+        self._held: list[str] | None = []  # text that isn't printed yet; None after it was printed
         self._columns = self._lines = 0
         self._process: subprocess.Popen[str] | None = None
         with contextlib.suppress(OSError):  # COLUMNS and LINES may belong to another terminal

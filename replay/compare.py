@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
 _MAX_LISTED: Final = 8  # at most this many joints or fields are listed
-_MIN_TURN: Final = math.radians(0.05)  # texts don't mention smaller turns
+_MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
 #: A missing record is searched for among this many records after the divergence, because the order may differ.
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
@@ -76,12 +76,12 @@ class BodyChange:
 
     @property
     def moved(self) -> bool:
-        """Whether the base moved farther than the base of a settling object."""
+        """Whether the base moved more than objects move when they settle."""
         return self.distance >= NOTABLE_METRES or self.angle >= NOTABLE_RADIANS
 
     @property
     def moved_joints(self) -> dict[str, tuple[float, float]]:
-        """The joints that moved farther than joints of a settling object."""
+        """The joints that moved more than joints move when objects settle."""
         return {name: pair for name, pair in self.joints.items() if abs(pair[1] - pair[0]) >= NOTABLE_METRES}
 
     @property
@@ -92,7 +92,7 @@ class BodyChange:
 
     @property
     def notable(self) -> bool:
-        """Whether the body changed more than a settling object."""
+        """Whether the body changed more than objects change when they settle."""
         return bool(self.moved or self.moved_joints or self.carrier_changed or self.details)
 
 
@@ -114,7 +114,7 @@ class Difference:
 
     @property
     def notable(self) -> tuple[BodyChange, ...]:
-        """The bodies that changed more than a settling object."""
+        """The bodies that changed more than objects change when they settle."""
         return tuple(change for change in self.changed if change.notable)
 
 
@@ -279,7 +279,7 @@ class Divergence:
 class Comparison:
     """A comparison of two runs."""
 
-    equal: int  # number of equal records before the divergence
+    equal: int  # number of equal records before the first difference
     divergence: Divergence | None
     difference: Difference  # difference of the final states, before worlds were closed
     outcomes: tuple[Summary, Summary]
@@ -356,7 +356,7 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
     """Yield records with their keys. Memory only holds running tasks."""
     paths: dict[int, int] = {}  # hashes of paths by id of the task
     counts: dict[int, int] = {}  # number of records by path
-    parts: dict[int, dict[tuple[str, str], int]] = {}  # numbers of tasks by path of the parent, kind and name
+    parts: dict[int, dict[tuple[str, str], int]] = {}  # number of tasks by path of the parent task, kind and name
     for record in log:
         names.note(run, record)
         if isinstance(record, Task) and record.phase == Task.STARTED:
@@ -368,7 +368,7 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
         path = paths.get(record.task, 0)
         if _explains_choice(record):  # separate numbers, because early recordings lack these records
             path = _path_of_explanations(path)
-        elif isinstance(record, Mutation | Fluent) and record.by_fork:  # the plan's own records have other numbers
+        elif isinstance(record, Mutation | Fluent) and record.by_fork:  # records of the plan are numbered separately
             path = hash((path, "by the fork"))
         counts[path] = counts.get(path, 0) + 1
         yield (path, counts[path]), record

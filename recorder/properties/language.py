@@ -40,7 +40,7 @@ class Property:
     body: PropertyExpression
     until: PropertyExpression | None = None  # the body must hold until this expression holds
     stays: float = 0.0  # time in s for which the body must hold without interruption
-    within: float | None = None  # first part of each episode that counts, s; None for whole episodes
+    within: float | None = None  # only this first part of each episode counts, s; None for whole episodes
     during: Moments | None = None
     after: Moments | None = None
     before: Moments | None = None

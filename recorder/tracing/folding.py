@@ -29,7 +29,7 @@ def format_folded(error: BaseException, ours: type[BaseException]) -> str:
 
 def _formatted(error: BaseException, ours: type[BaseException]) -> str:
     parts: list[str] = []
-    before: list[str] = []  # messages of earlier attempts
+    before: list[str] = []  # messages of the errors of earlier attempts
     shown = [each for each in tracebacks.chain(error) if each[1] is error or not _is_internal(each[1], ours)]
     for (link, each), (next_link, following) in zip(shown, [*shown[1:], ("", error)], strict=True):
         line = _plan_line(each)
@@ -63,7 +63,7 @@ def _part(error: BaseException, ours: type[BaseException]) -> str:
     """Return an error without its causes, from the plan's outermost frame on."""
     entries = tracebacks.entries(error.__traceback__)
     plan = [index for index, each in enumerate(entries) if is_plan(each.tb_frame)]
-    if isinstance(error, SyntaxError) and not plan:  # of the plan's own file
+    if isinstance(error, SyntaxError) and not plan:  # an error in the source of the plan
         return "".join(tracebacks.message(error))
     if not plan or isinstance(error, BaseExceptionGroup):
         return tracebacks.part(error)

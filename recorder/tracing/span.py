@@ -76,7 +76,7 @@ class Span:
     id: int = field(default_factory=_ids.__next__)  # unique in this process, from 1
     solution: Mapping[str, object] = field(default_factory=dict)  # the resolved solution
     result: object = None
-    error: BaseException | None = None  # a failure that isn't raised
+    error: BaseException | None = None  # failure that ends the task without an exception
     decision: Decision | None = None  # decision about the task
     checkpoint: int = 0  # checkpoint at which the clock or a worker thread decided the task
     #: The task of the context that made this task.

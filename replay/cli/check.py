@@ -1,4 +1,4 @@
-"""``check``: whether properties hold in a recording, or in each recording of a folder."""
+"""``check``: check properties in a recording, or in each recording of a folder."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def _as_query(text: str, path: str) -> str:
     """Return the command that asks the query in a text that isn't a property; "" if the text has no query."""
     try:
         from replay.restore.ask import BELIEVED, QUERIES  # noqa: PLC0415  imports the engine
-    except ModuleNotFoundError:  # without the engine, nobody can ask
+    except ModuleNotFoundError:  # queries need the physics engine
         return ""
     found = re.search(rf"\b({'|'.join((BELIEVED, *QUERIES))})\(.*\)", text)
     if found is None:

@@ -33,7 +33,7 @@ def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.A
             for flags, options in arguments:
                 parser.add_argument(*flags, **options)
             return
-    before = len(parser._actions)  # noqa: SLF001  argparse has no other list of arguments
+    before = len(parser._actions)  # noqa: SLF001  argparse has no public list of arguments
     add(parser)
     arguments = [_plain(action) for action in parser._actions[before:]]  # noqa: SLF001  as above
     with contextlib.suppress(OSError):

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _STDOUT, _STDERR = 1, 2
 #: Texts with a colour on a terminal.
 _COLOURED: Final = re.compile(
-    r"(?P<bold>^[a-z]{1,10}(?=  +\S)|(?:(?<=\n\n)|(?<=\A\n)|\A)[A-Z][^\n.]*(?=\n  ))"  # fields of info, headings
+    r"(?P<bold>^[a-z]{1,10}(?=  +\S)|(?:(?<=\n\n)|(?<=\A\n)|\A)[A-Z][^\n.]*(?=\n  ))"  # names of fields, and headings
     r"|(?P<yellow>\bsteps? \d+(?:-\d+)?|^ *\d+(?= +(?:[\d.]+s )?[a-z-]+ ))"
     r"|(?P<dim>\b\d+\.\d+s(?= [a-z])|(?<=[, ])\d+\.\d ms\b)"
     r"|(?P<cyan>(?:/|\b)[\w./-]+\.py:\d+|^ *pycram(?:-replay)? \S.*$)"
@@ -56,7 +56,7 @@ def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
 def print_json(value: object, *, flush: bool = False) -> None:
     """Print a result as a line of JSON.
 
-    Numbers without JSON become strings ("nan"), and invalid bytes become escapes.
+    NaN and infinity become strings, and invalid bytes become escapes.
     """
     print(_json(value), flush=flush)
 
@@ -73,7 +73,7 @@ def print_json_list(values: Iterable[object]) -> None:
 def _json(value: object) -> str:
     try:
         text = json.dumps(value, allow_nan=False)
-    except ValueError:  # only inconsistent recordings have numbers without JSON
+    except ValueError:  # only inconsistent recordings contain nan or infinity
         text = json.dumps(_sound(value), allow_nan=False)
     if "\\udc" in text:  # invalid bytes, or parts of valid surrogate pairs
         text = json.dumps(_sound(value), allow_nan=False)

@@ -47,7 +47,7 @@ Message: TypeAlias = "dict[str, Any]"
 
 _STDIN, _STDOUT = 0, 1
 _LOOPBACK: Final = "127.0.0.1"
-_THREAD: Final = 1  # one branch of the plan runs at a time
+_THREAD: Final = 1  # a single thread for all branches, because only one branch runs at a time
 _FAILURES: Final = "failure"  # the filter of exception breakpoints
 _TASK_FRAMES: Final = 1_000_000  # smallest id of a frame that is a task
 _CAPABILITIES: Final = {
@@ -94,7 +94,7 @@ def serve(port: int | None, recording: str | None = None) -> int:
     with connected, connected.makefile("rb") as reading, connected.makefile("wb") as writing:
         Adapter(cast("BinaryIO", reading), cast("BinaryIO", writing), recording).run()
         with contextlib.suppress(OSError):  # the editor may have closed the connection
-            connected.shutdown(socket.SHUT_RDWR)  # ends the reading thread
+            connected.shutdown(socket.SHUT_RDWR)  # this ends the thread that reads requests
     return FINE
 
 
@@ -123,8 +123,8 @@ class Adapter:
         self._prompt: Prompt | None = None
         self._client: Message = {}  # the editor's capabilities
         self._start = 0  # first step at which the plan stops
-        self._then: Callable[[], None] | None = None  # called after the response
-        self._recording: subprocess.Popen[str] | None = None  # the process that records a plan
+        self._then: Callable[[], None] | None = None  # a function that is called after the response
+        self._recording: subprocess.Popen[str] | None = None  # the process that records a plan for this session
         self._ending = False  # whether the editor has disconnected
         self._numbers: dict[int, str] = {}  # kinds of breakpoints by number
         # functions that list variables, which the editor may unfold until the plan moves
@@ -134,7 +134,7 @@ class Adapter:
     def run(self) -> None:
         """Answer requests until the editor disconnects."""
         threading.Thread(target=self._read, daemon=True).start()
-        with contextlib.suppress(BrokenPipeError), self._open:  # the editor may have ended
+        with contextlib.suppress(BrokenPipeError), self._open:  # the editor's process may have ended
             while (request := self._requests.get()) is not None:
                 self._answer(request)
                 if request.get("command") == "disconnect":
@@ -249,7 +249,7 @@ class Adapter:
             raise ReplayError(f"{program}: the plan left no recording; its output says why")
         return file
 
-    def _on_configurationDone(self, _: Message) -> None:  # noqa: N802  the protocol's names, here and below
+    def _on_configurationDone(self, _: Message) -> None:  # noqa: N802  the protocol defines this name and the names below
         move = partial(self._session.go, self._start)
         self._then = partial(self._move, move, "entry", f"running the plan up to step {self._start}")
 
@@ -318,7 +318,7 @@ class Adapter:
         return {"targets": [{"id": step, "label": f"step {step}", "line": line} for step in found.steps]}
 
     def _on_pause(self, _: Message) -> None:
-        self._session.plan.pause(wanted=False)  # the previous request has already stopped
+        self._session.plan.pause(wanted=False)  # the previous request already reached its stop
 
     def _move(self, move: Callable[[], Halt], reason: str, title: str = "") -> None:
         """Move the plan, and send the position and the reason of the stop to the editor."""

@@ -139,7 +139,7 @@ def _csv(table: Iterable[MotionRow]) -> str:
 
 
 def _write_parquet(table: list[MotionRow], file: str) -> None:
-    import pyarrow as pa  # noqa: PLC0415  an extra, slow to import
+    import pyarrow as pa  # noqa: PLC0415  this optional package is slow to import
     from pyarrow import parquet  # noqa: PLC0415
 
     kinds = {str: pa.string(), int: pa.int64()}
@@ -215,7 +215,7 @@ def _names(begin: BeginTrajectory) -> Sequence[str]:
 
 def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
     """Return position and velocity of a body's joints and base coordinates by name."""
-    if body is None:  # the body's loading isn't recorded
+    if body is None:  # the recording began after the body was loaded
         return {}
     joints = {name: (position, body.joint_velocities[name]) for name, position in body.joints.items()}
     return joints | _place(body.position) | _heading(body.orientation)

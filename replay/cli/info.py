@@ -65,7 +65,7 @@ def _data(log: Recording, info: Summary) -> dict[str, object]:
 
 
 def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
-    """Yield names and texts. Without a recorded fact, the text is empty."""
+    """Yield names and texts. If a fact isn't recorded, its text is empty."""
     start, metadata = info.start or Run(), info.metadata
     yield "file", f"{log.path} ({f'{info.size / 1e6:.1f} MB' if info.size >= 1e5 else f'{info.size} bytes'})"
     # recordings of older releases have a text of all arguments

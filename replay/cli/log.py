@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-_POLL_PERIOD: Final = 0.2  # seconds between reads of a growing recording
+_POLL_PERIOD: Final = 0.2  # time between reads of a growing recording, s
 _FIELD_WIDTH: Final = 100  # longer values take several lines
 _MAX_IN_LINE: Final = 12  # longer lists of numbers are printed in rows
 _MANY: Final = 100  # longer lists of numbers are shortened
@@ -101,7 +101,7 @@ class RecordFilter:
     task: str | None  # id of a task, or part of the name; subtasks match, too
     body: str | None  # name of a body that the record mentions
     world: str | None  # name of the record's world
-    text: str | None  # part of the record's line; upper case doesn't matter
+    text: str | None  # part of the record's line, in upper or lower case
     #: A file of the plan in the record's call stack, and a line number or None.
     where: tuple[str, int | None] | None = None
     _tasks: set[int] = field(default_factory=set)  # ids of the matching tasks
@@ -131,7 +131,7 @@ class RecordFilter:
             return False
         file, number = self.where
         stack = [(record.source_file, record.source_line)]  # type: ignore[union-attr]
-        callers = getattr(record, "callers", ())  # printed output has no callers
+        callers = getattr(record, "callers", ())  # records of printed output have no call stack
         stack += [(caller.file or record.source_file, caller.line) for caller in callers]  # type: ignore[union-attr]
         return any(is_file(path, file) and number in (None, line) for path, line in stack)
 
@@ -249,7 +249,7 @@ def run_tree(log: Recording, options: argparse.Namespace) -> int:
     elif options.dot:
         print_text(tree.to_dot(), end="")
     elif options.svg:
-        encoding = sys.stdout.encoding or "ascii"  # other characters are written as XML references
+        encoding = sys.stdout.encoding or "ascii"  # non-ASCII characters are written as XML references
         picture = tree.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
         print_text(picture.decode(encoding), end="")
     elif not (tree.roots or tree.output):

@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a verb, by default with the arguments of the process, and return the exit code."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:  # the shell closed the stream, whose descriptor the next opened file would get
-            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  open until the end
+            setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  stays open until the process ends
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # terminals may lack characters of names
@@ -105,7 +105,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _command(arguments)
     except OSError as error:
         discard(sys.stdout)
-        return _report(str(error), USAGE)  # such as a full disk
+        return _report(str(error), USAGE)  # for example, the disk may be full
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
@@ -209,7 +209,7 @@ def _verb(name: str) -> Verb:
 
 
 def _examples(verb: str) -> Iterator[tuple[str, str]]:
-    from replay.cli.cheat import examples  # noqa: PLC0415  only help needs them
+    from replay.cli.cheat import examples  # noqa: PLC0415  only help texts need the examples
 
     return examples(verb)
 
@@ -217,7 +217,7 @@ def _examples(verb: str) -> Iterator[tuple[str, str]]:
 def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
     completers: Mapping[str, Callable[..., list[str]]] = {}
     if completing:
-        from replay.cli.completion import COMPLETERS, add_cached  # noqa: PLC0415  only shells need them
+        from replay.cli.completion import COMPLETERS, add_cached  # noqa: PLC0415  only completion needs this module
 
         completers = COMPLETERS
     parser = Parser(

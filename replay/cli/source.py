@@ -53,7 +53,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 def _find(keys: list[str], name: str) -> str:
     """Return the key of an attached file by name. ``HASH/FILE`` distinguishes files with the same name."""
     digits, _, file = name.rpartition("/")
-    if digits.strip("0123456789abcdef"):  # the text is a folder instead of a hash
+    if digits.strip("0123456789abcdef"):  # the text before "/" is a folder instead of a hash
         digits = ""
     fitting = [key for key in keys if name_of(key) == file and key.startswith(digits)]
     if not fitting:

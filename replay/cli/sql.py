@@ -1,4 +1,4 @@
-"""``sql``: the result of an SQL statement on the tables of a folder of recordings."""
+"""``sql``: execute an SQL statement on the tables of a folder of recordings."""
 
 from __future__ import annotations
 

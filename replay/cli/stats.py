@@ -237,7 +237,7 @@ def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
     with Recording(folder / run) as log:
         try:
             return log.render(log.final_step() if step is None else step, size=_SIZE)
-        except ReplayError:  # no world was open, or a model is missing
+        except ReplayError:  # the step has no open world, or the recording lacks a model
             return None
 
 

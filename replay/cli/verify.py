@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.state.integrity import Deviation, Verification
 
-_PERIOD: Final = 0.2  # s between messages of progress
+_PERIOD: Final = 0.2  # time between messages of progress, s
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -77,7 +77,7 @@ def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record:
     first = verdict.violations[0]
     changes: list[tuple[bool, int]] = []
     for name in verdict.statement.body.names if first.cause else ():
-        with suppress(ReplayError):  # the name belongs to an arm or a world
+        with suppress(ReplayError):  # the name isn't a body, but an arm or a world
             world, step = first.moment.world, first.moment.step
             body = state_at(log, step).body(name, world)
             if not body.fixed_base or body.type == "robot":

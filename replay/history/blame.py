@@ -57,8 +57,8 @@ class Blame:
     before: Pose | float | None  # value before the change; None without a body
     after: Pose | float | None  # value after the change; None without a body
     distance: float  # size of the move in m, or of a revolute joint in rad
-    angle: float  # size of the turn in rad; 0 for joints
-    record: Mutation | Keyframe  # the change; a keyframe if the recording has no change
+    angle: float  # angle of the turn in rad; 0 for joints
+    record: Mutation | Keyframe  # the record of the change; a keyframe if the recording contains no change
     causes: CausingTasks  # causes of the record
     carried: tuple[Carried, ...]  # attachments from the body to the commanded body, the attachment of the body first
     #: The previous change before a removal, or before a change in simulation. Objects that settle don't count.

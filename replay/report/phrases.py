@@ -175,7 +175,7 @@ def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":
-        from recorder.records.text import timeout_text  # noqa: PLC0415  few verbs need it
+        from recorder.records.text import timeout_text  # noqa: PLC0415  few verbs need this module
 
         return timeout_text(name, parameters.get("clock"))
     called = name if kind == "process-module" else call(name, parameters)

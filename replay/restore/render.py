@@ -67,7 +67,7 @@ _CLOSER: Final = 0.6  # viewpoints at this fraction of the distance may be withi
 _ENOUGH: Final = 0.7  # the first viewpoint with this visible share of the pixels is taken
 #: Below this visible share of the pixels, the links that hide the target are cut away.
 _TOO_LITTLE: Final = 0.3
-_ROBOT_SHARE: Final = 0.4  # this share of a robot's pixels is enough, because objects hide the robot
+_ROBOT_SHARE: Final = 0.4  # this visible share of a robot's pixels is enough, because objects hide the robot
 _RATED: Final = 3  # number of moments of a film for which viewpoints are rated
 _GLANCE: Final = (40, 40)  # size of the window around an object in pixels
 _MAX_CUTS: Final = 6  # at most this many layers of furniture and walls are cut away
@@ -222,7 +222,7 @@ class DrawnWorld:
 
     @cached_property
     def looks(self) -> dict[str, tuple[object, ...]]:
-        """Everything that the look of each drawn link depends on."""
+        """The data that determine how each drawn link looks."""
         return {
             f"{name}.{link}": (drawn.body.models, drawn.body.color, drawn.frames[link])
             for name, drawn in self._bodies.items()
@@ -318,7 +318,7 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         scene.picture(target=about).save(files[-1])
         if about and len(about) > 1:  # the robot is large, so the first picture is from far away
             for name in about[1:]:
-                part = re.sub(r"[^\w.-]", "_", name)  # valid in file names
+                part = re.sub(r"[^\w.-]", "_", name)  # characters that file names may contain
                 files.append(folder / f"step_{why.step}_{part}.png")
                 scene.picture(target=name).save(files[-1])
     except OSError as error:

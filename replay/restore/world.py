@@ -277,7 +277,7 @@ class Reexecution:
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
     """Copy the fields that don't depend on the repeated change. Overlaps are dropped if the recording has none."""
     if record.HasField("open_world"):
-        repeated.open_world.mode = record.open_world.mode  # a window has no effect
+        repeated.open_world.mode = record.open_world.mode  # opening a window changes nothing in the world
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
         del repeated.load_body.overlaps[:]
     if record.simulate.HasField("settled"):  # the states determine this field

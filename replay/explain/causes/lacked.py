@@ -45,8 +45,8 @@ _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = (
     "DesignatorError",
     "BadArgument",
-)  # errors of a None in the plan, in addition to Python's errors
-_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors of a missing value in a container
+)  # errors that a None in the plan may cause, in addition to Python's errors
+_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing value in a container causes
 _MAX_ALSO: Final = 3
 _MAX_SETTING: Final = 100  # at most this many motions may have filled a list
 _GOES_ON: Final = 2000  # this many records are searched for the plan's next step
@@ -149,7 +149,7 @@ class RefusedRequest(Cause):
             if number == _REFUSALS:
                 return
             if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
-                continue  # the failure itself, or an earlier refusal of the same attempt
+                continue  # the refusal is the failure itself, or an earlier refusal of the same attempt
             if not case.is_here(refusal):
                 continue
             for missed in _missing_effects(case, refusal):

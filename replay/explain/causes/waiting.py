@@ -75,10 +75,10 @@ class PendingTask:
     task: Node  # a wait for a fluent, a motion, or another task
     began: bool  # whether the task began; otherwise it waited for its turn or for parts of the robot
     line: Line | None  # the plan's line
-    values: Mapping[str, Plain] = field(default_factory=dict)  # values of a wait's fluents at the stop by name
-    changed: tuple[int, ...] = ()  # last steps that set a wait's fluents
-    fulfillers: tuple[Fulfiller, ...] = ()  # possible setters of a wait's fluents
-    holders: tuple[Node, ...] = ()  # running motions, if this motion hadn't begun
+    values: Mapping[str, Plain] = field(default_factory=dict)  # final values of awaited fluents by name
+    changed: tuple[int, ...] = ()  # the last steps that set the awaited fluents
+    fulfillers: tuple[Fulfiller, ...] = ()  # lines and tasks that could have set the awaited fluents
+    holders: tuple[Node, ...] = ()  # the motions that were running, if this motion hadn't begun
 
     def __str__(self) -> str:
         if self.task.kind == "wait":
@@ -148,7 +148,7 @@ class Timeout(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
-        """Yield the missed deadline of a timeout, or of a wait, if the plan raised the failure after it."""
+        """Yield the missed deadline of a timeout, or of a wait before the plan raised the failure."""
         if case.task is not None and case.task.kind == "timeout" and case.failure.type == "TimedOut":
             tree = _tree(case, case.task.last_step + 1)
             scope = tree.nodes[case.task.id]

@@ -25,8 +25,8 @@ class OtherWorld(Cause):
     body: str
     world: str  # the object's world
     needed: str  # the world of the failure
-    change: CausingChange | None  # the object's loading; None if it was loaded before the recording
-    opened: CausingChange | None  # the opening of its world
+    change: CausingChange | None  # the loading of the object; None if it isn't recorded
+    opened: CausingChange | None  # the record that opened the world of the object
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[OtherWorld]:
@@ -59,7 +59,7 @@ class NoGravity(Cause):
 
     kind = "gravity"
     gravity: tuple[float, ...]  # in m/s^2
-    change: CausingChange | None  # the change that set it; None if the plan never set it
+    change: CausingChange | None  # the record that set the gravity; None if the plan never set it
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoGravity]:
