@@ -161,7 +161,7 @@ def detecting(
     *,
     object_type: str | Object | ObjectDesignator,
 ) -> MotionDesignator:
-    """Finds the object of a type of which the robot's camera sees the largest share.
+    """Finds an object of a type in the camera's view; of several, the one with the largest visible share.
 
     Args:
         object_type: A type of objects, or an object of that type.
