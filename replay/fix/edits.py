@@ -48,6 +48,7 @@ class Edit:
     line: int  # number of the edited line
     what: str  # the edit, in words
     text: str  # the whole edited source
+    slip: bool = False  # whether a number or the order of numbers changes, as after a slip of the pen
 
 
 class Editor:
@@ -60,20 +61,37 @@ class Editor:
         self._strings: dict[str, set[str]] = defaultdict(set)  # string constants by their role
         self._names: dict[str, set[str]] = defaultdict(set)  # variables by the call that returned their value
         self._goals: set[ast.AST] = set()  # the expressions of assertions, which stay unchanged
+        self._counts: set[ast.AST] = set()  # expressions that count or number something, such as indices
+        self._scene: set[ast.AST] = set()  # arguments of loaded objects; which objects there are stays unchanged
         for node in ast.walk(self._tree):
-            if isinstance(node, ast.Assert | ast.Raise):
-                self._goals |= {*ast.walk(node)}
-            if isinstance(node, ast.If) and any(isinstance(each, ast.Raise) for each in (*node.body, *node.orelse)):
-                self._goals |= {node, *ast.walk(node.test)}
-            for role, value in _roles(node):
-                if isinstance(value, ast.Constant) and isinstance(value.value, str):
-                    self._strings[role].add(value.value)
-                if isinstance(value, ast.Name):
-                    self._names[role].add(value.id)
-            if isinstance(node, ast.withitem) and isinstance(node.context_expr, ast.Call):
-                self._names[ast.unparse(node.context_expr.func)] |= _stored(node)
-            if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
-                self._names[ast.unparse(node.value.func)] |= _stored(node)
+            self._protect(node)
+            self._note_roles(node)
+
+    def _protect(self, node: ast.AST) -> None:
+        """Note the expressions that keep their value, and the numbers that count something."""
+        if isinstance(node, ast.Subscript | ast.BinOp | ast.Compare | ast.Slice):
+            self._counts |= {*ast.iter_child_nodes(node)}
+        if isinstance(node, ast.Call):
+            self._counts |= {*node.args} if ast.unparse(node.func) in ("range", "enumerate") else set()
+            self._scene |= {*ast.walk(node)} if ast.unparse(node.func).endswith("Object") else set()
+        if isinstance(node, ast.Dict) and len({ast.dump(key) for key in node.keys if key}) == len(node.keys):
+            self._scene |= {*filter(None, node.keys)}  # a key that stands there twice may be wrong
+        if isinstance(node, ast.Assert | ast.Raise):
+            self._goals |= {*ast.walk(node)}
+        if isinstance(node, ast.If) and any(isinstance(each, ast.Raise) for each in (*node.body, *node.orelse)):
+            self._goals |= {node, *ast.walk(node.test)}
+
+    def _note_roles(self, node: ast.AST) -> None:
+        """Note which texts and names the plan uses in the same role."""
+        for role, value in _roles(node):
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                self._strings[role].add(value.value)
+            if isinstance(value, ast.Name):
+                self._names[role].add(value.id)
+        if isinstance(node, ast.withitem) and isinstance(node.context_expr, ast.Call):
+            self._names[ast.unparse(node.context_expr.func)] |= _stored(node)
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
+            self._names[ast.unparse(node.value.func)] |= _stored(node)
 
     def edits(self, line: int, alternatives: Iterable[Iterable[str]] = ()) -> Iterator[Edit]:
         """Yield the edits of a line; ``alternatives`` are sets of texts that can replace each other, such as arms."""
@@ -82,7 +100,8 @@ class Editor:
             if getattr(node, "lineno", None) != line or node in self._goals:
                 continue
             for new, what, cost in (*self._values(node, sets), *_structures(node)):
-                yield self._edit(node, new, what, cost)
+                slip = isinstance(node, ast.List | ast.Tuple) or type(getattr(node, "value", "")) in (int, float)
+                yield self._edit(node, new, what, cost, slip=slip)
             if isinstance(node, ast.stmt):
                 yield from self._moves(node)
 
@@ -120,14 +139,14 @@ class Editor:
             for number, factor in enumerate(_FACTORS if value else ()):
                 yield _number(value * factor), f"{value} times {factor:.3g}", 0.3 + 0.1 * number + 0.4 * (number > 2)
             yield f"{-value!r}", f"the sign of {value}", 0.5
-            if isinstance(value, int):
+            if isinstance(value, int) and node in self._counts:
                 for other in (value - 1, value + 1):
                     yield repr(other), f"{other} instead of {value}", 0.45
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in self._scene:
             fitting = set[str]().union(*(each for each in (*sets, *self._strings.values()) if node.value in each))
             for text in sorted(fitting - {node.value}):
                 yield repr(text), f"{text!r} instead of {node.value!r}", 0.4
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node not in self._scene:
             fitting = set[str]().union(*(each for each in self._names.values() if node.id in each))
             for name in sorted(fitting - {node.id}):
                 yield name, f"{name} instead of {node.id}", 0.6
@@ -157,10 +176,11 @@ class Editor:
         start, end = block[0].lineno - 1, block[-1].end_lineno or block[-1].lineno
         return Edit(0.7, moved.lineno, f"line {moved.lineno} {where}", "".join([*lines[:start], *new, *lines[end:]]))
 
-    def _edit(self, node: ast.AST, new: str, what: str, cost: float) -> Edit:
+    def _edit(self, node: ast.AST, new: str, what: str, cost: float, *, slip: bool) -> Edit:
         start, end = self._offset(node.lineno, node.col_offset), self._offset(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
         source = b"".join(self._lines)
-        return Edit(cost, node.lineno, what, (source[:start] + new.encode() + source[end:]).decode())  # type: ignore[attr-defined]
+        text = (source[:start] + new.encode() + source[end:]).decode()
+        return Edit(cost, node.lineno, what, text, slip)  # type: ignore[attr-defined]
 
     def _offset(self, line: int, column: int) -> int:
         return sum(map(len, self._lines[: line - 1])) + column
@@ -168,7 +188,8 @@ class Editor:
 
 def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:
     """Yield other forms of an expression: operators, order of items, negation, and blocks."""
-    copy = ast.parse(ast.unparse(node), mode="eval").body if isinstance(node, ast.expr) else None
+    is_whole = isinstance(node, ast.expr) and not isinstance(node, ast.Starred | ast.Slice)
+    copy = ast.parse(ast.unparse(node), mode="eval").body if is_whole else None
     if isinstance(copy, ast.BinOp | ast.BoolOp):
         for kind in _OPPOSITE.get(type(copy.op), ()):
             copy.op = kind()  # type: ignore[assignment]

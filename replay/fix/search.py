@@ -23,6 +23,7 @@ from replay.fix.trials import Version, alike
 from replay.history.source import PlanSource
 from replay.origins.origins import origins
 from replay.recording import Recording
+from replay.report import phrases
 from replay.retrace.plan_process import CantRetrace
 from replay.state.fold import last_open_step
 
@@ -198,10 +199,23 @@ def _checked(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> Rep
     with closing(trials.all(versions)) as results:
         for index, trial in results:
             good[index >= CHECKS[0]] += trial.ending.kind == "succeeded"
-    mark = ""
     with Recording(file) as log:
-        if failed is not None and not log.tree().find(kind=failed.kind, name=failed.name, status=State.SUCCEEDED):
-            mark = f"{failed.name}, which had failed, isn't done any more"
+        mark = "" if failed is None else _changed_goal(log.tree().find(status=State.SUCCEEDED), failed, edit)
     if not mark and not all(good):
         mark = "it succeeds with its own seed only" if not good[0] else "it fails with objects 1 cm elsewhere"
     return Repair(edit, file, good[0], good[1], mark)
+
+
+def _changed_goal(done: Sequence[Node], failed: Node, edit: Edit) -> str:
+    """Return how a repaired run differs from what the failed motion was asked to do; "" if it did the same."""
+    alike = [node for node in done if (node.kind, node.name) == (failed.kind, failed.name)]
+    thing = failed.parameters.get("object")
+    if not alike:
+        return f"{failed.name}, which had failed, isn't done any more"
+    if thing is not None and all(node.parameters.get("object") != thing for node in alike):
+        return f"{failed.name} isn't done any more with {phrases.value(thing)}"
+    wanted = failed.parameters.get("target")
+    targets = [node.parameters.get("target") for node in alike if node.parameters.get("object") == thing]
+    if wanted is not None and wanted not in targets and not edit.slip:  # a wrong number may be in the target
+        return f"it changes the target {phrases.value(wanted)} to {phrases.value(targets[-1] if targets else None)}"
+    return ""

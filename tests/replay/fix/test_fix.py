@@ -116,3 +116,14 @@ def test_edits_stay_at_one_place_and_leave_no_statement_out() -> None:
     assert 'x = [1, 0, 0, 1]\nif a < b and not c:\n    go("right")  # é\n    do("left", d / 2)\n' in edited[4]
     for texts in edited.values():
         assert all("do(" in each and "go(" in each and "x = " in each for each in texts)
+
+
+def test_the_scene_and_keys_of_tables_stay_as_they_are() -> None:
+    text = 'cup = Object("cup", "cup", "cup.stl", [1, 2, *rest])\nput({"milk": cup, "cereal": "cup"})\nput({"left": 1, "left": 2})\n'
+    editor = Editor(text)
+    alternatives = [["cup", "milk", "cereal", "floor"], ["left", "right"]]
+    loading, keys, twice = ([each.text for each in editor.edits(line, alternatives)] for line in (1, 2, 3))
+    assert loading
+    assert all('Object("cup", "cup", "cup.stl"' in each for each in loading)
+    assert all('{"milk": ' in each and '"cereal": ' in each for each in keys if "put({" in each)
+    assert text.replace('{"left"', "{'right'") in twice
