@@ -95,15 +95,20 @@ def to_json(value: object) -> str:
     An object without ``__record__`` becomes ``{"repr": ...}``. A value that raises errors or is too long becomes
     ``{"untold": type, "because": ...}``, so that recording never breaks a plan.
     """
+    return text_or(
+        lambda: _json(value),
+        lambda error: json.dumps({"untold": type(value).__qualname__, "because": format_error(error)}),
+    )
+
+
+def _json(value: object) -> str:
+    text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
+    if len(text) > MAX_CHARACTERS:
+        raise ValueError(f"it has {len(text)} characters")
     try:
-        text = json.dumps(_plain(value), ensure_ascii=False, separators=(",", ":"))
-        if len(text) > MAX_CHARACTERS:
-            raise ValueError(f"it has {len(text)} characters")  # noqa: TRY301  the handler below handles all errors
-        text.encode()  # a lone surrogate raises an error
-    except UnicodeEncodeError:
+        text.encode()
+    except UnicodeEncodeError:  # a lone surrogate
         return json.dumps(_plain(value), separators=(",", ":"))
-    except Exception as error:  # noqa: BLE001  users' methods may raise anything
-        return json.dumps({"untold": type(value).__qualname__, "because": format_error(error)})
     return text
 
 
