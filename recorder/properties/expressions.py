@@ -35,9 +35,12 @@ if TYPE_CHECKING:
 UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "m": (1.0, "m"), "cm": (0.01, "m"), "mm": (0.001, "m"),
     "rad": (1.0, "rad"), "deg": (math.pi / 180, "rad"),
+    "m/s": (1.0, "m/s"), "cm/s": (0.01, "m/s"), "mm/s": (0.001, "m/s"),
+    "rad/s": (1.0, "rad/s"), "deg/s": (math.pi / 180, "rad/s"),
     "s": (1.0, "s"), "ms": (0.001, "s"), "min": (60.0, "s"),
 }  # fmt: skip
-"""Units of numbers: their size in m, rad or s, and the name of this base unit."""
+"""Units of numbers: their size in a base unit, and the name of the base unit."""
+_BASE: Final = frozenset(base for _, base in UNITS.values())
 NUMBER: Final = r"(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
 RANGE: Final = 0.05
 """Contacts are measured up to this distance in m. So "no contact" has at most this margin."""
@@ -403,12 +406,12 @@ class PropertyExpression:
 
     def _check_kinds(self, one: ast.expr, other: ast.expr) -> None:
         kinds = {_kind(one), _kind(other)} - {""}
-        if len(kinds & {"m", "rad", "s"}) > 1:
+        if len(kinds & _BASE) > 1:
             self._refuse(f"{_written(one)} and {_written(other)} have different units")
         for quantity, number in ((one, other), (other, one)):
             if _kind(quantity) in ("rad", "joint"):
                 self._check_angle(number)
-        self.units |= kinds & {"m", "rad", "s"} or {""}
+        self.units |= kinds & _BASE or {""}
 
     def _check_numbers(self, node: ast.expr, nodes: Iterable[ast.expr]) -> None:
         """Refuse to calculate with conditions."""
@@ -505,7 +508,7 @@ class PropertyExpression:
 
 def _written(node: ast.expr) -> str:
     text = ast.unparse(node)
-    return re.sub(rf"{_MEASURED}\(([^,]*), '(\w+)'\)", r"\1 \2", text)
+    return re.sub(rf"{_MEASURED}\(([^,]*), '([\w/]+)'\)", r"\1 \2", text)
 
 
 def _meant(node: ast.expr) -> ast.expr:

@@ -13,7 +13,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from recorder.errors import suggestion
+from recorder.errors import did_you_mean, suggestion
 from recorder.properties.expressions import BadProperty, NoValue, Scene, Truth
 from recorder.properties.language import ALWAYS, AT_END, EVENTUALLY, NEVER
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 _BEST, _WORST = Truth(math.inf, True), Truth(-math.inf, False)
 FOLLOWED: Final = (Task, Mutation, Keyframe)
 """The kinds of records that a monitor follows."""
+_SETTLING: Final = 5e-3, math.radians(5)
+"""An object with smaller changes settles: m, rad."""
+NEVER_HELD: Final = "not until the end"
+"""The cause of a violation at the end of a run, because the condition never held."""
 _ENDS: Final = (Task.FINISHED, Task.LEFT)
 
 
@@ -57,6 +61,7 @@ class Violation:
     margin: float  # margin of the property: negative, or 0 if a value equals a limit that it must not reach
     values: dict[str, Any]  # values of the property's quantities by the texts of the quantities
     cause: str = ""  # cause of the violation if the values don't show it
+    since: CheckedMoment | None = None  # start of the last period in which the condition didn't hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +111,12 @@ class Monitor:
         found: list[Violation] = []
         if isinstance(record, Mutation) and record.effect.samples and name in self.worlds:
             for sample in record.effect.samples[:]:
+                found += self._wait(record, sample.sim_step)
                 self.worlds[name].apply_sample(sample)
                 found += self._look(record, sample.sim_step)
         if isinstance(record, Mutation) and record.HasField("open_world"):
             self._clocks[name] = 0
+        found += self._wait(record, record.sim_step)
         apply(self.worlds, record)
         return found + self._look(record, record.sim_step)
 
@@ -134,6 +141,18 @@ class Monitor:
             record.seq, sim_step, self._total / STEPS_PER_SECOND, name, record.task, sim_step != record.sim_step
         )
         return self._last
+
+    def _wait(self, record: Record, sim_step: int) -> list[Violation]:
+        """Look at the moments before a change at which an unchanged state decides properties."""
+        clock = self._clocks.get(record.world, sim_step)
+        ahead = {
+            math.ceil(due * STEPS_PER_SECOND - 1e-6) - self._total for each in self._watches for due in each.dues()
+        }
+        found: list[Violation] = []
+        for steps in sorted(each for each in ahead if 0 <= each < sim_step - clock):
+            moment = self._moment(record, clock + steps)
+            found += [violation for watch in self._watches for violation in watch.look(moment, waiting=True)]
+        return found
 
     def _look(self, record: Record, sim_step: int) -> list[Violation]:
         moment = self._moment(record, sim_step)
@@ -160,7 +179,7 @@ class Monitor:
 
 @dataclass(slots=True)
 class _Episode:
-    start: float  # s
+    begun: CheckedMoment
     key: object = None  # number of the task that began the episode, if a task did
     margin: Truth = _BEST
     closest: CheckedMoment | None = None
@@ -170,6 +189,11 @@ class _Episode:
     done: bool = False  # for "until" and "eventually": whether the condition has held
     past: deque[tuple[float, Truth]] = field(default_factory=deque)  # for "stays": the end of a period, and its value
     latest: Truth | None = None
+
+    @property
+    def start(self) -> float:
+        """The time of its start in s."""
+        return self.begun.time
 
 
 class _Watch:
@@ -188,11 +212,24 @@ class _Watch:
         self._known: dict[str, None] = {}
         self._begun = False
         self._valued: CheckedMoment | None = None  # last moment at which the property had a value
+        self._since: CheckedMoment | None = None  # for "at end": start of the last period in which the body didn't hold
+        self._held = False  # for "at end": whether the body held before this period
+        self._seen: tuple[float, dict[str, Any]] | None = None  # for "at end": margin and values in this period
 
     # --- episodes -----------------------------------------------------------------------------------------------------
 
-    def look(self, moment: CheckedMoment) -> Iterator[Violation]:
-        """Evaluate the property in the present state."""
+    def dues(self) -> Iterator[float]:
+        """Yield the times in s at which the property may be decided in an unchanged state."""
+        watched = self._property
+        for episode in self._episodes:
+            if watched.within is not None:
+                yield episode.start + watched.within
+            if watched.stays:
+                yield episode.start + watched.stays
+                yield from (end + watched.stays for end, _ in episode.past)
+
+    def look(self, moment: CheckedMoment, *, waiting: bool = False) -> Iterator[Violation]:
+        """Evaluate the property in the present state. ``waiting`` means that the state outlasts the moment."""
         watched = self._property
         if not self._begun:
             self._begun = True
@@ -202,14 +239,35 @@ class _Watch:
             moments: Moments | None = getattr(watched, word)
             if moments is not None and moments.expression is not None:
                 yield from self._edge(word, moments.expression, moment)
-        for episode in list(self._episodes):
-            if watched.within is not None and moment.time > episode.start + watched.within + 1e-9:
-                yield from self._end(episode, moment, f"not within {watched.within:g} s")
-        if self._episodes:
+        yield from self._expire(moment, 1e-9)
+        if self._episodes or watched.kind == AT_END:
             value = self._truth(watched.body, moment)
             other = self._truth(watched.until, moment) if watched.until is not None else None
+            if watched.kind == AT_END and value is not None:
+                self._follow_end(moment, value)
             for episode in self._episodes:
                 yield from self._follow(episode, moment, value, other)
+        if waiting:
+            yield from self._expire(moment, -1e-9)
+
+    def _expire(self, moment: CheckedMoment, tolerance: float) -> Iterator[Violation]:
+        within = self._property.within
+        for episode in list(self._episodes) if within is not None else ():
+            if within is not None and moment.time > episode.start + within + tolerance:
+                yield from self._end(episode, moment, f"not within {within:g} s")
+
+    def _follow_end(self, moment: CheckedMoment, value: Truth) -> None:
+        """Find the start of the last period in which the body doesn't hold; if it never held, its last change."""
+        if value.holds:
+            self._since, self._seen, self._held = None, None, True
+        elif self._seen is None or (not self._held and self._changed(value.margin, *self._seen)):
+            self._since = moment if self._held or self._seen is not None else None  # the first value isn't a change
+            self._seen = value.margin, self._values()
+
+    def _changed(self, margin: float, before: float, values: dict[str, Any]) -> bool:
+        if math.isfinite(margin) and math.isfinite(before):
+            return abs(margin - before) > _SETTLING[self._property.body.unit == "rad"]
+        return values != self._values()
 
     def _edge(self, word: str, expression: PropertyExpression, moment: CheckedMoment) -> Iterator[Violation]:
         value = self._truth(expression)
@@ -241,7 +299,7 @@ class _Watch:
 
     def _begin(self, moment: CheckedMoment, key: object = None) -> None:
         if not self._over and not self._were.get("before"):
-            start = _Episode(moment.time, key)
+            start = _Episode(moment, key)
             if self._property.kind == EVENTUALLY or self._property.until is not None:
                 start.margin = _WORST
             self._episodes.append(start)
@@ -254,7 +312,7 @@ class _Watch:
     def finish(self, moment: CheckedMoment) -> Iterator[Violation]:
         """End all episodes with the run."""
         for episode in list(self._episodes):
-            yield from self._end(episode, self._valued or moment, "not until the end")
+            yield from self._end(episode, self._valued or moment, NEVER_HELD)
 
     # --- one episode --------------------------------------------------------------------------------------------------
 
@@ -331,9 +389,15 @@ class _Watch:
         return found if watched.until is None else found | watched.until.values(self._scene)
 
     def _violated(
-        self, moment: CheckedMoment, value: Truth, cause: str = "", values: dict[str, Any] | None = None
+        self,
+        moment: CheckedMoment,
+        value: Truth,
+        cause: str = "",
+        values: dict[str, Any] | None = None,
+        since: CheckedMoment | None = None,
     ) -> Violation:
-        found = Violation(self._property, moment, value.margin, self._values() if values is None else values, cause)
+        values = self._values() if values is None else values
+        found = Violation(self._property, moment, value.margin, values, cause, since)
         self._violations.append(found)
         return found
 
@@ -351,7 +415,8 @@ class _Watch:
             episode.bad = True
             at_end = watched.kind == AT_END and episode.closest is not None
             at, cause = (episode.closest, "at the end") if at_end else (moment, cause)
-            yield self._violated(at or moment, episode.margin, cause, episode.values)
+            since = self._since if at_end else episode.begun
+            yield self._violated(at or moment, episode.margin, cause, episode.values, since)
 
     def verdict(self, tasks: dict[str, None]) -> PropertyVerdict:
         """Return the property's result after the end of the run."""
@@ -365,6 +430,8 @@ class _Watch:
         task = next((each.task[-1] for each in watched.moments if each.task), "")
         if not said and task and task not in map(str.casefold, tasks):
             note = f"no task is called {task}; {suggestion(task, tasks)}"
+            if did_you_mean(task, tasks):
+                raise BadProperty(watched.text, note, watched.source)
         worst = min(said, key=lambda each: each.margin, default=None)
         if worst is None:
             return PropertyVerdict(watched, math.inf, None, {}, self._violations, 0, note)

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 import shlex
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder import html
 from recorder.properties.expressions import RANGE
-from recorder.properties.monitor import FOLLOWED, Monitor
-from replay.errors import ReplayError
+from recorder.properties.language import AT_END
+from recorder.properties.monitor import FOLLOWED, NEVER_HELD, Monitor
+from recorder.records import Task
 from replay.explain.blame_report import because
-from replay.history.blame import SETTLING, blame
 from replay.history.tasks import causing_tasks
 from replay.report import phrases, report
-from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
     from replay.history.tasks import CausingTasks
 
-_UNITS: Final = {"m": phrases.length, "rad": phrases.degrees, "s": "{:.3f} s".format}
+_UNITS: Final = {"m": phrases.length, "rad": phrases.degrees, "s": "{:.3f} s".format, "m/s": "{:.3f} m/s".format}
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -69,23 +67,19 @@ def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry 
     return found
 
 
-def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record:
-    """Return the record of the first violation. If its condition never held, return the last change of an object.
+def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record | None:
+    """Return the record of the first violation.
 
-    A robot moves all the time, so its changes count only if the property names no other object.
+    For "at end", it is the record since which the condition doesn't hold; None if nothing ever changed its value. If
+    another condition never held, it is the end of the last failed task, or None.
     """
     first = verdict.violations[0]
-    changes: list[tuple[bool, int]] = []
-    for name in verdict.statement.body.names if first.cause else ():
-        with suppress(ReplayError):  # the name isn't a body, but an arm or a world
-            world, step = first.moment.world, first.moment.step
-            body = state_at(log, step).body(name, world)
-            if not body.fixed_base or body.type == "robot":
-                change = blame(log, name, step, world)
-                if change.earlier is not None and change.distance < SETTLING[0] and change.angle < SETTLING[1]:
-                    change = change.earlier
-                changes.append((body.type != "robot", change.record.seq))
-    return log[max(changes)[1] if changes else first.moment.step]
+    if first.cause != NEVER_HELD:
+        moment = first.since if verdict.statement.kind == AT_END else first.moment
+        return None if moment is None else log[moment.step]
+    start = first.since.step if first.since else 0
+    failed = (each for each in log.records(Task) if each.status == Task.FAILED and start <= each.seq)
+    return max(failed, key=lambda each: each.seq, default=None)
 
 
 @report.data.register(CheckedProperty)
@@ -133,6 +127,8 @@ def lines(checked: CheckedProperty) -> Iterator[str]:
     if checked.record is not None and checked.causes is not None:
         yield f"  step {checked.record.seq}: {phrases.record_line(checked.record)}"
         yield from because(checked.causes, "  ", [])
+    else:
+        yield f"  it never held, and {'no task failed' if first.cause == NEVER_HELD else 'nothing changed its value'}"
     yield from (f"  {command}" for command in commands(checked))
 
 

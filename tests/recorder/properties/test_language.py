@@ -77,6 +77,8 @@ def scene() -> Scene:
         ("upright('milk*')", True),
         ("not upright('milk*')", False),
         ("len(milk.position)", 3),
+        ("milk.speed < 5 mm/s and 1 m/s == 100 cm/s", True),
+        ("degrees(180 deg/s) * 1 == 180", True),
     ],
 )
 def test_expressions_have_values(scene: Scene, text: str, value: object) -> None:
@@ -106,6 +108,7 @@ def test_conditions_have_margins(scene: Scene, text: str, margin: float) -> None
         ("milk.yaw < -90", "write 90 deg, or 90 rad"),
         ("kitchen.door_joint < 45", "write 45 deg"),
         ("milk.z < 3 deg", "milk.z and 3 deg have different units"),
+        ("milk.z < 5 mm/s", "milk.z and 5 mm/s have different units"),
         ("upright(milk, 10 deg, 3)", "upright takes 1 to 2 arguments, not 3"),
         ("uprigth(milk)", r"there is no function uprigth; did you mean upright\?"),
         ("milk.z >", "it isn't an expression"),

@@ -176,9 +176,11 @@ def test_properties_of_tasks_are_about_each_execution() -> None:
     assert steps(check("at end x.z > 0.1 during task:place", records)) == [4]
     assert steps(check("always x.z > 0.5 before task:place", records)) == []
     assert steps(check("always x.z < 1 after task:tidy/place", records)) == [6]
-    nothing = check("always x.z > 0.5 during task:plce", records)
+    with pytest.raises(BadProperty, match=r"no task is called plce; did you mean place\?"):
+        check("always x.z > 0.5 during task:plce", records)
+    nothing = check("always x.z > 0.5 during task:wiping", records)
     assert nothing.holds
-    assert nothing.note == "no task is called plce; did you mean place?"
+    assert nothing.note.startswith("no task is called wiping; there are ")
 
 
 def test_the_end_is_the_last_step_at_which_the_world_is_open() -> None:
@@ -192,6 +194,46 @@ def test_a_name_that_never_existed_is_refused_with_the_nearest_one() -> None:
     with pytest.raises(BadProperty, match=r"no object is called mlk; did you mean milk\?"):
         check("always mlk.z > 1", changes([{"milk": 1.0}]))
     assert check("always milk.z > 0", changes([{"milk": 1.0}])).margin == 1.0
+
+
+@pytest.mark.parametrize(
+    ("text", "since"),
+    [
+        ("at end x.z < 1", 5),  # since it turned false for the last time; the change of step 6 doesn't count
+        ("at end x.z < 3", 6),
+        ("at end x.z > 5", 6),  # it never held: the last change
+        ("at end y.z > 5", 3),  # step 6 moves y by 4 mm, as an object that settles
+        ("at end max(x.z, y.z) < 1 after y.z > 2", 5),  # also before the end of the period
+    ],
+)
+def test_a_violation_at_the_end_names_the_start_of_the_last_period(text: str, since: int) -> None:
+    heights = (1.0, 1.0, 3.0, 3.0, 3.0, 3.004)
+    if "max" in text:
+        heights = (0.0, 0.0, 2.5, 0.0, 0.0, 0.0)
+    rows = [row | {"y": y} for row, y in zip(ROWS, heights, strict=True)]
+    (violation,) = check(text, changes(rows)).violations
+    assert violation.moment.step == 6
+    assert violation.since is not None
+    assert violation.since.step == since
+
+
+def test_an_unchanged_value_blames_no_step() -> None:
+    (violation,) = check("at end y.z > 5", changes([row | {"y": 1.0} for row in ROWS])).violations
+    assert violation.since is None
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        ("never x.z > 1 stays 500 ms", 1.5),
+        ("eventually x.z > 5 within 1.25 s", 1.25),
+        ("eventually x.z < 1 within 2 s after x.z > 1", 3.0),
+        ("eventually x.z > 1 stays 1 s within 2 s", None),
+    ],
+)
+def test_properties_are_decided_between_the_samples_of_a_still_scene(text: str, seconds: float | None) -> None:
+    verdict = check(text, changes([{"x": 0.0}, {"x": 2.0}, {"x": 0.0}], [0, 1, 10]))
+    assert [(each.moment.step, each.moment.seconds) for each in verdict.violations] == [(3, seconds)] * bool(seconds)
 
 
 def test_a_property_of_names_has_no_margin() -> None:

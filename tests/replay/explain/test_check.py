@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,7 +14,9 @@ import recorder
 import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.properties import BadProperty
+from recorder.tracing.span import span
 from replay.cli.main import main
+from replay.explain.check import lines as check_lines
 from tests.replay.documented import REPO, blocks, printed, without_numbers
 
 if TYPE_CHECKING:
@@ -76,11 +79,26 @@ def test_moments_within_a_simulation_are_checked(log: Recording) -> None:
     assert 0.8 < violation.values["milk.z"] < 0.85
 
 
-def test_the_end_is_blamed_on_the_last_change_of_the_object(log: Recording) -> None:
-    (checked,) = log.check("at end milk.z > 0.7")
-    assert checked.record.move_body.body == "milk"
-    assert checked.verdict.margin == pytest.approx(-0.1)
-    assert line_of(checked) == FALLING + 1
+def test_the_end_is_blamed_on_the_step_that_made_the_condition_false(log: Recording) -> None:
+    fallen, moved, turned = log.check("at end milk.z > 0.7", "at end milk.y < 0.4", "at end upright(milk, 20 deg)")
+    assert fallen.record.HasField("simulate"), "a later move doesn't change the truth"
+    assert fallen.verdict.margin == pytest.approx(-0.1)
+    assert [line_of(each) for each in (fallen, moved, turned)] == [FALLING, FALLING + 1, TURNED]
+
+
+def test_a_condition_that_never_held_is_blamed_on_the_last_failed_task(log: Recording, tmp_path: Path) -> None:
+    (never,) = log.check("eventually milk.z > 2")
+    assert (never.record, never.causes) == (None, None), "no change of the milk is wrong"
+    assert never.verdict.closest.step < never.verdict.violations[0].moment.step
+    assert f"closest at step {never.verdict.closest.step}" in str(list(check_lines(never)))
+    with recorder.record(tmp_path / "failed.mcap"), BulletWorld() as world:
+        Object("milk", "milk", "milk.stl", [1, 0, 0.1])
+        with suppress(ValueError), span("motion", "lift"):
+            raise ValueError
+        world.simulate(0.1)
+    with replay.open(tmp_path / "failed.mcap") as failed:
+        (never,) = failed.check("eventually milk.z > 2")
+    assert [task.started.name for task in never.causes.tasks] == ["lift"]
 
 
 def test_contacts_are_measured_at_each_moment(log: Recording) -> None:
