@@ -7,6 +7,7 @@ affect random numbers or the order of branches.
 from __future__ import annotations
 
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PropertyViolated
@@ -15,8 +16,9 @@ from pycram.reasoning.queries.measured import ContactClient
 from pycram.scheduling.schedule import scheduler
 from pycram.world.world import open_worlds
 from recorder.properties import Monitor, parse
+from recorder.properties.language import AT_END
 from recorder.properties.monitor import FOLLOWED
-from recorder.records import Check, arguments
+from recorder.records import Check, Mutation, arguments
 from recorder.tracing import journal, span
 from recorder.tracing.context import current_name
 from recorder.tracing.journal import Journal, NullSink
@@ -106,6 +108,7 @@ class _MonitorSink(NullSink):
         self._recorded = journal.recording()
         self._errors: list[PropertyViolated] = []
         self.violations: list[str] = []
+        self._lines: dict[int, str] = {}  # the plan's lines by steps
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  a sink's
         """Follow a record. The journal writes records of violations after this record."""
@@ -115,6 +118,8 @@ class _MonitorSink(NullSink):
         """Record the violations at a record; raise them at the next checkpoint of this branch."""
         if not isinstance(record, FOLLOWED):
             return
+        if isinstance(record, Mutation) and record.source_file:
+            self._lines[record.seq] = f"{Path(record.source_file).name}:{record.source_line}"
         for violation in self._monitor.feed(record):
             error = self._violated(violation)
             if not self._only_record:
@@ -140,6 +145,13 @@ class _MonitorSink(NullSink):
         record.callers.extend(stack.callers)
         self.log.append(record)
 
+    def _since(self, violation: Violation) -> str:
+        """Return the step and the line that made a condition false for the last time."""
+        if violation.statement.kind != AT_END or violation.since is None or not self._recorded:
+            return ""
+        line = self._lines.get(violation.since.step)
+        return f", since step {violation.since.step}{f' in {line}' if line else ''}"
+
     def _violated(self, violation: Violation) -> PropertyViolated:
         at, margin = violation.moment, violation.margin
         record = Check(
@@ -152,7 +164,7 @@ class _MonitorSink(NullSink):
             moment=at.sim_step,
             margin=margin if abs(margin) < float("inf") else None,
             values=arguments(violation.values),
-            reason=violation.cause,
+            reason=violation.cause + self._since(violation),
         )
         self.record(record)
         error = PropertyViolated(
@@ -161,7 +173,7 @@ class _MonitorSink(NullSink):
             at.seconds,
             record.margin if record.HasField("margin") else None,
             violation.values,
-            violation.cause,
+            record.reason,
         )
         self.violations.append(str(error))
         return error

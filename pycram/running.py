@@ -142,9 +142,11 @@ def _tell_next(log: str, code: int, error: BaseException | None) -> None:
 
 
 def _report(error: BaseException) -> int:
-    from pycram.foundation.failures import PlanFailure, PycramError  # noqa: PLC0415  heavy
+    from pycram.foundation.failures import PlanFailure, PropertyViolated, PycramError  # noqa: PLC0415  heavy
     from recorder.properties import BadProperty  # noqa: PLC0415  heavy
     from recorder.records import format_error  # noqa: PLC0415  heavy
+    from recorder.records.tracebacks import entries  # noqa: PLC0415  heavy
+    from recorder.tracing.call_stack import is_plan  # noqa: PLC0415  heavy
     from recorder.tracing.folding import format_folded  # noqa: PLC0415  heavy
 
     match error:
@@ -162,7 +164,8 @@ def _report(error: BaseException) -> int:
         case KeyboardInterrupt():
             tell("\npycram: interrupted")
             return INTERRUPTED
-    tell(format_folded(error, PycramError).rstrip())
+    if not isinstance(error, PropertyViolated) or any(is_plan(each.tb_frame) for each in entries(error.__traceback__)):
+        tell(format_folded(error, PycramError).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
     how = "failed" if isinstance(error, PlanFailure) else kind
     tell(f"\npycram: the plan {how}: {format_error(error).partition(chr(10))[0]}")

@@ -217,6 +217,14 @@ def test_a_run_with_properties_fails_and_is_explained_and_repeated(
         assert math.isclose(violation.margin, violated.margin)
 
 
+def test_a_violation_at_the_end_names_its_step_and_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(tmp_path, "at end not contact(milk, floor)\n") == 1
+    printed = capsys.readouterr().err
+    assert "at the end, since step " in printed
+    assert "in plan.py:17" in printed
+    assert "Traceback" not in printed
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [(), ("--check-only-record",)])
 def test_a_guided_run_watches_the_same_properties(tmp_path: Path, options: tuple[str, ...]) -> None:
