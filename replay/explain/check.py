@@ -119,7 +119,9 @@ def lines(checked: CheckedProperty) -> Iterator[str]:
     first = verdict.violations[0]
     times = f", {len(verdict.violations)} times" if len(verdict.violations) > 1 else ""
     yield f"violated  {verdict.statement}"
-    by = f", by {_amount(first.margin, verdict)}" if math.isfinite(first.margin) else ""
+    by = f", by {_amount(verdict.margin, verdict)}" if math.isfinite(verdict.margin) else ""
+    if by and not first.cause and verdict.closest is not None and verdict.closest.time != first.moment.time:
+        by += f" at worst, at {verdict.closest.seconds:.3f} s"
     yield f"  at step {first.moment.step} ({first.moment.seconds:.3f} s){by}{times}{first.cause and f': {first.cause}'}"
     yield from (f"  {text} = {_value(value)}" for text, value in first.values.items())
     if first.cause and verdict.closest is not None and verdict.closest.step != first.moment.step:

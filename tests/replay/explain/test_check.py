@@ -17,6 +17,7 @@ from recorder.properties import BadProperty
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.explain.check import lines as check_lines
+from replay.report import phrases
 from tests.replay.documented import REPO, blocks, printed, without_numbers
 
 if TYPE_CHECKING:
@@ -76,6 +77,7 @@ def test_moments_within_a_simulation_are_checked(log: Recording) -> None:
     assert violation.moment.sampled
     assert checked.record.HasField("simulate")
     assert line_of(checked) == FALLING
+    assert f"by {phrases.length(-checked.verdict.margin)} at worst" in str(list(check_lines(checked)))
     assert 0.8 < violation.values["milk.z"] < 0.85
 
 
