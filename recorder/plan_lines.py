@@ -31,7 +31,7 @@ def passes_on(text: str, number: int) -> bool:
         return False
     around = [node for node in nodes if isinstance(node, ast.stmt) and node.lineno <= number <= (node.end_lineno or 0)]
     functions = [node for node in around if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
-    if not functions or isinstance(around[-1], ast.FunctionDef | ast.AsyncFunctionDef):
+    if not functions or isinstance(around[-1], ast.FunctionDef | ast.AsyncFunctionDef | ast.Raise):
         return False
     given = functions[-1].args
     own = {each.arg for each in (*given.posonlyargs, *given.args, *given.kwonlyargs, given.vararg, given.kwarg) if each}

@@ -114,4 +114,4 @@ def test_one_that_cannot_be_imported_or_is_there_twice_is_named(site: Path, tmp_
     other.mkdir()
     (other / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 3\n")
     (other / "entry_points.txt").write_text("[pycram.actions]\ngreeting = other\n")
-    assert "uninstall the other packages, so that one remains" in run(plan, site).stderr
+    assert "uninstall all of these packages but one" in run(plan, site).stderr

@@ -25,6 +25,7 @@ from replay.errors import (
     ReplayError,
     Unreadable,
 )
+from replay.fix.trials import PlanHasEffects
 from replay.report.question import BadQuestion
 from replay.retrace.decisions import BadChange
 from replay.retrace.fork import NotForked
@@ -47,6 +48,7 @@ ERRORS: tuple[PortableError, ...] = (
     BadQuestion("stable(", "it can't be read"),
     CantRetrace("plan.py: the plan isn't there"),
     BadChange("stable(milk)=maybe", "its answer is true or false"),
+    PlanHasEffects("os.mkdir '/srv/out'"),
     NotForked(12, FirstDifference(7, "the plan ended where step 7 has pressed", "plan.py:3")),
     NoSuchPlace("pick", "there is no such step or task"),
     PlanEnded("Killed"),

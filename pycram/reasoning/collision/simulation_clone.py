@@ -210,11 +210,7 @@ class PhysicsClone(SimulationClone):
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
         self._forget_removed()
-        divided = {
-            body.name: rigid_parts.divided(body.model.path)
-            for body in wanted  # rigid parts have a fixed base and no moving joints
-            if body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
-        }
+        divided = {body.name: rigid_parts.divided(body.model.path) for body in wanted if _divides(body)}
         keys = {(body.name, "") for body in wanted if body.name not in divided}
         keys |= {(name, str(part.path)) for name, each in divided.items() for part in each}
         for key, copy in self._copies.items():
@@ -273,6 +269,11 @@ class PhysicsClone(SimulationClone):
         robot = held.carrier.is_robot
         self.engine.pass_through(carrier, held.carrier_link, body, robot=robot, enable=True)
         self._held.append((constraint, carrier, held.carrier_link, body, robot))
+
+
+def _divides(body: Object) -> bool:
+    """Return whether an object can be simulated as rigid parts, because its base is fixed and its joints are held."""
+    return body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
 
 
 _clones: weakref.WeakKeyDictionary[BulletWorld, dict[str, SimulationClone]] = weakref.WeakKeyDictionary()

@@ -169,14 +169,24 @@ def test_a_model_names_no_file_but_those_of_its_recording(name: str, tmp_path: P
     (tmp_path / "there.obj").write_bytes(CUBE)
     os.mkfifo(tmp_path / "pipe.obj")
     model = urdf(lambda text, _: named(text, name.format(folder=tmp_path)))
-    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE, says="names the file")
+    check(
+        hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model),
+        tmp_path,
+        *ENGINE,
+        says="a file that the recording doesn't have",
+    )
 
 
 def test_a_model_names_no_file_of_another_body(tmp_path: Path) -> None:
     """It is in the recording, but the record that loads the body doesn't list it."""
     other = "plan.py"
     model = urdf(lambda text, assets: named(text, next(key for key in assets if key.endswith(other))))
-    check(hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model), tmp_path, *ENGINE, says="names the file")
+    check(
+        hostile.rewritten(GOLDEN, tmp_path / "x.mcap", model),
+        tmp_path,
+        *ENGINE,
+        says="a file that the recording doesn't have",
+    )
 
 
 TEXTS: Final[dict[str, Callable[[bytes], bytes]]] = {

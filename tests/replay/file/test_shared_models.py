@@ -231,7 +231,7 @@ def test_a_damaged_recording_is_repaired_with_its_models(
 def test_the_file_of_models_is_no_recording(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = answer(capsys, "info", models(runs))
     assert code == 2
-    assert "contains the models that recordings of a sweep share; it isn't a recording" in err
+    assert "contains the shared models of a sweep, and isn't a recording" in err
 
 
 @pytest.mark.slow

@@ -154,7 +154,7 @@ def test_tables_that_are_read_stay_while_others_bring_them_up_to_date(
     with Runs(runs) as reader:
         assert len(list((runs / "tables").glob("0*"))) == 1, "what nobody reads any more is removed"
         shutil.rmtree(runs / "tables")
-        with pytest.raises(NotRead, match="were removed since they were opened"):
+        with pytest.raises(NotRead, match="its tables were removed"):
             reader.sql("SELECT count(*) FROM joints")
 
 
