@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from replay.state.state import Attachment, Body, State, World
 
 
-#: A body that changes less (m and rad) only settles in simulation.
+#: A body that moves by less than these m and rad isn't reported as moved: it settles in simulation.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
 _MAX_LISTED: Final = 8  # at most this many joints or fields are listed
@@ -347,7 +347,7 @@ def _first_divergence(
 
 
 def _steps(diverged: _Diverged) -> list[int]:
-    """Return the sorted steps of two records. A single record has its step twice."""
+    """Return the sorted steps of two records. If there is one record, its step is both."""
     steps = sorted(record.seq for record in diverged[:2] if record is not None)
     return [steps[0], steps[-1]]
 
@@ -494,7 +494,7 @@ class PairedNames:
         return f"fluent_{int(match[2]) + self._shift}"
 
     def data(self, value: Plain, key: str = "") -> Plain:
-        """Return the translation of a record's data of the second run."""
+        """Return data of the second run with the names that the first run uses."""
         if isinstance(value, dict):
             return {self.text(name): self.data(item, name) for name, item in value.items()}
         if isinstance(value, list):

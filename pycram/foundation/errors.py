@@ -97,7 +97,7 @@ def floats(values: Sequence[float]) -> list[float]:
 def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
     """Make an error a dataclass; its template or its ``_message()`` makes the message.
 
-    A plan may derive a frozen dataclass from the error: the error doesn't keep the attributes that mark a dataclass.
+    The attributes that mark a dataclass are deleted, so that a plan may derive a frozen dataclass from the error.
     Errors stay equal by identity, and print like other exceptions.
     """
     dataclass(eq=False, repr=False, match_args=False)(kind)

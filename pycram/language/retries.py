@@ -263,7 +263,7 @@ class Attempts:
                 yield
 
     def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
-        """Return whether another attempt follows; else the caller raises ``error``, or this raises the last failure.
+        """Return whether another attempt follows. If not, the caller raises ``error``, or this method the last failure.
 
         ``handled`` is the failure to handle: after ``retry``, the failure that the plan was handling. ``changed`` has
         parameters for the next attempt; None without ``retry``.

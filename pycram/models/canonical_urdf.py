@@ -45,7 +45,9 @@ LARGEST: Final = 1e9
 DENSITY: Final = 700.0  # density in kg/m^3 of household objects of unknown mass
 _FRAME_MASS: Final = 1e-3  # mass in kg of links without shapes
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
-_JOINT_INERTIA: Final = 0.05  # inertia in kg m^2 of links between joints: it makes motors in a row converge sooner
+_JOINT_INERTIA: Final = (
+    0.05  # inertia in kg m^2 of links between joints; with it, the motors of a chain converge sooner
+)
 _ROUNDING: Final = 1e-9  # limit in kg m^2: a value this little below 0 is a rounding error of a mesh tool
 _SHAPES: Final = {
     "box": (("size", 3),),

@@ -52,7 +52,7 @@ _OTHER: Final = [2, 0, 1]  # axes of the second factors
 
 @dataclass(frozen=True, slots=True)
 class Shapes:
-    """Shapes of the k links of a model that have shapes, in the frames of the links."""
+    """Shapes of a model, each in the frame of its link. Links without shapes are left out; k links remain."""
 
     links: tuple[str, ...]
     triangles: Sequence[Array]  # for each link, (n, 3, 3) corners, m

@@ -45,7 +45,7 @@ class Excluded(Rejection):
 class OutOfReach(Rejection):
     """No posture reaches the target."""
 
-    distance: float | None  # distance in distance in m between the nearest posture and the target; None if unknown
+    distance: float | None  # distance in m between the nearest posture and the target; None if unknown
     turn: float = 0.0  # angle in rad between the nearest posture and the target
 
     def miss(self) -> float:

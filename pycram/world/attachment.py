@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _CONTACT_GAP: Final = 0.003  # largest distance in m between a resting body and its support; half a millimetre is usual
 _DROP_HEIGHT: Final = 0.03  # largest height in m of a body above the floor of the drawer that contains it
-_GRIP_GAP: Final = 0.001  # distance in distance in m between a body and a finger that holds it
+_GRIP_GAP: Final = 0.001  # distance in m between a body and a finger that holds it
 _SLIGHT: Final = 2e-3  # overlap in m below which bodies move apart without pushing each other
 _BELOW: Final = -0.1  # z of a contact's unit normal below which a body touches another body from above
 

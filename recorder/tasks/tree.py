@@ -40,7 +40,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Return an unknown status of a newer release. The status is named by its number."""
+        """Return a status that only a newer release knows; its name is its number."""
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)

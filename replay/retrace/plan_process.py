@@ -177,7 +177,7 @@ class PlanProcess:
         take_answers: bool = False,
         quiet: bool = False,
     ) -> GuidedResult:
-        """Run the plan to the first difference, or as a fork to the plan's end.
+        """Run the plan to the first difference; a fork runs to the end of the plan.
 
         With a ``file``, the plan continues into this new recording, and prints to stderr, unless it is ``quiet``. If
         the recorded run is a fork, its changes are made again. With ``changes``, only changes up to the last compared

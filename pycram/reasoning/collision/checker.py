@@ -323,7 +323,7 @@ class CollisionChecker:
         return copy
 
     def closest_points(self, candidate: PostureCandidate, other: LoadedBody) -> list[ClosestPoint]:
-        """Return the contact points between the whole robot in a candidate and a body in the clone."""
+        """Return the contact points of a body with the robot, which stands as a candidate posture says."""
         self._place(candidate)
         return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)
 

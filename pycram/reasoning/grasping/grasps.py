@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 FREE: Final = 0.004
 """Part of the aperture in m that must stay free."""
-_CLEARANCE: Final = 0.002  # distance in distance in m between the finger tips and the support of the object
+_CLEARANCE: Final = 0.002  # distance in m between the finger tips and the support of the object
 _PADS: Final = (-0.01, 0.0, 0.01)  # offsets of rays across the finger pads, m
 _STEP: Final = 0.004  # distance in m between rays along the fingers
 _LEVELS: Final = 6  # number of heights below a rim at which the wall is measured
@@ -68,7 +68,7 @@ class Grasp:
     name: str  # the side from which the gripper comes
     position: Vector  # position of the tool frame in the world, m
     orientation: Quaternion  # orientation of the tool frame in the world, xyzw
-    width: float  # distance in distance in m between the fingers when they hold the object
+    width: float  # distance in m between the fingers when they hold the object
     label: str = ""  # a unique name among the candidates, such as "top across"; "" for the side
 
     def __str__(self) -> str:

@@ -71,7 +71,7 @@ class Grip:
     position: Vector  # middle of that part in the handle's frame, m
     axis: Vector  # direction of the bar in the handle's frame
     front: Quaternion  # orientation of the tool from the front, in the handle's frame
-    back: float  # distance in distance in m between the tool and the position
+    back: float  # distance in m between the tool and the position
 
     def tool(self, angle: float) -> Pose:
         """Return the pose of the tool in the handle's frame after a turn about the bar by an angle in rad."""

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _ABOVE: Final = 0.05  # height in m by which the support may be above the target
 _BELOW: Final = 0.10  # height in m by which the support may be below the target
-_STEP: Final = 0.005  # distance in distance in m between tried heights; a gripper also stops at thinner objects
+_STEP: Final = 0.005  # distance in m between tried heights; a gripper also stops at thinner objects
 _ACCURACY: Final = 2e-4  # accuracy in m of the resting height
 _BACK: Final = (0.1, 0.15, 0.2)  # length of a hand's retreat in m; fingers are shorter
 _OVERLAP: Final = 2e-4  # usual overlap in m of shapes at rest

@@ -507,7 +507,7 @@ def _lacks_value(case: FailureCase) -> bool:
 
 
 def _variables_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
-    """Return the variables that the lines set and the failed lines read."""
+    """Return the variables that these lines assign, and that the failed lines use."""
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]

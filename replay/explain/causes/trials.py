@@ -109,7 +109,7 @@ def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
 
 
 def restored(case: FailureCase, names: Sequence[str], then: int, step: int, words: str = "") -> Iterator[Trial]:
-    """Yield the trial that gives bodies and their joints the state of an earlier step."""
+    """Yield the fork in which bodies and joints are set back to an earlier step."""
     poses: dict[str, object] = {}
     joints: dict[str, object] = {}
     for name in dict.fromkeys(names):
