@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
     from pathlib import Path
 
-MAIN: Final = "main"  # the function whose arguments are parameters
+MAIN: Final = "main"  # the arguments of this function are the parameters of the plan
 ANY: Final = object()  # stands for a default that isn't known before the plan runs
 #: Distributions by name: the number of arguments, and a function that draws a value.
 _DISTRIBUTIONS: Final[Mapping[str, tuple[int, Callable[..., Any]]]] = {

@@ -307,7 +307,7 @@ def _value(
 
 def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the first pixel along an axis whose center may be in each triangle, and the end of these pixels."""
-    a, b, c = axis.T  # minima of three columns are several times as fast as minima of rows
+    a, b, c = axis.T  # the minimum of three columns takes a fraction of the time of the minimum along rows
     low = np.ceil(np.clip(np.minimum(np.minimum(a, b), c), 0, limit)).astype(np.int64)
     high = np.floor(np.clip(np.maximum(np.maximum(a, b), c), -1, limit - 1)).astype(np.int64) + 1
     return low, high

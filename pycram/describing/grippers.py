@@ -304,7 +304,7 @@ def _measured(
 def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
     """Return the orientation of the tool frame in the palm: x points out of the hand, the fingers close along y.
 
-    ``closed`` and ``opened`` are the points midway between the closed and between the open fingers, in the palm's frame, in m.
+    ``closed`` and ``opened`` are the points midway between the fingers, in the palm's frame, in m.
     """
     ways = [b - a for a, b in zip(closed, opened, strict=True)]
     apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)

@@ -468,7 +468,7 @@ def pulse_unchanged(expression: Expression) -> None:
 
 
 def end(leaves: Collection[Leaf], ended: Ended) -> None:
-    """End leaves: from now on, reading or awaiting these leaves raises an error."""
+    """Close these operands: from now on, it is an error to read or await them."""
     with lock:
         all_ended = (*leaves, *counters_on(leaves))
         for leaf in all_ended:

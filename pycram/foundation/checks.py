@@ -23,7 +23,7 @@ Table: TypeAlias = dict[str, object]
 
 _MAX_COUNT = 2**53  # JSON has no larger whole numbers
 _MAX_COORDINATE = 1e6  # largest coordinate in m; at larger ones the engine's arithmetic can't resolve millimetres
-_UNIT_TOLERANCE = 1e-9  # a quaternion stays unchanged if its length differs from 1 by less
+_UNIT_TOLERANCE = 1e-9  # a quaternion is normalised if its length differs from 1 by more than this
 
 
 def number(argument: str, value: object) -> float:

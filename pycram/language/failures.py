@@ -116,7 +116,7 @@ class BranchesFailed(PlanFailure):
 
     @property
     def data(self) -> Mapping[str, object]:
-        """The fields by name; "failures" has type, message and fields of the failures that the message shows."""
+        """The fields by name; in "failures" are the type, message and fields of each branch's shown failure."""
         failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self._causes]
         return {**super().data, "failures": failures}
 

@@ -101,7 +101,7 @@ def _materials(file: Path, content: bytes) -> list[bytes]:
 def _textures(file: Path, content: bytes) -> list[bytes]:
     """Return the file names of the textures that a mesh names."""
     if file.suffix.lower() == ".dae":
-        if b"<texture" not in content:  # no effect of the file uses its images
+        if b"<texture" not in content:  # the file names images, but no material uses them
             return []
         return [name.removeprefix(b"file://").replace(b"%20", b" ") for name in _IMAGE.findall(content)]
     return [name for materials in _materials(file, content) for name in _MAP.findall(materials)]

@@ -101,7 +101,7 @@ class QueryPicture:
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
         self._path = columns.path(QUERIES, PICTURE)
-        self._classes: dict[str, int] = {}  # numbers of classes by body
+        self._classes: dict[str, int] = {}  # the number of each body's class in the picture, by the body's name
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show the picture of a query, if there is a picture."""

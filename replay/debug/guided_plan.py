@@ -283,7 +283,7 @@ class PlanCopies:
             return self._stopped(None)
 
     def go_on(self, origin: PlanCopy, conditions: Message) -> Message:
-        """Continue a copy, or a child of a copy that stays. Return the message about the stop.
+        """Continue a copy of the plan, or a new child of a copy that is kept. Return the message about the stop.
 
         Raises:
             PlanEnded: The process ended before a stop.

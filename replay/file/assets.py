@@ -134,7 +134,7 @@ _FLAGS: Final = os.O_RDONLY | system.OPENED | system.NO_LINK | getattr(os, "O_NO
 
 
 class SharedFile:
-    """The file of models that a recording names in its metadata ``stated``. The file is opened on demand."""
+    """A file of models, which the metadata ``stated`` of a recording names. It is opened on demand."""
 
     def __init__(self, recording: Path, stated: Mapping[str, str]) -> None:
         self._folder = Path(os.path.realpath(recording)).parent

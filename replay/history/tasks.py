@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from replay.history.source import Line, ParsedException
 
 
-_RUN_RECORDS: Final = 2  # number of records of a run without failed threads
+_RUN_RECORDS: Final = 2  # a run in which no thread fails has this many run records
 #: The exception of an interrupted plan.
 INTERRUPT: Final = "KeyboardInterrupt"
 #: This many tasks of a tree stay unpacked. An unpacked task takes 3 kB, a packed task less than 1 kB.

@@ -58,7 +58,7 @@ class Guide(NullSink):
         self._ended = False
         # call stacks of running tasks, recorded and new
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}
-        # the recorded interruptions by number of the poll; None before the first use
+        # the recorded interruptions, by the number of the poll that they interrupt; None until they are read
         self._strikes: dict[int, Collection[int]] | None = None
         self.equal = 0  # number of equal records so far
         self.recorded_ns = 0  # time of the last equal record by the recording's clock

@@ -109,7 +109,7 @@ class Footprints:
             first, last = along[..., :-1], along[..., -1:]
             way = last - first
             way[way == 0.0] = 1e-12
-            # shares of the line at which the line meets the rectangle's sides
+            # fractions of the line's length at which it crosses the sides of the rectangle
             one, other = (-halves - first) / way, (halves - first) / way
             enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
             met = np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
