@@ -88,7 +88,9 @@ def recorded(folder: Path, plan: str) -> Path:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize(
+    "name", [*PLANS][::2] + [pytest.param(name, marks=pytest.mark.long) for name in [*PLANS][1::2]]
+)
 def test_the_true_cause_is_confirmed(tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
     plan, expected = PLANS[name]
     log = recorded(tmp_path, plan)
