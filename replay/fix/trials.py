@@ -16,7 +16,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
-from pycram import running
 from pycram.exploration import Ending, EndingSink
 from pycram.models import store
 from pycram.projection.child import GRACE, Child, ChildPool, run_from_start, usable_cores
@@ -29,7 +28,7 @@ from recorder.tracing.journal import NullSink
 from recorder.user_folders import cache_folder
 from replay.errors import ReplayError
 from replay.history.source import PlanSource
-from replay.retrace.guided_run import run_program, spec_of
+from replay.retrace.guided_run import run_plan, spec_of
 from replay.retrace.plan_process import CantRetrace, PlanProcess, lay
 
 if TYPE_CHECKING:
@@ -38,8 +37,8 @@ if TYPE_CHECKING:
     from recorder.tracing.journal import Sink
     from replay.file.record_reader import RecordReader
 
-LIMIT: Final = 10.0  # longest duration of a trial, as a multiple of the recorded run's duration,
 _DISPLACED: Final = 0.01  # m
+LIMIT: Final = 10.0  # longest duration of a trial, as a multiple of the recorded run's duration,
 LEAST: Final = 20.0  # but at least this many seconds of wall-clock time
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 #: Audit events of Python for access to other processes and machines.
@@ -101,6 +100,7 @@ class Trials:
         self.runs = 0  # number of started runs
         self.failed: set[str] = set()  # versions that a search has rejected
         self.reference = Ending("")  # the ending of the unchanged plan
+        self._spec = spec_of(log, process.program, process.arguments)  # children must not read the recording's file
         self._began = began
         self._allow_effects = allow_effects
         self._limit = max(LEAST, LIMIT * (log[-1].monotonic_ns - began.monotonic_ns) / 1e9)
@@ -175,18 +175,10 @@ class Trials:
         tempfile.tempdir = str(plan.parents[1])
         with suppress(OSError):
             os.chdir(self._began.directory)
-        arguments = list(self._began.arguments)
-        spec = spec_of(self.log, plan, arguments)
-        if version.seed is not None:
-            spec = replace(spec, seed=version.seed)
+        seed = self._spec.seed if version.seed is None else version.seed
+        spec = replace(self._spec, plan=plan, seed=seed)
         with redirected(sink_of), _loose_objects_elsewhere(version.elsewhere):
-            if self._began.by_program:
-                sys.argv = [self._began.called_as or str(plan), *arguments]
-                sys.path.insert(0, str(plan.parent))
-                with suppress(BaseException):  # the recording contains the failure
-                    run_program(str(plan))
-            else:
-                running.run(spec, file or Path(os.devnull), overwrite=True)
+            run_plan(self._began, spec, file or Path(os.devnull), overwrite=True)
         ending = sinks[0].ending if sinks else Ending("died", "it couldn't be recorded")
         return json.dumps({"ending": asdict(ending), "outside": outside[0] if outside else ""}).encode()
 

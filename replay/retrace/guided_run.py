@@ -120,13 +120,7 @@ class GuidedRun:
         decided = any(change.answer for change in self.guidance.changes)
         forcing = decided_by(self.answers) if decided else contextlib.nullcontext()
         with answered_by(self.answers), forcing, redirected(redirect):
-            if by_program:
-                sys.argv = [began.called_as or plan, *arguments]
-                sys.path.insert(0, str(Path(plan).parent.resolve()))
-                with contextlib.suppress(BaseException):  # the recording has the exception
-                    run_program(plan)
-            else:
-                running.run(spec_of(self.recorded, plan, arguments), file)
+            run_plan(began, spec_of(self.recorded, plan, arguments), file)
 
 
 def spec_of(recorded: RecordReader, plan: str | Path, arguments: Sequence[str]) -> running.RunSpec:
@@ -147,7 +141,19 @@ def spec_of(recorded: RecordReader, plan: str | Path, arguments: Sequence[str]) 
     )
 
 
-def run_program(plan: str) -> None:
+def run_plan(began: Run, spec: running.RunSpec, file: Path, *, overwrite: bool = False) -> None:
+    """Run a recorded plan in this process, as the recorded command or program did; return even if the plan fails."""
+    if not began.by_program:
+        running.run(spec, file, overwrite=overwrite)
+        return
+    plan = str(spec.plan)
+    sys.argv = [began.called_as or plan, *spec.arguments]
+    sys.path.insert(0, str(spec.plan.parent.resolve()))
+    with contextlib.suppress(BaseException):  # the recording has the exception
+        _run_program(plan)
+
+
+def _run_program(plan: str) -> None:
     """Run a file as Python does. :mod:`runpy` would name the module by its path."""
     module = ModuleType("__main__")
     module.__file__ = plan
