@@ -217,7 +217,8 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
     """List the kept recordings, and open the first one on request."""
     reports = [*terminalreporter.getreports("failed"), *terminalreporter.getreports("error")]
-    kept = dict(value for report in reports for name, value in report.user_properties if name == _KEPT)
+    noted = (each for report in reports for each in getattr(report, "user_properties", ()))  # not of collections
+    kept = dict(value for name, value in noted if name == _KEPT)
     found = {file: step for file, step in kept.items() if Path(file).is_file()}
     if not found:
         return

@@ -49,6 +49,16 @@ def test_the_guide_s_tests_end_as_it_shows(tmp_path: Path, parallel: tuple[str, 
 
 
 @pytest.mark.slow
+def test_an_error_of_collection_is_shown_as_without_the_plugin(tmp_path: Path) -> None:
+    (tmp_path / "test_broken.py").write_text("import nothing_of_this_name\n", encoding="utf-8")
+    ended = run_tests(tmp_path, "test_broken.py")
+    assert ended.returncode == 2
+    assert "No module named 'nothing_of_this_name'" in ended.stdout
+    assert "INTERNALERROR" not in ended.stdout + ended.stderr
+    assert "AttributeError" not in ended.stdout + ended.stderr
+
+
+@pytest.mark.slow
 def test_a_seed_is_that_of_the_fixtures(tmp_path: Path) -> None:
     (tmp_path / "test_seeds.py").write_text(
         "import random\nfrom replay.testing import seeds\n"
