@@ -1,4 +1,4 @@
-"""The line of a call stack that decides. Helpers such as ``do(**slots)`` only pass arguments of their callers on."""
+"""The line of a call stack that decides: helpers such as ``do(**slots)`` only pass arguments of their callers on."""
 
 from __future__ import annotations
 
@@ -25,10 +25,7 @@ def deciding(lines: Sequence[tuple[str, int]], text_of: Callable[[str], str] | N
 @lru_cache(maxsize=256)
 def passes_on(text: str, number: int) -> bool:
     """Return whether a line only passes unnamed parameters of its function to another call."""
-    try:
-        nodes = [*ast.walk(ast.parse(text))]
-    except (SyntaxError, ValueError, RecursionError):
-        return False
+    nodes = syntax_nodes(text)
     around = [node for node in nodes if isinstance(node, ast.stmt) and node.lineno <= number <= (node.end_lineno or 0)]
     functions = [node for node in around if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)]
     if not functions or isinstance(around[-1], ast.FunctionDef | ast.AsyncFunctionDef | ast.Raise):
@@ -38,6 +35,15 @@ def passes_on(text: str, number: int) -> bool:
     calls = [node for node in ast.walk(around[-1]) if isinstance(node, ast.Call)]
     passed = [argument for call in calls for argument in [*call.args, *call.keywords]]
     return bool(passed) and all(_is_passed(each, own) for each in passed)
+
+
+@lru_cache(maxsize=8)
+def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
+    """Return the nodes of a text's syntax tree, outer nodes first; no nodes for a text that isn't Python."""
+    try:
+        return tuple(ast.walk(ast.parse(text)))
+    except (SyntaxError, ValueError, RecursionError):
+        return ()
 
 
 def _is_passed(argument: ast.AST, own: set[str]) -> bool:

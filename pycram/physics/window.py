@@ -85,7 +85,7 @@ def watch(engine: Engine) -> None:
     """Keep a window open until a user closes it."""
     while engine.connected:
         engine.pump()
-        time.sleep(_POLL_PERIOD)
+        time.sleep(_POLL_PERIOD)  # the engine has no event for a window that a user closes
 
 
 def outlives_script(engine: Engine, world: str) -> None:

@@ -44,9 +44,9 @@ def sunk(world: BulletWorld) -> list[tuple[Object, records.Overlap, float]]:
     """
     found = []
     furniture = [body for body in world.objects if body.fixed and not body.is_robot]
-    for body in world.objects:
+    for body in [each for each in world.objects if not (each.fixed or each.attachments)]:
         (_, _, low), (_, _, high) = body.get_AABB()
-        for other in furniture if not (body.fixed or body.attachments) else ():
+        for other in furniture:
             deepest = world.engine.deepest(body.handle, other.handle)
             if deepest is None or deepest.distance >= -DEEP:
                 continue

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import shutil
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -83,7 +82,7 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
         }
         for each in found.repairs
     ]
-    return asdict(found) | {"repairs": repairs}
+    return {"asked": found.asked, "repairs": repairs, "tried": found.tried, "runs": found.runs, "others": found.others}
 
 
 def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iterator[str]:

@@ -52,7 +52,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the page, and print its name."""
     why, source = log.why(), PlanSource(log)
     headlines, found = sections(why_report.lines(why, str(log.path)))
-    closer = dict(found).pop("Look closer", [f"pycram-replay view {shlex.quote(str(log.path))}"])
+    closer = dict(found).get("Look closer", [f"pycram-replay view {shlex.quote(str(log.path))}"])
     info, drawn = summary(log), last_open_step(log, log.final_step())
     difference: list[str] = []
     if options.good:
@@ -80,9 +80,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         good=options.good,
         difference=difference,
         commands=closer,
-    )
-    write(file, content.encode())
-    print_result(lambda: {"page": file, "bytes": len(content.encode())}, [file], as_json=options.json)
+    ).encode()
+    write(file, content)
+    print_result(lambda: {"page": file, "bytes": len(content)}, [file], as_json=options.json)
     return 0
 
 
@@ -166,9 +166,10 @@ def _files(source: PlanSource, nodes: Sequence[Node]) -> Iterator[dict[str, obje
     """Yield the files of the plan, with the outermost motions, actions and blocks that each line asked for."""
     led: dict[tuple[str, int], list[Node]] = defaultdict(list)
     paths: dict[str, str] = {}
+    stacks: dict[int, Sequence[Line]] = {}  # call stacks of tasks by id
     for node in nodes:
-        stack: Sequence[Line] = source.call_stack(node.asked or node.started)
-        if stack and (node.parent is None or source.call_stack(node.parent.asked or node.parent.started) != stack):
+        stack = stacks[node.id] = source.call_stack(node.asked or node.started)
+        if stack and (node.parent is None or stacks[node.parent.id] != stack):  # parents come first
             led[stack[-1].file, stack[-1].number].append(node)
             paths.setdefault(stack[-1].file, Path(stack[-1].file).name)
     for path, name in paths.items():

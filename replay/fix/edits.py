@@ -55,8 +55,8 @@ class Editor:
     """Edits one source file."""
 
     def __init__(self, text: str) -> None:
-        self.text = text
-        self._lines = text.encode().splitlines(keepends=True)
+        self._source = text.encode()  # the syntax tree counts bytes
+        self._lines = [line.decode() for line in self._source.splitlines(keepends=True)]
         self._tree = ast.parse(text)
         self._strings: dict[str, set[str]] = defaultdict(set)  # string constants by their role
         self._names: dict[str, set[str]] = defaultdict(set)  # variables by the call that returned their value
@@ -126,7 +126,7 @@ class Editor:
 
     def insertions(self, line: int) -> Iterator[Edit]:
         """Yield the plan with a wait before a line."""
-        lines = [each.decode() for each in self._lines]
+        lines = self._lines
         indent = lines[line - 1][: len(lines[line - 1]) - len(lines[line - 1].lstrip())]
         for world in sorted(self._names["BulletWorld"])[:1]:
             for call in ("settle()", "simulate(1)"):
@@ -169,7 +169,7 @@ class Editor:
                     )
 
     def _reordered(self, block: Sequence[ast.stmt], order: Sequence[ast.stmt], moved: ast.stmt, where: str) -> Edit:
-        lines = [each.decode() for each in self._lines]
+        lines = self._lines
         parts = {id(each): lines[each.lineno - 1 : each.end_lineno] for each in block}
         gaps = [lines[a.end_lineno or a.lineno : b.lineno - 1] for a, b in pairwise(block)]
         new = [line for each, gap in zip(order, [*gaps, []], strict=True) for line in (*parts[id(each)], *gap)]
@@ -178,12 +178,11 @@ class Editor:
 
     def _edit(self, node: ast.AST, new: str, what: str, cost: float, *, slip: bool) -> Edit:
         start, end = self._offset(node.lineno, node.col_offset), self._offset(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
-        source = b"".join(self._lines)
-        text = (source[:start] + new.encode() + source[end:]).decode()
+        text = (self._source[:start] + new.encode() + self._source[end:]).decode()
         return Edit(cost, node.lineno, what, text, slip)  # type: ignore[attr-defined]
 
     def _offset(self, line: int, column: int) -> int:
-        return sum(map(len, self._lines[: line - 1])) + column
+        return len("".join(self._lines[: line - 1]).encode()) + column
 
 
 def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:

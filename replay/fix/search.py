@@ -18,6 +18,7 @@ from recorder.properties import BadProperty
 from recorder.records import Check
 from recorder.tasks import State
 from replay.errors import ReplayError
+from replay.explain.causes.case import hands
 from replay.fix.edits import Edit, Editor
 from replay.fix.trials import Version, alike
 from replay.history.source import PlanSource
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from replay.explain.why import Why
     from replay.fix.trials import Trials
 
-BUDGET: Final = 80
 CHECKS: Final = (5, 3)  # a repair is checked in this many runs with other seeds, and with displaced objects
 _AWAY: Final = 0.1  # largest final distance of a placed object from its target, m
 _MAX_LINES: Final = 12  # largest number of lines that are edited
@@ -74,7 +74,7 @@ def search(
     found: SearchResult,
     *,
     holds: Sequence[str] = (),
-    budget: int = BUDGET,
+    budget: int,
 ) -> None:
     """Search for repairs of a failed plan, and add them to ``found``, which keeps them after an interrupt.
 
@@ -133,7 +133,7 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     editor = Editor(trials.text)
     alternatives = []
     if why.world is not None:
-        alternatives = [list(why.world.bodies), ["left", "right"]]
+        alternatives = [[*why.world.bodies], [*hands(why.world.bodies.get(why.world.robot))]]
     edits: list[Edit] = []
     lines = _lines(trials, log, why, checked, editor)
     for rank, line in enumerate(lines):

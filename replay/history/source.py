@@ -5,11 +5,11 @@ from __future__ import annotations
 import ast
 import re
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Final
 
 from recorder import notebook
+from recorder.plan_lines import syntax_nodes
 from recorder.records import Envelope, Keyframe, Output, Run
 from replay.errors import Damaged
 
@@ -95,15 +95,6 @@ def is_file(path: str, name: str) -> bool:
     """Return whether a path ends with a name, which may contain folders."""
     searched = PurePosixPath(name.replace("\\", "/")).parts
     return bool(searched) and PurePosixPath(path.replace("\\", "/")).parts[-len(searched) :] == searched
-
-
-@lru_cache(maxsize=8)
-def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
-    """Return the nodes of a text's syntax tree, outer nodes first; no nodes for a text that isn't Python."""
-    try:
-        return tuple(ast.walk(ast.parse(text)))
-    except (SyntaxError, ValueError, RecursionError):
-        return ()
 
 
 _FRAME: Final = re.compile(r'^[\s|+]*File "(?P<file>[^"]+)", line (?P<line>\d+), in (?P<function>.+)$')

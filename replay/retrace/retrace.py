@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
+from recorder.plan_lines import syntax_nodes
 from recorder.records import Run, Task
-from replay.history.source import syntax_nodes
 from replay.retrace.plan_process import PlanProcess
 
 if TYPE_CHECKING:

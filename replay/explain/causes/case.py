@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from recorder.plan_lines import deciding
+from recorder.plan_lines import deciding, syntax_nodes
 from recorder.records import Mutation, argument_values, from_json
 from replay.errors import NoSuchName
 from replay.history.blame import blame, commanded
-from replay.history.source import PlanSource, parse_traceback, syntax_nodes
+from replay.history.source import PlanSource, parse_traceback
 from replay.history.tasks import causing_tasks
 from replay.report import phrases
 from replay.state.fold import state_at

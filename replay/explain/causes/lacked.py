@@ -17,6 +17,7 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
+from recorder.plan_lines import syntax_nodes
 from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_values
 from recorder.tasks import Node, State
 from recorder.urdf import read_shapes
@@ -24,7 +25,6 @@ from replay.errors import Damaged, NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import HANDLER, Cause, FailureCase, about, joints_of, objects_in, values
 from replay.explain.causes.raised import is_mistake
-from replay.history.source import Line, syntax_nodes
 from replay.history.tasks import causing_tasks
 from replay.report import phrases
 
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from replay.explain.causes.trials import Trial
+    from replay.history.source import Line
     from replay.state.state import Attachment
 
 

@@ -9,12 +9,12 @@ from functools import lru_cache
 from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
+from recorder.plan_lines import syntax_nodes
 from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
 from recorder.tasks import Node, State, Tree
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, FailureCase, objects_in
 from replay.explain.causes.raised import answers
-from replay.history.source import Line, syntax_nodes
 from replay.history.tasks import INTERRUPT
 from replay.report import phrases
 
@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from replay.explain.causes.trials import Trial
+    from replay.history.source import Line
 
 _NO_LEAF: Final = "timeout"  # the only parameter of a wait that doesn't name a fluent
 _MAX_CHANGES: Final = 5

@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.records import Output, Query
+from recorder.records import Query
 from replay.cli.main import main
 from replay.retrace.decisions import BadChange, parse_decision
 from replay.retrace.fork import fork
 from replay.retrace.retrace import retrace
+from tests.replay.retrace.test_changes import here, printed
 from tests.replay.retrace.test_retrace import record
 
 if TYPE_CHECKING:
@@ -57,14 +58,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recording]:
     with replay.open(record(file)) as recording:
         assert recording[len(recording) - 1].succeeded
         yield recording
-
-
-def here(log: Recording) -> int:
-    return next(each.seq for each in log.records(Output) if each.text == "here")
-
-
-def printed(log: Recording) -> list[str]:
-    return [each.text for each in log.records(Output, here(log) + 1)]
 
 
 @pytest.mark.slow
