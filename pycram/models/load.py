@@ -44,6 +44,12 @@ _ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # how recordings write a b
 _RESERVED: Final = ("", ".", "..")
 
 
+class _FileVersion(NamedTuple):
+    file: Path
+    modified: int  # time of the last modification, ns
+    size: int
+
+
 @dataclass(frozen=True, slots=True)
 class Model:
     """A checked model that the engine can load."""
@@ -52,6 +58,7 @@ class Model:
     urdf: Urdf  # tree of links and joints
     files: tuple[AssetFile, ...]  # the URDF, then the files that the URDF names, then corrections of furniture
     loading: Loading = NOW  # how the engine makes a body of the model
+    meshes: tuple[tuple[str, _FileVersion], ...] = ()  # links of a user's URDF and their collision meshes
 
 
 def load(
@@ -117,12 +124,6 @@ def _file_names(source: Path, content: bytes, scale: float) -> tuple[tuple[str, 
     return tuple(meshes), tuple(textures)
 
 
-class _FileVersion(NamedTuple):
-    file: Path
-    modified: int  # time of the last modification, ns
-    size: int
-
-
 @lru_cache(maxsize=_CACHED_MODELS)
 @notable
 def _cached_model(
@@ -132,11 +133,14 @@ def _cached_model(
     root = canonical_urdf.read(source, content, scale)
     files = dict(versions)
     used: dict[str, AssetFile] = {}
+    meshes: list[tuple[str, _FileVersion]] = []
     named = {material.get("name"): material for material in root.findall("material")}
     for link in root.findall("link"):
         for collision in link.findall("collision"):
             for element in collision.iter("mesh"):
-                asset = _collision_mesh(files[element.get("filename", "")])
+                version = files[element.get("filename", "")]
+                asset = _collision_mesh(version)
+                meshes.append((link.get("name", ""), version))
                 element.set("filename", used.setdefault(asset.key, asset).key)
         for visual in link.findall("visual"):
             shown = visual.find("geometry/mesh")
@@ -151,7 +155,7 @@ def _cached_model(
     text, tree = canonical_urdf.write(source, root)
     path, asset = store.write_urdf(f"{stem}.urdf", text, root)
     piece_bounds(path)  # fill the cache, so that the first query is fast
-    return Model(path, tree, (asset, *used.values()))
+    return Model(path, tree, (asset, *used.values()), meshes=tuple(meshes))
 
 
 def _texture(
@@ -206,6 +210,21 @@ def _collision_mesh(version: _FileVersion) -> AssetFile:
     file = version.file
     ((name, content, _),) = conversion_cache.get("collision", file, lambda: [(*mesh.convert_collision(file), None)])
     return store.write_mesh(name, content)
+
+
+def filled_links(model: Model) -> Sequence[str]:
+    """Return the links of a user's URDF with a hollow collision mesh, which the engine fills to its convex hull."""
+    return list(dict.fromkeys(link for link, version in model.meshes if _is_filled(version)))
+
+
+@cache
+@notable
+def _is_filled(version: _FileVersion) -> bool:
+    file = version.file
+    kept = conversion_cache.kept(
+        "filled", (os.fsencode(file.suffix), read_bytes(file)), lambda: [(str(mesh.is_filled(file)), b"", None)]
+    )
+    return kept[0][0] == str(True)
 
 
 @cache

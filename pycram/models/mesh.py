@@ -39,6 +39,7 @@ else:
 
 _LARGE: Final = 5000  # number of faces of a large mesh
 _FAR: Final = 1e9  # maximum coordinate of a mesh, in the unit of the file
+_HOLLOW: Final = 0.5  # share of its convex hull that a hollow mesh fills at most
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 _STL_HEADER: Final = 84
 _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
@@ -270,6 +271,25 @@ def convert_collision(file: Path) -> tuple[str, bytes]:
             return name, content
     hull = _hull(triangles) if len(triangles) > _LARGE else None
     return (f"{file.stem}.stl", stl(triangles)) if hull is None else (f"{file.stem}.hull.stl", stl(hull))
+
+
+def is_convex(shape: trimesh.Trimesh, least: float) -> bool:
+    """Return whether a mesh fills at least this share of its convex hull; of an open mesh, the areas are compared."""
+    hull = shape.convex_hull
+    if shape.is_watertight:
+        return bool(shape.volume > least * hull.volume)
+    return bool(least < shape.area / hull.area < 1 / least)
+
+
+def is_filled(file: Path) -> bool:
+    """Return whether the engine fills the hollow of a collision mesh: a mesh in one piece becomes its convex hull.
+
+    Raises:
+        AssetError: The file can't be read, or has no faces.
+    """
+    if file.suffix.lower() == ".obj" and _HAS_PIECES.search(_bytes(file)):
+        return False
+    return not is_convex(parse(file), _HOLLOW)
 
 
 def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:

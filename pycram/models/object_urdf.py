@@ -19,7 +19,7 @@ from pycram.foundation.failures import AssetError
 from pycram.models import conversion_cache, store
 from pycram.models.canonical_urdf import DENSITY, LARGEST
 from pycram.models.files import parse_toml, read_text
-from pycram.models.mesh import convert, convert_visual, parse
+from pycram.models.mesh import convert, convert_visual, is_convex, parse
 from pycram.models.warming import notable
 from recorder.records import escaped
 from recorder.records.values import AssetFile
@@ -111,13 +111,8 @@ def _collision(file: Path, shape: trimesh.Trimesh) -> tuple[str, bytes]:
     pieces = _pieces(file)
     if pieces.is_file():
         return convert(pieces)
-    hull = shape.convex_hull
-    if shape.is_watertight:
-        convex = shape.volume > _MIN_CONVEXITY * hull.volume
-    else:  # an open shell has no volume, for example a bowl without thickness
-        convex = _MIN_CONVEXITY < shape.area / hull.area < 1 / _MIN_CONVEXITY
-    if convex:
-        return f"{file.stem}.hull.obj", _obj(hull)
+    if is_convex(shape, _MIN_CONVEXITY):
+        return f"{file.stem}.hull.obj", _obj(shape.convex_hull)
     return f"{file.stem}.collision.obj", _decompose(_obj(shape))
 
 

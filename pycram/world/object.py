@@ -142,10 +142,7 @@ class Object(ReadOnlyAttributes):
             return
         if self.overlaps:
             warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
-        is_mesh = not self.path.lower().endswith(".urdf")  # lengths in a URDF are in m
-        width = sizes.width(self.model.path) if is_mesh and not self.fixed else 0.0
-        if width > sizes.WIDEST:
-            warnings.warn_explicit(sizes.warning(self.name, width), sizes.Oversized, *call_site())
+        _warn_of_shape(self)
 
     def __repr__(self) -> str:
         return f"Object({self.name!r}, {self.type!r})"
@@ -473,6 +470,16 @@ def _object(argument: str, value: object) -> Object:
     if not isinstance(result, Object):
         raise BadArgument(argument, result, "an Object")
     return result
+
+
+def _warn_of_shape(body: Object) -> None:
+    """Warn that an object's mesh is probably in millimetres, or that hollow meshes of a URDF are filled."""
+    is_mesh = not body.path.lower().endswith(".urdf")  # lengths in a URDF are in m
+    width = sizes.width(body.model.path) if is_mesh and not body.fixed else 0.0
+    if width > sizes.WIDEST:
+        warnings.warn_explicit(sizes.warning(body.name, width), sizes.Oversized, *call_site())
+    if not is_mesh and not body.is_robot and (filled := load.filled_links(body.model)):
+        warnings.warn_explicit(sizes.warning_of_filled(body.name, filled), sizes.Filled, *call_site())
 
 
 def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:

@@ -1,4 +1,4 @@
-"""Sizes of objects: the file of an object that is too large for a hand is probably in another unit than metres."""
+"""Warnings of shapes: a mesh that is too large is probably in another unit, and a hollow mesh of a URDF is filled."""
 
 from __future__ import annotations
 
@@ -7,14 +7,20 @@ from typing import TYPE_CHECKING, Final
 from pycram.models.shapes import piece_bounds
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 WIDEST: Final = 10.0
 """Width in m above which the mesh of a free object is probably in another unit."""
+_NAMED: Final = 5  # maximum number of links that a warning names
 
 
 class Oversized(UserWarning):
     """The mesh of a free object is wider than 10 m, so its file is probably in another unit than metres."""
+
+
+class Filled(UserWarning):
+    """A URDF has a hollow collision mesh in one piece. The engine takes the convex hull of it, so nothing gets in."""
 
 
 def width(model: Path) -> float:
@@ -32,3 +38,12 @@ def width(model: Path) -> float:
 def warning(body: str, wide: float) -> str:
     """Return the message of the warning that an object is oversized."""
     return f"{body} is {wide:.3g} m wide: is its file in millimetres? Object(..., scale=0.001)"
+
+
+def warning_of_filled(body: str, links: Sequence[str]) -> str:
+    """Return the message of the warning that hollow collision meshes are filled."""
+    names = ", ".join(links[:_NAMED]) + (f" and {len(links) - _NAMED} more" if len(links) > _NAMED else "")
+    return (
+        f"{body}: the collision mesh of {names} is hollow and in one piece, so the engine takes its solid convex hull; "
+        "write its convex parts as an OBJ with a group for each, or as several <collision> elements"
+    )

@@ -13,6 +13,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
 from pycram.models.files import resources
 from pycram.models.mesh import read_parts
+from pycram.world.sizes import Filled
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -103,3 +104,20 @@ def test_an_open_shell_is_hollow(tmp_path: Path, world: BulletWorld) -> None:
     assert world.engine.deepest(shell.handle, inside.handle) is None
     inside.set_position([0, 0, -0.06])
     assert world.engine.deepest(shell.handle, inside.handle) is not None
+
+
+def test_a_hollow_mesh_of_furniture_is_said_to_be_filled(tmp_path: Path, world: BulletWorld) -> None:
+    """As a drawer whose collision mesh is in one piece; a mesh that is nearly convex is no news."""
+    outside, inside = trimesh.creation.box((0.4, 0.4, 0.2)), trimesh.creation.box((0.36, 0.36, 0.2))
+    inside.apply_translation((0, 0, 0.02))
+    inside.invert()
+    trimesh.util.concatenate(outside, inside).export(tmp_path / "drawer.stl")
+    outside.export(tmp_path / "front.stl")
+    links = "".join(
+        f'<link name="{name}"><collision><geometry><mesh filename="{name}.stl"/></geometry></collision></link>'
+        for name in ("drawer", "front")
+    )
+    joint = '<joint name="j" type="fixed"><parent link="drawer"/><child link="front"/></joint>'
+    (tmp_path / "cupboard.urdf").write_text(f'<robot name="cupboard">{links}{joint}</robot>')
+    with pytest.warns(Filled, match=r"cupboard: the collision mesh of drawer is hollow"):
+        Object("cupboard", "furniture", tmp_path / "cupboard.urdf", [0, 0, 0.2])
