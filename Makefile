@@ -8,7 +8,7 @@ BIN := .venv/bin
 # Tests start many processes. Where bytecode isn't kept, as containers often have it, each of them compiles all of it anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo extension test test-fast test-long test-lowest test-reading test-lerobot lint size systems pictures bench faults resources proto reference system-packages clean
+.PHONY: demo extension test test-fast test-long test-lowest test-reading test-lerobot lint size systems pictures bench faults resources proto reference docs docs-serve system-packages clean
 
 demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap, the next time set_the_table.2.mcap
 	$(BIN)/pycram demo --log set_the_table.mcap
@@ -48,7 +48,7 @@ extension:  ## packs the extension for VS Code as pycram-replay.vsix; needs Node
 pictures: .venv/ready-dev  ## draws the animated picture of the README anew
 	$(BIN)/python docs/make_pictures.py
 
-systems: .venv/ready-dev  ## writes the table of systems in docs/installing.md, from what the package index offers
+systems: .venv/ready-dev  ## writes the table of systems in docs/start/installing.md, from what the package index offers
 	$(BIN)/pip install --quiet uv
 	PATH=$(BIN):$$PATH $(BIN)/python .ci/systems
 
@@ -65,15 +65,21 @@ PROTO_OUT := .
 proto: .venv/ready-dev  ## compiles recorder/records/log.proto; its path is part of the descriptor's name, hence from here
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=$(PROTO_OUT) --pyi_out=$(PROTO_OUT) recorder/records/log.proto
 
-reference: .venv/ready-dev  ## writes docs/reference.md and the typed constructors, from the code of motions and actions
-	$(BIN)/python -m docs.make_reference docs/reference.md
+reference: .venv/ready-dev  ## writes docs/reference/designators.md and the typed constructors, from the code of motions and actions
+	$(BIN)/python -m docs.make_reference docs/reference/designators.md
 	$(BIN)/python -m docs.make_constructors pycram
+
+docs: .venv/ready-dev  ## builds the site in site/, a folder for each version, as files for any web server
+	$(BIN)/python -m docs.make_site site
+
+docs-serve: .venv/ready-dev  ## serves the site at http://127.0.0.1:8000, and builds it again when a page changes
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs serve
 
 system-packages:  ## what tests of windows, viewers and the browser need (Debian, Ubuntu)
 	.ci/system-packages
 
 clean:
-	rm -rf .venv .venv-lowest .venv-reading .venv-lerobot dist build
+	rm -rf .venv .venv-lowest .venv-reading .venv-lerobot dist build site
 
 .venv/ready: pyproject.toml
 	@.ci/environment .venv '.[executor,viewer]'

@@ -1,4 +1,4 @@
-"""Write docs/reference.md, the reference of motions and actions, from their code: ``python -m docs.make_reference``.
+"""Write docs/reference/designators.md, the reference of motions and actions: ``python -m docs.make_reference``.
 
 The page contains the data by which designators are checked, and docstrings, so it is always correct.
 """

@@ -314,7 +314,7 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         action="append",
         default=[],
-        help="watch the properties in this file (docs/properties.md); a violation fails the plan",
+        help="watch the properties in this file (docs/reference/properties.md); a violation fails the plan",
     )
     parser.add_argument(
         "--check-only-record", action="store_true", help="record violations of --check, without failing the plan"

@@ -43,7 +43,7 @@ def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
 
     Raises:
         PropertyViolated: A property is violated.
-        BadProperty: A text isn't a property (docs/properties.md), or has an unknown name.
+        BadProperty: A text isn't a property (docs/reference/properties.md), or has an unknown name.
     """
     with sequential() as settle, watched(properties, only_record=only_record):
         yield

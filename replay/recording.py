@@ -131,7 +131,7 @@ class Recording(RecordReader):
         return blame(self, target, None if step is None else self.step(step), world)
 
     def check(self, *properties: str | Property) -> list[CheckedProperty]:
-        """Check properties, such as ``never contact(pr2, kitchen)`` (docs/properties.md).
+        """Check properties, such as ``never contact(pr2, kitchen)`` (docs/reference/properties.md).
 
         A result is true if the property holds. Only contacts need the executor.
 

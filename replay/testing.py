@@ -1,4 +1,4 @@
-"""The pytest plugin: tests of plans, with their recordings (docs/testing.md).
+"""The pytest plugin: tests of plans, with their recordings (docs/guides/testing.md).
 
 Fixtures import the packages that run plans, because pytest loads this module in every session.
 """
@@ -62,7 +62,7 @@ class PlanRun:
 
 
 def assert_holds(recording: Recorded, *properties: str) -> None:
-    """Check properties of a recording, such as ``always milk.z > 0.5`` (docs/properties.md).
+    """Check properties of a recording, such as ``always milk.z > 0.5`` (docs/reference/properties.md).
 
     Args:
         recording: A file, an open or a running recording, or the result of ``run_plan``.

@@ -1,4 +1,4 @@
-"""The examples in docs/furniture.md give the printed output."""
+"""The examples in docs/guides/furniture.md give the printed output."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 REPO = Path(__file__).parent.parent
-GUIDE = (REPO / "docs" / "furniture.md").read_text(encoding="utf-8")
+GUIDE = (REPO / "docs" / "guides" / "furniture.md").read_text(encoding="utf-8")
 COMMANDS = re.findall(r"```console\n\$ (.*?)\n(.*?)```", GUIDE, re.DOTALL)
 
 

@@ -1,4 +1,4 @@
-"""Notebooks, run in a real kernel: recording across cells, names of cells, tracebacks, HTML; and docs/notebooks.md."""
+"""Notebooks, run in a real kernel: recording across cells, names of cells, tracebacks, HTML; and docs/guides/notebooks.md."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 pytestmark = [pytest.mark.slow, pytest.mark.needs("Jupyter"), pytest.mark.filterwarnings("ignore")]
 
-GUIDE = (Path(__file__).parent.parent / "docs" / "notebooks.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parent.parent / "docs" / "guides" / "notebooks.md").read_text(encoding="utf-8")
 PLAN = """
 import recorder, replay
 from pycram.bullet_world import BulletWorld, Object

@@ -1,4 +1,4 @@
-"""The examples in docs/robots.md give the printed output."""
+"""The examples in docs/guides/robots.md give the printed output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pycram.models import files
 from pycram.models.robots.description import RobotDescription
 
 REPO = Path(__file__).parent.parent
-GUIDE = (REPO / "docs" / "robots.md").read_text(encoding="utf-8")
+GUIDE = (REPO / "docs" / "guides" / "robots.md").read_text(encoding="utf-8")
 
 
 def commands() -> list[tuple[str, list[str]]]:

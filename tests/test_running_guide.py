@@ -1,4 +1,4 @@
-"""The test of a plan in docs/running.md passes."""
+"""The test of a plan in docs/guides/running.md passes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-GUIDE = (Path(__file__).parents[1] / "docs" / "running.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parents[1] / "docs" / "guides" / "running.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -349,7 +349,7 @@ class ProcessModule(ABC):
     """False for a module without state, so that two arms can use the module at the same time."""
 
     failures: ClassVar[tuple[type[PlanFailure], ...]] = ()
-    """Types of failures that the module may raise in any environment; docs/reference.md lists those of PyCRAM."""
+    """Failures that the module may raise in any environment; docs/reference/designators.md lists those of PyCRAM."""
 
     failures_in_time: ClassVar[tuple[type[PlanFailure], ...]] = ()
     """Types of failures that the module may raise if motions take simulated time."""

@@ -134,7 +134,7 @@ def sweep(
         memory: Limit of additional memory for each run in bytes; 0 for no limit.
         motion: The execution environment if the plan names none.
         locals: Whether failures contain the local variables of the plan's functions.
-        check: Properties (docs/properties.md); a violation fails the run.
+        check: Properties (docs/reference/properties.md); a violation fails the run.
         ray: The address of a Ray cluster, or "" for a cluster on this machine; None to use none.
         progress: Called at the start and after each run.
 

@@ -1,6 +1,6 @@
 """Properties: statements about the states of a run, such as ``never contact(pr2, kitchen)``.
 
-The same code checks a recording and watches a running plan (docs/properties.md).
+The same code checks a recording and watches a running plan (docs/reference/properties.md).
 """
 
 from recorder.properties.expressions import BadProperty

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step, the question and the moves of objects."""
     parser.epilog = (
-        "docs/reasoning.md explains the queries. For a property, such as 'milk.z > 0.5', use 'pycram-replay check'."
+        "docs/guides/reasoning.md explains the queries. For a property, such as 'milk.z > 0.5', use "
+        "'pycram-replay check'."
     )
     parser.add_argument("step", metavar="STEP", help=HINT)
     parser.add_argument(

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the properties."""
     parser.epilog = (
-        "Exit code 1: a property is violated. docs/properties.md explains the language. For a query at one step, "
-        "such as 'reachable(milk, pr2)', use 'pycram-replay ask'."
+        "Exit code 1: a property is violated. docs/reference/properties.md explains the language. For a query at one "
+        "step, such as 'reachable(milk, pr2)', use 'pycram-replay ask'."
     )
     parser.add_argument("properties", metavar="PROPERTY", nargs="*", help="such as 'never contact(pr2, kitchen)'")
     parser.add_argument(

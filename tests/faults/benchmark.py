@@ -1,7 +1,7 @@
 """A benchmark of explanations: plans that work get one fault each, run, and are explained; the fault is known.
 
 Each case is made by its seed alone. Its folder has the plan with the fault, the recording, and ``truth.json`` with the kind,
-the line of the fix, and for faults of the world the step. ``make faults`` prints the table; see docs/benchmark.md.
+the line of the fix, and for faults of the world the step. ``make faults`` prints the table; see docs/benchmarks.md.
 """
 
 from __future__ import annotations

@@ -163,7 +163,7 @@ register("pr2", "simulated", {"waving": Waving()})
 
 def plans() -> Iterator[tuple[str, str]]:
     """Yield name and source of the plans of each page: its blocks, which continue one another."""
-    for page in (REPO / "README.md", *(REPO / "docs").glob("*.md")):
+    for page in (REPO / "README.md", *(REPO / "docs").rglob("*.md")):
         blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
         if any("pycram" in block for block in blocks):
             yield f"{page.stem.lower()}_page.py", "\n".join(blocks)

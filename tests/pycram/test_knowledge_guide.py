@@ -1,4 +1,4 @@
-"""What docs/knowledge.md shows is what a reader gets; numbers of steps apart."""
+"""What docs/guides/knowledge.md shows is what a reader gets; numbers of steps apart."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from tests.replay.documented import blocks, printed, without_numbers
 
-GUIDE = (Path(__file__).parents[2] / "docs" / "knowledge.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parents[2] / "docs" / "guides" / "knowledge.md").read_text(encoding="utf-8")
 
 
 def block(kind: str) -> str:

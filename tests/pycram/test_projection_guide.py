@@ -1,4 +1,4 @@
-"""What docs/projection.md shows is what a reader gets."""
+"""What docs/guides/projection.md shows is what a reader gets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-GUIDE = Path(__file__).parents[2] / "docs" / "projection.md"
+GUIDE = Path(__file__).parents[2] / "docs" / "guides" / "projection.md"
 
 
 def block(kind: str) -> str:

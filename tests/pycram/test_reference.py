@@ -1,4 +1,4 @@
-"""docs/reference.md is what the code says, and what process modules declare to raise is what they may raise."""
+"""docs/reference/designators.md is what the code says, and what process modules declare to raise is what they may raise."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pycram.motions.modules import default_modules
 from pycram.motions.motion_types import TYPES as MOTIONS
 from tests.pycram.motions.raised import may_raise
 
-PAGE = Path(__file__).parents[2] / "docs" / "reference.md"
+PAGE = Path(__file__).parents[2] / "docs" / "reference" / "designators.md"
 MODULES = default_modules()
 
 

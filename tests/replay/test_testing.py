@@ -1,4 +1,4 @@
-"""The pytest plugin: docs/testing.md is what its readers get."""
+"""The pytest plugin: docs/guides/testing.md is what its readers get."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.replay.documented import REPO, blocks, without_numbers
 if TYPE_CHECKING:
     from pathlib import Path
 
-GUIDE = (REPO / "docs" / "testing.md").read_text(encoding="utf-8")
+GUIDE = (REPO / "docs" / "guides" / "testing.md").read_text(encoding="utf-8")
 KEPT = "test_tidy.py.test_milk_falls_to_the_floor.mcap"
 
 

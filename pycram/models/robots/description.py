@@ -1,7 +1,7 @@
 """Descriptions of robots for process modules and queries: TOML files that are checked against the robot's URDF.
 
 Process modules contain no names of joints, so another robot needs only another TOML file. A description has tables for
-the parts of the robot: arms, grippers, a head, a camera, a torso (docs/robots.md).
+the parts of the robot: arms, grippers, a head, a camera, a torso (docs/guides/robots.md).
 """
 
 from __future__ import annotations

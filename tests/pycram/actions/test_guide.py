@@ -1,4 +1,4 @@
-"""What docs/actions.md shows is what a reader gets."""
+"""What docs/guides/actions.md shows is what a reader gets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-GUIDE = Path(__file__).parents[3] / "docs" / "actions.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "guides" / "actions.md"
 BLOCK = re.compile(r"```(python|text)\n(.*?)```", re.DOTALL)
 
 

@@ -1,4 +1,4 @@
-"""The command: what docs/explore.md shows is what a reader gets; JSON, wrong usage, Ctrl-C."""
+"""The command: what docs/guides/explore.md shows is what a reader gets; JSON, wrong usage, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pycram.cli import main
 from recorder.records import Run
 
 REPO = Path(__file__).parents[3]
-GUIDE = REPO / "docs" / "explore.md"
+GUIDE = REPO / "docs" / "guides" / "explore.md"
 
 
 def explore(folder: Path, *arguments: str) -> subprocess.Popen[str]:

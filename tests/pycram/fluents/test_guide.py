@@ -1,4 +1,4 @@
-"""docs/fluents.md: its examples run in their order, and print what the page shows."""
+"""docs/guides/fluents.md: its examples run in their order, and print what the page shows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-GUIDE = (Path(__file__).parents[3] / "docs" / "fluents.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parents[3] / "docs" / "guides" / "fluents.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

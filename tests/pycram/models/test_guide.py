@@ -1,4 +1,4 @@
-"""The examples in docs/models.md give the printed output."""
+"""The examples in docs/guides/models.md give the printed output."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pycram.bullet_world import BulletWorld
 from pycram.failures import AssetError, UsageError
 from pycram.models.files import find
 
-GUIDE = (Path(__file__).parents[3] / "docs" / "models.md").read_text()
+GUIDE = (Path(__file__).parents[3] / "docs" / "guides" / "models.md").read_text()
 BLOCK = re.compile(r"```(xml|python|text)\n(.*?)```", re.DOTALL)
 NAMED = re.compile(r"`([\w.]+)`[^`]*:\n\n```xml\n(.*?)```", re.DOTALL)
 

@@ -1,4 +1,4 @@
-"""What docs/motions.md shows is what a reader gets."""
+"""What docs/guides/motions.md shows is what a reader gets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-GUIDE = Path(__file__).parents[3] / "docs" / "motions.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "guides" / "motions.md"
 NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e-?\d+)?")  # last digits are the engine's
 
 

@@ -1,4 +1,4 @@
-"""docs/process_modules.md: its examples run in their order, and print what the page shows."""
+"""docs/guides/process_modules.md: its examples run in their order, and print what the page shows."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-GUIDE = (Path(__file__).parents[3] / "docs" / "process_modules.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parents[3] / "docs" / "guides" / "process_modules.md").read_text(encoding="utf-8")
 TIME = re.compile(r"\d+\.\d+ ms")
 
 

@@ -1,4 +1,4 @@
-"""What docs/places.md shows is what a reader gets."""
+"""What docs/guides/places.md shows is what a reader gets."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 COUNTS = re.compile(r"\d+(?= (by|places) )")  # which hang on the last bits of numbers
-GUIDE = Path(__file__).parents[3] / "docs" / "places.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "guides" / "places.md"
 
 
 def block(kind: str) -> str:

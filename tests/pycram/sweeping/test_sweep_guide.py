@@ -1,4 +1,4 @@
-"""What docs/sweep.md shows is what a reader gets."""
+"""What docs/guides/sweep.md shows is what a reader gets."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 REPO = Path(__file__).parents[3]
-GUIDE = REPO / "docs" / "sweep.md"
+GUIDE = REPO / "docs" / "guides" / "sweep.md"
 
 #: What isn't the same each time and everywhere.
 VARIES = (

@@ -1,4 +1,4 @@
-"""The README's plan runs, and docs/failed_plan.md shows what a reader gets."""
+"""The README's plan runs, and docs/guides/failed_plan.md shows what a reader gets."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from replay.cli.main import VERBS
 from tests.replay.documented import blocks, printed, without_numbers
 
 REPO = Path(__file__).parents[3]
-GUIDE = REPO / "docs" / "failed_plan.md"
+GUIDE = REPO / "docs" / "guides" / "failed_plan.md"
 
 
 @pytest.mark.slow
@@ -44,7 +44,7 @@ def test_the_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_path: Path
 
 
 def test_the_page_on_promises_says_of_each_verb_whether_it_runs_code() -> None:
-    text = (REPO / "docs" / "promises.md").read_text(encoding="utf-8")
+    text = (REPO / "docs" / "reference" / "promises.md").read_text(encoding="utf-8")
     rows = [
         row.split("|")[1] for row in text.partition("## Which verbs run code")[2].splitlines() if row.startswith("| `")
     ]

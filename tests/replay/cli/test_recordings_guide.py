@@ -1,4 +1,4 @@
-"""What docs/recordings.md shows of motions is what a reader gets."""
+"""What docs/reference/recordings.md shows of motions is what a reader gets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.replay.documented import REPO, blocks, printed
 if TYPE_CHECKING:
     from pathlib import Path
 
-GUIDE = (REPO / "docs" / "recordings.md").read_text(encoding="utf-8")
+GUIDE = (REPO / "docs" / "reference" / "recordings.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 FAILED, FINE = (GOLDEN / "demos" / f"0.1.0-{name}.mcap" for name in ("fails_to_reach", "set_the_table"))
-PAGE = (Path(__file__).parents[3] / "docs" / "command_line.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[3] / "docs" / "reference" / "command_line.md").read_text(encoding="utf-8")
 COLOUR = re.compile(r"\x1b\[\d*m")
 ENVIRONMENT = {key: value for key, value in os.environ.items() if key not in ("NO_COLOR", "FORCE_COLOR", "PAGER")}
 REPLAY = [sys.executable, "-m", "replay"]

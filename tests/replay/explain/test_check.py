@@ -176,6 +176,6 @@ def test_a_folder_is_counted(log: Recording, tmp_path: Path, capsys: pytest.Capt
 @pytest.mark.slow
 def test_the_guide_shows_what_the_verb_prints(demo_log: Path, tmp_path: Path) -> None:
     (tmp_path / demo_log.name).write_bytes(demo_log.read_bytes())
-    (block,) = blocks((REPO / "docs" / "properties.md").read_text(encoding="utf-8"))
+    (block,) = blocks((REPO / "docs" / "reference" / "properties.md").read_text(encoding="utf-8"))
     output = [without_numbers(line) for line in printed(block.commands, tmp_path)]
     assert [without_numbers(line) for line in block.lines] == output

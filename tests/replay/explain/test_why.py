@@ -270,11 +270,15 @@ def test_what_a_failed_motion_chose_from_is_told_everywhere(
     for verb, text in shown.items():
         assert "out of reach by 0.211 m or more" in text, verb
     assert "OutOfReach" in shown["show"]
-    excerpt = (DOCS / "reasoning.md").read_text().partition("motion that failed:\n\n```\n")[2].partition("```")[0]
+    excerpt = (
+        (DOCS / "guides" / "reasoning.md").read_text().partition("motion that failed:\n\n```\n")[2].partition("```")[0]
+    )
     lines = {re.sub(r"\d+", "#", line) for line in shown["why"].splitlines()}
     assert excerpt
     for line in excerpt.splitlines():
-        assert re.sub(r"\d+", "#", line).strip() in {each.strip() for each in lines}, "docs/reasoning.md shows it"
+        assert re.sub(r"\d+", "#", line).strip() in {each.strip() for each in lines}, (
+            "docs/guides/reasoning.md shows it"
+        )
     assert shown["tree"].count("grasp(object=milk") == 1, "of the motion that the tree's marks lead to"
     assert main(["ask", str(failed.path), str(choice.seq)]) == 2
     assert "its record is a grasp" in capsys.readouterr().err

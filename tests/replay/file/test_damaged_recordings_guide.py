@@ -1,4 +1,4 @@
-"""What docs/damaged_recordings.md shows is what a reader gets."""
+"""What docs/guides/damaged_recordings.md shows is what a reader gets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.replay.hostile import rewritten
 if TYPE_CHECKING:
     import pytest
 
-GUIDE = (Path(__file__).parents[3] / "docs" / "damaged_recordings.md").read_text(encoding="utf-8")
+GUIDE = (Path(__file__).parents[3] / "docs" / "guides" / "damaged_recordings.md").read_text(encoding="utf-8")
 GOLDEN = Path(__file__).parents[1] / "golden" / "0.1.0.mcap"
 
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 GOLDEN = sorted((Path(__file__).parents[1] / "golden").glob("*.mcap"))
-GUIDE = Path(__file__).parents[3] / "docs" / "command_line.md"
+GUIDE = Path(__file__).parents[3] / "docs" / "reference" / "command_line.md"
 REASONS = sorted((Path(__file__).parents[1] / "golden" / "reasons").glob("*.mcap"))
 FORKS = sorted((Path(__file__).parents[1] / "golden" / "forks").glob("*[0-9].[0-9].mcap"))
 MOTIONS = sorted((Path(__file__).parents[1] / "golden" / "motions").glob("*[0-9].[0-9].mcap"))

@@ -699,7 +699,7 @@ def test_an_error_of_our_own_is_said_as_one(
 
 
 def test_the_bounds_are_those_of_the_page() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "damaged_recordings.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "guides" / "damaged_recordings.md").read_text()
     for bound in (
         f"up to {MAX_INFLATED >> 20} MiB",
         f"{MAX_RATIO} times the file, or {FREE >> 20} MiB",

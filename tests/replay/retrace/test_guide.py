@@ -1,4 +1,4 @@
-"""What docs/retrace.md shows is what a reader gets."""
+"""What docs/guides/retrace.md shows is what a reader gets."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 @pytest.mark.slow
 def test_the_guide_s_output_is_real(failed_log: Path, tmp_path: Path) -> None:
     (tmp_path / failed_log.name).write_bytes(failed_log.read_bytes())
-    shown = blocks((REPO / "docs" / "retrace.md").read_text())
+    shown = blocks((REPO / "docs" / "guides" / "retrace.md").read_text())
     assert len(shown) == 4
     for commands, lines in shown:
         output = [without_numbers(line) for line in printed(commands, tmp_path)]

@@ -1,4 +1,4 @@
-"""docs/runs.md: its commands print what it shows, and its tables are those of the code."""
+"""docs/guides/runs.md: its commands print what it shows, and its tables are those of the code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.replay.documented import REPO, blocks, printed, without_numbers
 if TYPE_CHECKING:
     from pathlib import Path
 
-TEXT = (REPO / "docs" / "runs.md").read_text()
+TEXT = (REPO / "docs" / "guides" / "runs.md").read_text()
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-DOCS = Path(__file__).parents[4] / "docs" / "why.md"
+DOCS = Path(__file__).parents[4] / "docs" / "guides" / "why.md"
 
 
 ROBOT = """

@@ -1,0 +1,65 @@
+"""Hooks of the site: pages of a folder in the navigation, and pages that other files hold."""
+
+from __future__ import annotations
+
+import posixpath
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mkdocs.structure.files import File, Files
+
+if TYPE_CHECKING:
+    from mkdocs.config.defaults import MkDocsConfig
+    from mkdocs.structure.pages import Page
+
+_REPO = Path(__file__).parent.parent
+#: Pages of the repository's first folder that the site shows, too.
+_ROOT_PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+
+
+def on_files(files: Files, config: MkDocsConfig) -> Files:
+    """Add the generated pages, and replace folders in the navigation by their pages."""
+    for name in _ROOT_PAGES:
+        text = (_REPO / name).read_text(encoding="utf-8")
+        files.append(File.generated(config, name.lower(), content=_linked(text, ".")))
+    pages = sorted(file.src_uri for file in files.documentation_pages())
+    config.nav = _expanded(config.nav, pages)
+    return files
+
+
+def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
+    """Let links to pages of the repository's first folder lead to those of the site."""
+    return _linked(markdown, posixpath.dirname(page.file.src_uri) or ".")
+
+
+def _linked(text: str, folder: str) -> str:
+    """Return a page's text with links as they are in the site.
+
+    Args:
+        text: Markdown.
+        folder: the page's folder in the site.
+    """
+    for name in _ROOT_PAGES:
+        text = re.sub(rf"\]\((\.\./)*{re.escape(name)}", f"]({posixpath.relpath(name.lower(), folder)}", text)
+    return re.sub(r"\]\(docs/", "](", text)
+
+
+def _expanded(entry: Any, pages: list[str]) -> Any:
+    """Return an entry of the navigation with pages in place of folders."""
+    if isinstance(entry, dict):
+        return {
+            name: _expanded([value] if isinstance(value, str) and value.endswith("/") else value, pages)
+            for name, value in entry.items()
+        }
+    if isinstance(entry, list):
+        return [
+            each
+            for part in entry
+            for each in (
+                [page for page in pages if page.startswith(part)]
+                if isinstance(part, str) and part.endswith("/")
+                else [_expanded(part, pages)]
+            )
+        ]
+    return entry
