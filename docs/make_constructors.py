@@ -172,7 +172,7 @@ def _head(kind: str, name: str, parameters: Sequence[Parameter]) -> list[str]:
     return [*lines, f") -> {kind}:"]
 
 
-def _function(kind: str, name: str, text: str, parameters: Sequence[Parameter], given: str = "") -> str:
+def _function(kind: str, name: str, text: str, parameters: Sequence[Parameter], given: str = "**locals()") -> str:
     first, _, more = text.partition("\n")
     lines = [*_head(kind, name, parameters), f'    """{first}']
     lines += [f"    {line}".rstrip() for line in more.splitlines()]
@@ -180,19 +180,7 @@ def _function(kind: str, name: str, text: str, parameters: Sequence[Parameter], 
     for argument, _, described, _ in parameters:
         line = f"{argument}: {' '.join(described.split())}."
         lines += textwrap.wrap(line, _WIDTH, initial_indent=" " * 8, subsequent_indent=" " * 12)
-    arguments = [given] if given else [f"{argument}={argument}" for argument, *_ in parameters]
-    call = f'    return {kind}(filled("{name}", {", ".join(arguments)}))'
-    if len(call) > _WIDTH:
-        call = "\n".join(
-            [
-                f"    return {kind}(",
-                "        filled(",
-                f'            "{name}",',
-                *(f"            {argument}," for argument in arguments),
-                "        )",
-                "    )",
-            ]
-        )
+    call = f'    return {kind}(filled("{name}", {given}))'
     return "\n".join([*lines, '    """', call, ""])
 
 

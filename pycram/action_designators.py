@@ -43,19 +43,7 @@ def closing(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "closing",
-            container=container,
-            joint=joint,
-            handle=handle,
-            arm=arm,
-            place=place,
-            orientation=orientation,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("closing", **locals()))
 
 
 def delivering(
@@ -78,17 +66,7 @@ def delivering(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "delivering",
-            object=object,
-            target=target,
-            put=put,
-            place=place,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("delivering", **locals()))
 
 
 def fetching(
@@ -115,18 +93,7 @@ def fetching(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "fetching",
-            object=object,
-            arm=arm,
-            grasp=grasp,
-            place=place,
-            clear=clear,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("fetching", **locals()))
 
 
 def handing_over(
@@ -156,18 +123,7 @@ def handing_over(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "handing-over",
-            object=object,
-            arm=arm,
-            target=target,
-            orientation=orientation,
-            place=place,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("handing-over", **locals()))
 
 
 @overload
@@ -208,7 +164,7 @@ def looking(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(filled("looking", object=object, target=target, budget=budget, projected=projected))
+    return ActionDesignator(filled("looking", **locals()))
 
 
 def navigating(
@@ -228,15 +184,7 @@ def navigating(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "navigating",
-            target=target,
-            orientation=orientation,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("navigating", **locals()))
 
 
 def opening(
@@ -266,20 +214,7 @@ def opening(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "opening",
-            container=container,
-            joint=joint,
-            handle=handle,
-            arm=arm,
-            distance=distance,
-            place=place,
-            orientation=orientation,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("opening", **locals()))
 
 
 def parking_arms(
@@ -298,7 +233,7 @@ def parking_arms(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(filled("parking-arms", arm=arm, budget=budget, projected=projected))
+    return ActionDesignator(filled("parking-arms", **locals()))
 
 
 def perceiving(
@@ -318,7 +253,7 @@ def perceiving(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(filled("perceiving", object=object, budget=budget, projected=projected))
+    return ActionDesignator(filled("perceiving", **locals()))
 
 
 def picking_up(
@@ -340,16 +275,7 @@ def picking_up(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "picking-up",
-            object=object,
-            arm=arm,
-            grasp=grasp,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("picking-up", **locals()))
 
 
 def placing(
@@ -370,16 +296,7 @@ def placing(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "placing",
-            object=object,
-            target=target,
-            orientation=orientation,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("placing", **locals()))
 
 
 def searching(
@@ -401,7 +318,7 @@ def searching(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(filled("searching", object=object, budget=budget, projected=projected))
+    return ActionDesignator(filled("searching", **locals()))
 
 
 def transporting(
@@ -432,17 +349,4 @@ def transporting(
             the outer action.
         projected: Whether to try the best choices in projections first; False by default.
     """
-    return ActionDesignator(
-        filled(
-            "transporting",
-            object=object,
-            target=target,
-            arm=arm,
-            grasp=grasp,
-            place=place,
-            clear=clear,
-            close=close,
-            budget=budget,
-            projected=projected,
-        )
-    )
+    return ActionDesignator(filled("transporting", **locals()))

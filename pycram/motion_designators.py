@@ -29,7 +29,7 @@ def moving(
         target: [x, y, z] in m, world frame.
         orientation: A quaternion [x, y, z, w], world frame; by default the robot's present orientation.
     """
-    return MotionDesignator(filled("moving", target=target, orientation=orientation))
+    return MotionDesignator(filled("moving", **locals()))
 
 
 def pick_up(
@@ -48,7 +48,7 @@ def pick_up(
             side.
         from_: Name of the arm that holds the object, and releases it to the other arm.
     """
-    return MotionDesignator(filled("pick-up", object=object, arm=arm, grasp=grasp, from_=from_))
+    return MotionDesignator(filled("pick-up", **locals()))
 
 
 def place(
@@ -67,7 +67,7 @@ def place(
         arm: The name of an arm: "left" or "right" on the PR2; by default the arm that holds the object; if no arm does,
             the only arm, or "left".
     """
-    return MotionDesignator(filled("place", object=object, target=target, orientation=orientation, arm=arm))
+    return MotionDesignator(filled("place", **locals()))
 
 
 def accessing(
@@ -87,16 +87,7 @@ def accessing(
         arm: The name of an arm: "left" or "right" on the PR2; by default the only arm, or "left".
         distance: A distance in m, or the angle of a door in rad; 0 or more; by default 0.3.
     """
-    return MotionDesignator(
-        filled(
-            "accessing",
-            drawer_joint=drawer_joint,
-            drawer_handle=drawer_handle,
-            part_of=part_of,
-            arm=arm,
-            distance=distance,
-        )
-    )
+    return MotionDesignator(filled("accessing", **locals()))
 
 
 @overload
@@ -128,7 +119,7 @@ def looking(
         target: [x, y, z] in m, world frame, or an Object: the middle of its bounds now.
         object: An Object of a world.
     """
-    return MotionDesignator(filled("looking", target=target, object=object))
+    return MotionDesignator(filled("looking", **locals()))
 
 
 def opening_gripper(
@@ -141,7 +132,7 @@ def opening_gripper(
         gripper: The name of an arm: "left" or "right" on the PR2; by default the only arm; required if the robot has
             several arms.
     """
-    return MotionDesignator(filled("opening-gripper", gripper=gripper))
+    return MotionDesignator(filled("opening-gripper", **locals()))
 
 
 def closing_gripper(
@@ -154,7 +145,7 @@ def closing_gripper(
         gripper: The name of an arm: "left" or "right" on the PR2; by default the only arm; required if the robot has
             several arms.
     """
-    return MotionDesignator(filled("closing-gripper", gripper=gripper))
+    return MotionDesignator(filled("closing-gripper", **locals()))
 
 
 def detecting(
@@ -166,7 +157,7 @@ def detecting(
     Args:
         object_type: A type of objects, or an object of that type.
     """
-    return MotionDesignator(filled("detecting", object_type=object_type))
+    return MotionDesignator(filled("detecting", **locals()))
 
 
 def move_tcp(
@@ -184,7 +175,7 @@ def move_tcp(
         arm: The name of an arm: "left" or "right" on the PR2; by default the only arm, or "left".
         level: Whether the held object stays level, within 15 degrees; by default false.
     """
-    return MotionDesignator(filled("move-tcp", target=target, orientation=orientation, arm=arm, level=level))
+    return MotionDesignator(filled("move-tcp", **locals()))
 
 
 def move_arm_joints(
@@ -209,4 +200,4 @@ def world_state_detecting(
     Args:
         object_type: A type of objects, or an object of that type.
     """
-    return MotionDesignator(filled("world-state-detecting", object_type=object_type))
+    return MotionDesignator(filled("world-state-detecting", **locals()))
