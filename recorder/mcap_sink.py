@@ -120,8 +120,8 @@ class McapSink:
             messages: dict[str, type[Message]] = {topic: kind for kind, topic in TOPICS.items()}
             messages |= {"/tf": FrameTransforms, "/log": Log}
             for topic, message in messages.items():
-                name, definition = message.DESCRIPTOR.full_name, _descriptors(message)
-                self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition)
+                name = message.DESCRIPTOR.full_name
+                self._schemas[topic] = self._writer.add_schema(name, "protobuf", definition(message))
                 if topic not in _PER_WORLD:
                     self._register(topic)
             facts = software | {"format": str(format_number())} | dict(metadata)
@@ -291,7 +291,7 @@ class McapSink:
             raise RecordingError(self.path, *self._failed) from error
 
 
-def _descriptors(message: type[Message]) -> bytes:
+def definition(message: type[Message]) -> bytes:
     """Return the definition of a message with all definitions that it uses. Imported files come first."""
     needed = [message.DESCRIPTOR]
     for descriptor in needed:  # the loop appends to the list
@@ -306,11 +306,11 @@ def _descriptors(message: type[Message]) -> bytes:
             added.add(file.name)
             for dependency in file.dependencies:
                 add(dependency)
-            definition = descriptors.file.add()
-            file.CopyToProto(definition)
-            messages = [each for each in definition.message_type if f"{file.package}.{each.name}" in names]
-            del definition.message_type[:]
-            definition.message_type.extend(messages)
+            added_file = descriptors.file.add()
+            file.CopyToProto(added_file)
+            messages = [each for each in added_file.message_type if f"{file.package}.{each.name}" in names]
+            del added_file.message_type[:]
+            added_file.message_type.extend(messages)
 
     add(message.DESCRIPTOR.file)
     return descriptors.SerializeToString()

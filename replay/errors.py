@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import zlib
+from typing import TYPE_CHECKING, Final
 
 from recorder.errors import PortableError, suggestion
 
@@ -36,6 +37,24 @@ class Damaged(ReplayError):
         self.path = str(path)
         self.where = where  # the damaged part, such as a step or an attached file
         self.cause = cause
+
+
+NONSENSE: Final = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    ArithmeticError,
+    AttributeError,
+    SyntaxError,  # models that aren't XML raise this error
+    zlib.error,
+)
+"""Errors of records that no recorder has written."""
+
+
+def nonsense(path: str | Path, where: str, error: Exception) -> Damaged:
+    """Return the error for such a record."""
+    return Damaged(path, where, f"the content is inconsistent: {error}")
 
 
 class MissingModels(Damaged):

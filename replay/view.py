@@ -14,7 +14,6 @@ import os
 import tempfile
 import threading
 import time
-import zlib
 from hashlib import file_digest, sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -30,7 +29,7 @@ from recorder.user_folders import cache_folder, is_own
 from recorder.viewer.connection import END_TIMEOUT, PORT, Target, ViewerGone, ViewerKind, ViewerWindow, address, answers
 from recorder.viewer.rerun_stream import stream_to_file
 from recorder.viewer.translator import ORIGIN, Translator, acts, blueprint, side_by_side
-from replay.errors import Damaged, ReplayError
+from replay.errors import NONSENSE, Damaged, ReplayError, nonsense
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -220,17 +219,6 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
 
 
 _NO_ROOT: Final = ""  # root entity of a single recording
-_NONSENSE: Final = (
-    ValueError,
-    KeyError,
-    TypeError,
-    IndexError,
-    ArithmeticError,
-    AttributeError,
-    SyntaxError,  # models that aren't XML raise this error
-    zlib.error,
-)
-"""Errors of records that no recorder has written."""
 
 
 def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int | None = None) -> None:
@@ -284,8 +272,8 @@ def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Map
     for record in log.records():
         try:  # faster than a context manager for each record
             translator.show(record)
-        except _NONSENSE as error:
-            raise _nonsense(log, f"step {record.seq}", error) from error
+        except NONSENSE as error:
+            raise nonsense(log.path, f"step {record.seq}", error) from error
     with _damage(log, "a record"):  # a damaged time may be too long
         translator.finish()
     for name in translator.scene.absent:  # filters of other tools may remove attachments
@@ -297,9 +285,5 @@ def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Map
 def _damage(log: RecordReader, where: str) -> Iterator[None]:
     try:
         yield
-    except _NONSENSE as error:
-        raise _nonsense(log, where, error) from error
-
-
-def _nonsense(log: RecordReader, where: str, error: Exception) -> Damaged:
-    return Damaged(log.path, where, f"the content is inconsistent: {error}")
+    except NONSENSE as error:
+        raise nonsense(log.path, where, error) from error

@@ -15,7 +15,7 @@ from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from recorder.records import STEPS_PER_SECOND, Keyframe, LoadBody, Mutation
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from recorder.geometry import Pose
     from recorder.records import BodyState, Following, Record
@@ -162,6 +162,26 @@ class FrameTree:
             for joint, frame in body.links(model, model.joints if whole else values):
                 frames.append((frame, joint.pose(values.get(joint.name, 0.0))))
         return BodyMotion(sim_step, name, frames, values)
+
+
+def changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, LoadBody]) -> tuple[list[str], list[LoadBody]]:
+    """Return the names of bodies that are removed or have another model, and the loaded bodies.
+
+    ``bodies`` has the bodies of the record's world by name.
+    """
+    if isinstance(record, Keyframe):
+        models = {name: [asset.sha256 for asset in loaded.assets] for name, loaded in bodies.items()}
+        added = [
+            loaded for loaded in record.loaded if models.get(loaded.body) != [asset.sha256 for asset in loaded.assets]
+        ]
+        unchanged = {loaded.body for loaded in record.loaded} - {loaded.body for loaded in added}
+        return [name for name in bodies if name not in unchanged], added
+    command = record.WhichOneof("command")
+    if command == "open_world":  # bodies of a closed world stay until a world with the same name opens
+        return list(bodies), []
+    added = [record.load_body] if command == "load_body" else []
+    removed = {*record.effect.removed, *(loaded.body for loaded in added)}
+    return [name for name in bodies if name in removed], added
 
 
 BASE_COORDINATES: Final = ("x", "y", "yaw")

@@ -35,6 +35,7 @@ _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
 Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
 """A value of JSON."""
+Position: TypeAlias = tuple[float, float, float]
 
 
 def _plain(value: object) -> object:
@@ -201,6 +202,38 @@ def escaped(text: str) -> str:
     Python uses lone surrogates for bytes that aren't UTF-8, for example in names of files.
     """
     return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
+
+
+def name_of(value: object) -> str:
+    """Return the name of a recorded object, or a recorded text; "" for other values."""
+    name = value.get("object") if isinstance(value, dict) else value
+    return name if isinstance(name, str) else ""
+
+
+def vector(value: object, length: int) -> tuple[float, ...] | None:
+    """Return a recorded value as ``length`` finite numbers; None for other values."""
+    if not isinstance(value, list | tuple) or len(value) != length:
+        return None
+    finite = all(isinstance(number, int | float) and math.isfinite(number) for number in value)
+    return tuple(map(float, value)) if finite else None
+
+
+def position(value: object) -> Position | None:
+    """Return a recorded position, or the position of a recorded pose; None for other values."""
+    if isinstance(value, list) and len(value) == 2:
+        value = value[0]
+    numbers = vector(value, 3)
+    return (numbers[0], numbers[1], numbers[2]) if numbers is not None else None
+
+
+def first_position(values: Mapping[str, Any], objects: Mapping[str, Position]) -> Position | None:
+    """Return the first position among recorded values, or else that of the first named object; None without both.
+
+    ``objects`` has positions by name.
+    """
+    found = map(position, values.values())
+    named = (objects.get(name_of(value)) for value in values.values())
+    return next((each for each in (*found, *named) if each is not None), None)
 
 
 LEFT_OUT: Final = "<left out>"

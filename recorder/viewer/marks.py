@@ -18,6 +18,7 @@ import rerun as rr
 from recorder import geometry
 from recorder.records import Following, Keyframe, Task, argument_values
 from recorder.records.motion import BASE_COORDINATES
+from recorder.records.values import first_position, position, vector
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW
 from recorder.viewer.scene import offset, table
 from recorder.viewer.tables_and_plots import numbered
@@ -267,39 +268,11 @@ def camera_position(scene: ViewerScene, world: str, camera: object = None, robot
 Values: TypeAlias = "dict[str, Any]"
 
 
-def name_of(value: object) -> str:
-    """Return the name of a recorded object, or a recorded text; "" for other values."""
-    name = value.get("object") if isinstance(value, dict) else value
-    return name if isinstance(name, str) else ""
-
-
-def vector(value: object, length: int) -> tuple[float, ...] | None:
-    """Return a recorded value as ``length`` finite numbers; None for other values."""
-    if not isinstance(value, list | tuple) or len(value) != length:
-        return None
-    finite = all(isinstance(number, int | float) and math.isfinite(number) for number in value)
-    return tuple(map(float, value)) if finite else None
-
-
-def position(value: object) -> Vector | None:
-    """Return a recorded position, or the position of a recorded pose; None for other values."""
-    if isinstance(value, list) and len(value) == 2:
-        value = value[0]
-    numbers = vector(value, 3)
-    return (numbers[0], numbers[1], numbers[2]) if numbers is not None else None
-
-
 def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | None:
     """Return the first position among values, or else the position of the first object; None without both."""
-    for value in values.values():
-        point = position(value)
-        if point is not None:
-            return point
-    for value in values.values():
-        body = scene.bodies.get(world, {}).get(name_of(value))
-        if body is not None and not body.loaded.robot_description:
-            return body.pose[0]
-    return None
+    bodies = scene.bodies.get(world, {}).items()
+    objects = {name: body.pose[0] for name, body in bodies if not body.loaded.robot_description}
+    return first_position(values, objects)
 
 
 PATHS: Final = "paths"

@@ -20,14 +20,13 @@ import rerun as rr
 
 from recorder.records import argument_values, format_failure
 from recorder.records.text import NOT_TRIED, TAKEN, by_name, fates, fates_text, rejection_lines, values
+from recorder.records.values import name_of, position
 from recorder.viewer.marks import (
     LINK,
     Marks,
     camera_position,
     line_through,
-    name_of,
     points_at,
-    position,
     target_position,
 )
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED

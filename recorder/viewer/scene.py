@@ -19,7 +19,7 @@ import rerun as rr
 
 from recorder import geometry
 from recorder.records import Keyframe
-from recorder.records.motion import ROOT, FrameTree, frame_name
+from recorder.records.motion import ROOT, FrameTree, changed_bodies, frame_name
 from recorder.urdf import read_shapes
 
 if TYPE_CHECKING:
@@ -165,7 +165,7 @@ class ViewerScene:
         if bodies is None:
             bodies = self.bodies[record.world] = {}
             self._columns.set_frame(self._columns.path(record.world), self.frame(record.world))
-        removed, added = _changed_bodies(record, bodies)
+        removed, added = changed_bodies(record, {name: body.loaded for name, body in bodies.items()})
         for name in removed:
             for path in bodies.pop(name).shapes:
                 self._columns.clear(path, now)
@@ -238,23 +238,6 @@ class ViewerScene:
                     self._columns.set_frame(path, frame)
                     self._columns.send(path, now, *archetypes)
                     body.shapes.add(path)
-
-
-def _changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, SceneBody]) -> tuple[list[str], list[LoadBody]]:
-    """Return the names of bodies that are removed or have another model, and the loaded bodies."""
-    if isinstance(record, Keyframe):
-        models = {name: [asset.sha256 for asset in body.loaded.assets] for name, body in bodies.items()}
-        added = [
-            loaded for loaded in record.loaded if models.get(loaded.body) != [asset.sha256 for asset in loaded.assets]
-        ]
-        unchanged = {loaded.body for loaded in record.loaded} - {loaded.body for loaded in added}
-        return [name for name in bodies if name not in unchanged], added
-    command = record.WhichOneof("command")
-    if command == "open_world":  # bodies of a closed world stay until a world with the same name opens
-        return list(bodies), []
-    added = [record.load_body] if command == "load_body" else []
-    removed = {*record.effect.removed, *(loaded.body for loaded in added)}
-    return [name for name in bodies if name in removed], added
 
 
 def _transforms(parent: str, child: str, rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:

@@ -1,6 +1,6 @@
 """Tasks in the viewer: lanes over time, and the task tree as a graph.
 
-A lane has consecutive tasks of a depth; parallel tasks have separate lanes. At the end of a task, its beginning is sent
+At the end of a task, its beginning is sent
 again with the outcome, and replaces the earlier row. The graph shows the running tasks, the tasks around them, the
 latest tasks, and the path to a failure. Only the last few children of a task are shown, and of succeeded tasks only the
 last task's children.
@@ -15,6 +15,7 @@ import rerun as rr
 
 from recorder.records import Task
 from recorder.tasks import State, Tree
+from recorder.tasks.lanes import Lane, Lanes
 from recorder.tasks.rendering import COLORS
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW
 
@@ -37,41 +38,29 @@ class _Lane:
     labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # labels and statuses by the viewer's state
 
 
-@dataclass(slots=True)
-class _Running:
-    record: Task
-    depth: int
-    slot: int
-    since: TimePoint
-
-
 class TaskTimeline:
     """Lanes of all tasks."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
-        self._running: dict[int, _Running] = {}
-        self._slots: dict[int, set[int]] = {}  # occupied slots by depth of the tasks
-        self._lanes: dict[tuple[int, int], _Lane] = {}
+        self._started: dict[int, tuple[Task, TimePoint]] = {}  # the starts of running tasks
+        self._tasks = Lanes()
+        self._lanes: dict[Lane, _Lane] = {}
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Show a task's start or end."""
+        place = self._tasks.follow(record)
+        if place is None:
+            return
+        lane = self._lane(place)
         if record.phase == Task.STARTED:
-            parent = self._running.get(record.parent)
-            depth = parent.depth + 1 if parent is not None else 1
-            taken = self._slots.setdefault(depth, set())
-            slot = next(slot for slot in range(len(taken) + 1) if slot not in taken)
-            taken.add(slot)
-            running = self._running[record.task] = _Running(record, depth, slot, now)
-            self._label(running, State.RUNNING)
-        elif record.phase == Task.FINISHED and record.task in self._running:
-            running = self._running.pop(record.task)
-            self._label(running, State(record.status))
-            self._lane(running).states.add(now, ("",))
-            self._slots[running.depth].discard(running.slot)
+            self._started[record.task] = record, now
+            self._label(lane, record, now, State.RUNNING)
+        else:
+            self._label(lane, *self._started.pop(record.task), State(record.status))
+            lane.states.add(now, ("",))
 
-    def _label(self, running: _Running, status: State) -> None:
-        lane, record = self._lane(running), running.record
+    def _label(self, lane: _Lane, record: Task, since: TimePoint, status: State) -> None:
         name = record.name if len(lane.labels) < _MAX_NAMES else record.kind
         state = f"{name} {status.word}"
         if state not in lane.labels:
@@ -80,16 +69,15 @@ class TaskTimeline:
             colors = [[*bytes.fromhex(COLORS[status].removeprefix("#"))] for status in statuses]
             configuration = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
             self._columns.send_static(lane.path, configuration)
-        lane.states.add(running.since, (state,))
+        lane.states.add(since, (state,))
 
-    def _lane(self, running: _Running) -> _Lane:
-        key = (running.depth, running.slot)
-        if key not in self._lanes:
-            beside = f".{running.slot + 1}" if running.slot else ""
-            path = self._columns.path(LANES, f"{running.depth}{beside}")
+    def _lane(self, place: Lane) -> _Lane:
+        if place not in self._lanes:
+            beside = f".{place.slot + 1}" if place.slot else ""
+            path = self._columns.path(LANES, f"{place.depth}{beside}")
             states = self._columns.series(path, lambda rows: rr.StateChange.columns(state=[state for (state,) in rows]))
-            self._lanes[key] = _Lane(path, states)
-        return self._lanes[key]
+            self._lanes[place] = _Lane(path, states)
+        return self._lanes[place]
 
 
 GRAPH: Final = "graph"

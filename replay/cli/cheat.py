@@ -125,7 +125,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("runs/ 'select outcome, count(*) from runs group by 1'", "a query"),
         ),
         "export": (
-            ("run.mcap --trajectories -o motions.csv", "planned and driven positions as a table"),
+            ("run.mcap --to foxglove fox.mcap", "scene, tasks and log for Foxglove"),
             ("runs/ --to lerobot dataset --succeeded", "successful runs as a data set"),
         ),
     },

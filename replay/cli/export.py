@@ -1,4 +1,4 @@
-"""``export``: the trajectories of a recording as a table; a folder of recordings as a data set for training.
+"""``export``: a recording for Foxglove, its trajectories as a table, or a folder of recordings as a data set.
 
 The table has planned and driven positions of joints over time. Driven positions are the samples of simulations, 30 in a
 simulated second. Velocities of joints come from the engine. A base has no velocities, because it moves from pose to
@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple, get_type_hints
 
@@ -17,6 +19,7 @@ from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
 from recorder.records.fold import apply
 from recorder.records.motion import BASE_COORDINATES, has_ended, time_of
 from replay.cli.console import print_message, print_result
+from replay.cli.repair import write_copy
 from replay.errors import Damaged, ReplayError
 from replay.state.fold import world_of
 
@@ -37,7 +40,6 @@ if TYPE_CHECKING:
 
 
 _FORMATS: Final = ("csv", "parquet")
-_DATA_SETS: Final = ("lerobot",)
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +51,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "--to",
         nargs=2,
         metavar=("FORMAT", "OUT"),
-        help="for a folder: write a data set for training policies; FORMAT is 'lerobot', OUT is a new folder",
+        help="'foxglove' OUT.mcap: a recording for Foxglove, with a layout in OUT.layout.json; 'lerobot' OUT: a folder "
+        "of recordings as a data set for training policies, in a new folder",
     )
     parser.add_argument(
         "--plan", metavar="NAME", help="for a folder: only runs of this plan (default: the most frequent plan)"
@@ -62,14 +65,20 @@ def add(parser: argparse.ArgumentParser) -> None:
         metavar="FRAME",
         help="for a data set: add a video from the robot's camera, or from a frame of the robot (extra: video)",
     )
+    parser.add_argument("--overwrite", action="store_true", help="replace the existing files for Foxglove")
     parser.add_argument("-o", dest="file", metavar="FILE", help="the table's file (default: CSV on standard output)")
     parser.add_argument("--format", choices=_FORMATS, help="format of the file (default: its suffix, otherwise csv)")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the table."""
+    """Write the table, or the file for Foxglove."""
+    form, out = options.to or ("", "")
+    if form == "foxglove" and not (options.trajectories or options.file or options.images):
+        return _to_foxglove(log, Path(out), options)
     if not options.trajectories or options.to or options.images is not None:
-        raise ReplayError("a recording needs --trajectories; a folder of recordings needs --to lerobot OUT")
+        raise ReplayError(
+            "a recording needs --trajectories or --to foxglove OUT.mcap; a folder of recordings needs --to lerobot OUT"
+        )
     suffix = Path(options.file or "").suffix.removeprefix(".")
     form = options.format or (suffix if suffix in _FORMATS else "csv")
     if form == "parquet" and options.file is None:
@@ -92,13 +101,28 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     return 0
 
 
+def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> int:
+    from replay import foxglove  # noqa: PLC0415  loads numpy
+
+    layout = out.with_suffix(".layout.json")
+    if layout.exists() and not options.overwrite:
+        raise ReplayError(f"{layout} exists; name another file, or add --overwrite")
+    content, messages = write_copy(log, out, partial(foxglove.write, log), overwrite=options.overwrite)
+    layout.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    data = {"file": str(out), "format": "foxglove", "messages": messages, "layout": str(layout)}
+    print_result(
+        lambda: data, [f"{out}: {messages} messages", f"{layout}: a layout for Foxglove"], as_json=options.json
+    )
+    return 0
+
+
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Write the data set."""
     from replay.runs.lerobot import export  # noqa: PLC0415  needs an extra
     from replay.runs.statistics import names_of, plan_of  # noqa: PLC0415  as above
 
     form, out = options.to or ("", "")
-    if form not in _DATA_SETS or options.trajectories or options.file:
+    if form != "lerobot" or options.trajectories or options.file:
         raise ReplayError("a folder of recordings needs --to lerobot OUT, without --trajectories and -o")
     plan, _ = plan_of(runs, options.plan)
     names = names_of(runs, plan)

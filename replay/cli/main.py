@@ -52,7 +52,7 @@ VERBS: Final = {
     "minimise": "find a smaller plan and scene with the same failure",
     "test": "write a pytest that fails as the run did, and passes when the plan is mended",
     "resume": "continue a plan whose process was killed",
-    "export": "write planned and driven positions as a table (CSV, Parquet), or runs as a data set (LeRobot)",
+    "export": "write a recording for Foxglove, its motions as a table (CSV, Parquet), or runs as a data set (LeRobot)",
     "repair": "copy the readable parts of a damaged recording, and list the lost parts",
     "pack": "copy a sweep's recording together with its models",
     "restore": "restore a live world for a script, in a shell, or in a window",

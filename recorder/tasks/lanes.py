@@ -1,0 +1,37 @@
+"""Lanes of tasks over time: a lane has consecutive tasks of a depth; parallel tasks have separate lanes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from recorder.records import Task
+
+
+class Lane(NamedTuple):
+    """A lane: the depth of its tasks from 1, and its number among the lanes of this depth from 0."""
+
+    depth: int
+    slot: int
+
+
+class Lanes:
+    """The lanes of the running tasks."""
+
+    def __init__(self) -> None:
+        self._running: dict[int, Lane] = {}
+        self._taken: dict[int, set[int]] = {}  # occupied slots by depth
+
+    def follow(self, record: Task) -> Lane | None:
+        """Return the lane of a task at its start or end; None for other records."""
+        if record.phase == Task.STARTED:
+            parent = self._running.get(record.parent)
+            depth = parent.depth + 1 if parent is not None else 1
+            taken = self._taken.setdefault(depth, set())
+            lane = Lane(depth, next(slot for slot in range(len(taken) + 1) if slot not in taken))
+            taken.add(lane.slot)
+            self._running[record.task] = lane
+            return lane
+        if record.phase == Task.FINISHED and (ended := self._running.pop(record.task, None)) is not None:
+            self._taken[ended.depth].discard(ended.slot)
+            return ended
+        return None
