@@ -24,7 +24,7 @@ from operator import methodcaller
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, cast
 
 from pycram.foundation.failures import WorldClosed
-from pycram.scheduling.schedule import shared_lock
+from pycram.scheduling.schedule import Lock
 from recorder import records
 from recorder.tracing import journal, span
 from recorder.tracing.context import current_name
@@ -42,9 +42,8 @@ Value: TypeAlias = Any
 #: Values of leaves at one moment. Each operation adds its own value, so it computes the value only once.
 State: TypeAlias = dict["Expression", Value]
 
-lock: Final = shared_lock()
+lock: Final = Lock()
 _MAX_NAME_DEPTH: Final = 4  # number of nested operations that a name shows
-_MAX_RECURSION: Final = 100  # largest number of nested operations that recursive calls compute
 
 
 class Ended(NamedTuple):
@@ -153,7 +152,7 @@ class Constant(Expression):
 class Operation(Expression):
     """An expression that applies a function to the values of other expressions."""
 
-    __slots__ = ("form", "function", "height", "leaves")
+    __slots__ = ("form", "function", "leaves")
 
     leaves: tuple[Leaf, ...]
 
@@ -164,29 +163,11 @@ class Operation(Expression):
         self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
         self.form = form  # the name, with ``{}`` in place of each operand
         self.function = function  # the argument is an iterator, which computes the operands' values on demand
-        #: Number of nested operations, including this operation.
-        self.height: int = 1 + max(
-            (operand.height for operand in operands if isinstance(operand, Operation)), default=0
-        )
 
     def value(self, state: State) -> Value:
         """Return the value in a state."""
         if self not in state:
-            if self.height > _MAX_RECURSION:
-                return self._value_iteratively(state)
             state[self] = self.function(map(methodcaller("value", state), self.operands))
-        return state[self]
-
-    def _value_iteratively(self, state: State) -> Value:
-        """Compute the value without recursion. A function is called again when a missing operand is computed."""
-        pending: list[Operation] = [self]
-        while pending:
-            operation = pending[-1]
-            try:
-                state[operation] = operation.function(_computed(operand, state) for operand in operation.operands)
-                pending.pop()
-            except _NotComputed as missing:
-                pending.append(missing.operation)
         return state[self]
 
     def text(self, depth: int = 0) -> str:
@@ -195,20 +176,6 @@ class Operation(Expression):
             return "..."
         text = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
         return f"({text})" if depth and self.form.startswith(("{} ", "NOT ", "-", "+")) else text
-
-
-class _NotComputed(BaseException):
-    """A function needs an operand that is nested too deep for recursive calls."""
-
-    def __init__(self, operation: Operation) -> None:
-        super().__init__()
-        self.operation = operation
-
-
-def _computed(operand: Expression, state: State) -> Value:
-    if isinstance(operand, Operation) and operand.height > _MAX_RECURSION and operand not in state:
-        raise _NotComputed(operand)
-    return operand.value(state)
 
 
 def notify(changed: Iterable[Expression]) -> None:

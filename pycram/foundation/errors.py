@@ -24,18 +24,15 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass, field, fields
 from functools import partial
-from types import MemberDescriptorType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, NoReturn, TypeVar, cast, dataclass_transform
-from weakref import WeakSet
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, cast, dataclass_transform
 
 from recorder import notebook
 from recorder.errors import nearest, suggestion
 from recorder.records import escaped
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
-    from typing import Self
 
 
 Given = TypeVar("Given")
@@ -47,17 +44,10 @@ class PycramError(Exception):
 
     _template: ClassVar[str] = ""  # message of a dataclass error, with field names in braces
 
-    def __new__(cls, *args: object, **kwargs: object) -> Self:
-        """Make an instance that can be raised even if its class rejects assignments, as frozen dataclasses do."""
-        if cls not in _raisable:
-            _make_raisable(cls)
-        return super().__new__(cls, *args, **kwargs)
-
     @property
     def data(self) -> Mapping[str, object]:
         """Values of the error's fields by name."""
-        slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
-        return {name: value for name, value in (slots | vars(self)).items() if not name.startswith("_")}
+        return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
     def _complete(self) -> None:
         """Set the fields that depend on other fields."""
@@ -71,8 +61,7 @@ class PycramError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle and copy the error with its fields: the constructor may need more than the message."""
-        slots = {slot.__name__: slot.__get__(self) for slot in slots_of(self)}
-        return _restored, (type(self), self.args, slots, dict(vars(self)))
+        return _restored, (type(self), self.args, dict(vars(self)))
 
 
 class PlanFailure(PycramError):
@@ -97,8 +86,8 @@ def floats(values: Sequence[float]) -> list[float]:
 def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
     """Make an error a dataclass; its template or its ``_message()`` makes the message.
 
-    The attributes that mark a dataclass are deleted, so that a plan may derive a frozen dataclass from the error.
-    Errors stay equal by identity, and print like other exceptions.
+    The attributes that mark a dataclass are deleted, so a dataclass that a plan derives from the error has only its own
+    fields. Errors stay equal by identity, and print like other exceptions.
     """
     dataclass(eq=False, repr=False, match_args=False)(kind)
     conversions = {each.name: each.metadata["convert"] for each in fields(cast("Any", kind)) if each.metadata}
@@ -119,51 +108,10 @@ def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
     return kind
 
 
-def _restored(
-    kind: type[PycramError], args: tuple[object, ...], slots: Mapping[str, object], fields: Mapping[str, object]
-) -> PycramError:
+def _restored(kind: type[PycramError], args: tuple[object, ...], fields: Mapping[str, object]) -> PycramError:
     error = kind.__new__(kind, *args)
-    vars(error).update(fields)  # the error's class may reject assignments
-    for name, value in slots.items():
-        getattr(kind, name).__set__(error, value)
+    vars(error).update(fields)  # a property may hide a field
     return error
-
-
-def slots_of(error: PycramError) -> Iterator[MemberDescriptorType]:
-    """Yield the slots of an error whose class is a dataclass with ``slots=True``."""
-    for base in type(error).__mro__:
-        if issubclass(base, PycramError):
-            for slot in vars(base).values():
-                if isinstance(slot, MemberDescriptorType) and hasattr(error, slot.__name__):
-                    yield slot
-
-
-#: Attributes that Python sets on an exception while it propagates.
-_SET_BY_PYTHON: Final = frozenset({"__cause__", "__context__", "__notes__", "__suppress_context__", "__traceback__"})
-
-_raisable: Final[WeakSet[type[PycramError]]] = WeakSet()
-
-
-def _make_raisable(kind: type[PycramError]) -> None:
-    # not in __init_subclass__: it runs before a dataclass gets its __setattr__
-    for base in kind.__mro__:
-        if issubclass(base, PycramError) and base not in _raisable:
-            _raisable.add(base)
-            if "__setattr__" in vars(base):
-                _allow_python(base)
-
-
-def _allow_python(kind: type[PycramError]) -> None:
-    assign = kind.__setattr__
-
-    @functools.wraps(assign)
-    def set_or_assign(error: PycramError, name: str, value: object) -> None:
-        if name in _SET_BY_PYTHON:
-            BaseException.__setattr__(error, name, value)
-        else:
-            assign(error, name, value)
-
-    kind.__setattr__ = set_or_assign  # type: ignore[method-assign, assignment]  # mypy forbids assigning to a method
 
 
 @dataclass_error

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING, Any, Final
 
-from pycram.foundation.errors import PlanFailure, PycramError, UsageError, export, slots_of
+from pycram.foundation.errors import PlanFailure, PycramError, UsageError, export
 from recorder import notebook
 from recorder.records import format_error
 from recorder.records.tracebacks import format_traceback
@@ -79,13 +79,9 @@ class BranchesFailed(PlanFailure):
 
     def __init__(self, block: str, failures: Iterable[PlanFailure]) -> None:
         members = tuple(failures)
-        fields = vars(self)  # the type may reject assignments
+        fields = vars(self)  # a property of the type may hide a field
         if len(type(self).__bases__) > 1:
-            first = next(_leaves(members))
-            fields.update(vars(first))
-            for slot in slots_of(first):
-                if isinstance(self, slot.__objclass__):
-                    slot.__set__(self, slot.__get__(first))
+            fields.update(vars(next(_leaves(members))))
         leaves, causes, left_out = tuple(_leaves(members)), members, 0
         levels = 1 + max((f._levels for f in members if isinstance(f, BranchesFailed)), default=0)  # noqa: SLF001  as self
         if levels > MAX_LEVELS:

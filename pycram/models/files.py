@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models import store
-from pycram.models.warming import notable
 from recorder.errors import similar_files
 from recorder.packages import hint
 from recorder.records.values import AssetFile
@@ -129,7 +128,6 @@ def find(path: str | Path) -> Path:
 
 
 @cache
-@notable
 def _installed(name: str) -> Path:
     from importlib import metadata  # noqa: PLC0415  slow to import
 

@@ -21,7 +21,6 @@ from pycram.models import canonical_urdf, conversion_cache, corrections, mesh, o
 from pycram.models.files import check_packages, find, find_mesh, parse_urdf, read_bytes, read_text
 from pycram.models.shapes import piece_bounds
 from pycram.models.texture import cover_shape, warn_of_missing
-from pycram.models.warming import notable
 from pycram.physics.loading import NOW, Loading
 from recorder.records.values import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
@@ -113,7 +112,6 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-@notable
 def _file_names(source: Path, content: bytes, scale: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Check the links of a URDF; return the file names of the meshes, and of the textures."""
     root = canonical_urdf.read(source, content, scale)
@@ -125,7 +123,6 @@ def _file_names(source: Path, content: bytes, scale: float) -> tuple[tuple[str, 
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-@notable
 def _cached_model(
     source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...], scale: float
 ) -> Model:
@@ -204,7 +201,6 @@ class _Painted(NamedTuple):
 
 
 @cache
-@notable
 def _collision_mesh(version: _FileVersion) -> AssetFile:
     """Store a collision mesh in a format that the engine reads; check each version of a file once."""
     file = version.file
@@ -218,7 +214,6 @@ def filled_links(model: Model) -> Sequence[str]:
 
 
 @cache
-@notable
 def _is_filled(version: _FileVersion) -> bool:
     file = version.file
     kept = conversion_cache.kept(
@@ -228,7 +223,6 @@ def _is_filled(version: _FileVersion) -> bool:
 
 
 @cache
-@notable
 def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple[_Painted, ...]:
     """Store a visual mesh as one mesh for each colour; check each version of the files once."""
     file, cover = version.file, None if picture is None else read_bytes(picture.file)

@@ -20,7 +20,6 @@ from pycram.models import conversion_cache, store
 from pycram.models.canonical_urdf import DENSITY, LARGEST
 from pycram.models.files import parse_toml, read_text
 from pycram.models.mesh import convert, convert_visual, is_convex, parse
-from pycram.models.warming import notable
 from recorder.records import escaped
 from recorder.records.values import AssetFile
 
@@ -152,7 +151,6 @@ def _properties(file: Path) -> Mapping[str, object]:
 
 
 @lru_cache(maxsize=8)  # the objects of a folder share a table
-@notable
 def _parsed(text: str, table: Path) -> Mapping[str, object]:
     return parse_toml(text, table)
 

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.models import store
 from pycram.models.store import stored_tree
-from pycram.models.warming import notable
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -38,7 +37,6 @@ class RigidPart:
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
-@notable
 def divided(path: Path) -> tuple[RigidPart, ...]:
     """Return the rigid parts of a canonical URDF that have collision shapes.
 
@@ -64,7 +62,6 @@ def divided(path: Path) -> tuple[RigidPart, ...]:
 
 
 @lru_cache(maxsize=_CACHED_LINKS)
-@notable
 def single_link(path: Path, link: str) -> Path:
     """Return the URDF of a model that consists of one link of a canonical URDF."""
     elements = store.document(path).findall("link")

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar, ov
 import numpy as np
 
 from pycram.models import conversion_cache, mesh, store
-from pycram.models.warming import notable
 from recorder import geometry
 from recorder.packages import LazyModule, needed
 from recorder.urdf import shapes_in
@@ -62,7 +61,6 @@ class Shapes:
 
 
 @lru_cache(maxsize=256)
-@notable
 def shapes_of(path: Path, role: str = "visual") -> Shapes:
     """Return the "visual" or "collision" shapes of a canonical URDF."""
     links = _read(path, role)
@@ -99,7 +97,6 @@ class LazySequence(Sequence[T]):
 
 
 @lru_cache(maxsize=256)
-@notable
 def _read(path: Path, role: str) -> dict[str, list[Shape]]:
     return shapes_in(store.document(path), role)
 
@@ -135,7 +132,6 @@ def _ends(shape: Shape, folder: Path) -> Ends:
 
 
 @lru_cache(maxsize=256)
-@notable
 def piece_bounds(path: Path) -> Sequence[tuple[str, Ends]]:
     """Return link and bounding box of each piece of :func:`pieces_of`."""
     every: list[tuple[str, Ends]] = []
@@ -240,7 +236,6 @@ def _revolved(profile: Array) -> Array:
 
 
 @lru_cache(maxsize=1024)
-@notable
 def _mesh_ends(file: Path) -> Array:
     if file.suffix.lower() == ".stl":  # the number format of an STL is exact, too
         return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
@@ -248,7 +243,6 @@ def _mesh_ends(file: Path) -> Array:
 
 
 @lru_cache(maxsize=256)
-@notable
 def _mesh(file: Path) -> Array:
     if file.suffix.lower() == ".stl":  # a binary STL, because the store has no ASCII STL
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
@@ -277,7 +271,6 @@ class Solids:
 
 
 @lru_cache(maxsize=256)
-@notable
 def solids_of(path: Path) -> Solids:
     """Return the convex pieces of a canonical URDF."""
     found = list(pieces_of(path))

@@ -629,14 +629,6 @@ class _Held(threading.local):
 
 
 _held: Final = _Held()
-_shared: Final[list[Callable[[], bool]]] = []  # functions that return whether this thread holds a shared lock
-
-
-def shared_lock() -> threading.RLock:
-    """Return a lock that exists until the process ends; entering it takes a fifth of a Lock's time."""
-    lock = threading.RLock()
-    _shared.append(lock._is_owned)  # type: ignore[attr-defined]  # noqa: SLF001  as threading.Condition does
-    return lock
 
 
 class Lock:
@@ -650,7 +642,7 @@ class Lock:
     @property
     def is_mine(self) -> bool:
         """Whether this thread holds the lock."""
-        return bool(self._lock._is_owned())  # type: ignore[attr-defined]  # noqa: SLF001  as above
+        return bool(self._lock._is_owned())  # type: ignore[attr-defined]  # noqa: SLF001  as threading.Condition does
 
     def __enter__(self) -> None:
         self._lock.acquire()
@@ -670,12 +662,7 @@ class Lock:
 
 def is_held() -> bool:
     """Return whether this thread holds a lock."""
-    if _held.count:
-        return True
-    for is_owned in _shared:  # noqa: SIM110  any() would take three times as long
-        if is_owned():
-            return True
-    return False
+    return _held.count > 0
 
 
 def refuse_held() -> None:

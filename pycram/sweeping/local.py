@@ -19,7 +19,7 @@ import subprocess
 import sys
 import time
 from collections import deque
-from contextlib import closing, nullcontext, suppress
+from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import entry_points
@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from pycram import running
 from pycram.failures import PlanFailure
 from pycram.foundation.errors import call_all, export
-from pycram.models import store, warming
+from pycram.models import load, store
 from pycram.plan_parameters import Variations
 from pycram.projection.child import GRACE, ChildPool, die_with, limit_memory, run_from_start, usable_cores
 from pycram.running import MAX_SEED, RunSpec
@@ -39,12 +39,12 @@ from recorder.mcap_writer import SharedModels, share_models
 from recorder.packages import versions
 from recorder.provenance import look_up_revisions, metadata
 from recorder.recording import record, redirected
-from recorder.records import Query, Run, Task, format_failure
+from recorder.records import Mutation, Query, Run, Task, format_failure
 from recorder.records.values import LEFT_OUT, is_secret
 from recorder.tracing.journal import NullSink
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping
+    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 
     from pycram.projection.child import Child, ChildResult
     from recorder.records import Record
@@ -133,9 +133,13 @@ class _RunSink(McapSink):
     end: Run | None = None
     started = False
     late: Callable[[], str] = str
+    models: tuple[tuple[str, list[float], float], ...] = ()  # paths, colours and scales of loaded models
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         self.started = self.started or isinstance(record, Task | Query)
+        if isinstance(record, Mutation) and record.HasField("load_body"):
+            model = record.load_body
+            self.models = (*self.models, (model.path, list(model.color), model.scale or 1.0))
         if isinstance(record, Run) and record.phase == Run.FINISHED:
             if record.interrupted_by and (cause := self.late()):
                 record.failure.type, record.failure.message = _TIME_LIMIT, cause
@@ -151,7 +155,6 @@ def run_once(
     models: SharedModels | None,
     began: float,
     *,
-    noting: bool = False,
     lost: str = "",
 ) -> bytes:
     """Run the plan once in a child of the sweep, and return the outcome as JSON.
@@ -159,7 +162,6 @@ def run_once(
     Args:
         attempt: Number of the attempt, from 1.
         began: Start of the run by the system's monotonic clock, in s.
-        noting: Whether the answer contains notes that warm later runs.
         lost: Why the run's process ended in each attempt. If it isn't empty, the plan doesn't run; the recording
             has it.
     """
@@ -186,7 +188,7 @@ def run_once(
         sinks[0].path = Path(spec.folder) / name  # projections are recorded next to this file
         return sinks[0]
 
-    with redirected(sink_of), warming.noted() if noting and not lost else nullcontext() as notes:
+    with redirected(sink_of):
         if lost:
             _record_loss(run, part, lost)
         else:
@@ -212,7 +214,7 @@ def run_once(
         lost=bool(lost),
         remark="; ".join(f"{type(error).__name__}: {error}" for error in errors),
     )
-    return _answer(outcome, notes)
+    return _answer(outcome, sink.models)
 
 
 def _record_loss(run: RunSpec, part: Path, cause: str) -> None:
@@ -230,8 +232,8 @@ def _record_loss(run: RunSpec, part: Path, cause: str) -> None:
         raise RunLost(cause)
 
 
-def _answer(outcome: RunOutcome, notes: warming.Notes | None = None) -> bytes:
-    return json.dumps({"outcome": asdict(outcome), "notes": notes and notes.text()}).encode()
+def _answer(outcome: RunOutcome, models: Sequence[tuple[str, list[float], float]] = ()) -> bytes:
+    return json.dumps({"outcome": asdict(outcome), "models": models}).encode()
 
 
 @cache
@@ -261,13 +263,13 @@ class Local:
         # the runs import these modules, too
         import numpy.random  # noqa: F401, PLC0415
 
-        from pycram import event, fluent, language, process_module  # noqa: F401, PLC0415
+        from pycram import action_designators, event, fluent, language, process_module  # noqa: F401, PLC0415
         from pycram.bullet_world_reasoning import blocking, contact, stable, visible  # noqa: F401, PLC0415
 
         self._spec = spec
         self._pool: ChildPool[_Job] = ChildPool(cores or usable_cores(), spec.limit, GRACE)
         self._models = SharedModels.of(Path(spec.folder) / models) if models else None
-        self._warm = False  # whether this process has loaded the models and modules that a run noted
+        self._warm = False  # whether this process has loaded the models of a run
         store.folder()  # creates the folder that all runs share
         hooks()
         versions()
@@ -289,7 +291,7 @@ class Local:
         def start(job: _Job) -> Child:
             began = time.monotonic()  # measured before the child's time limit begins
             once = partial(run_once, self._spec, job.number, job.attempt, self._models, began)
-            return run_from_start(partial(once, noting=not self._warm, lost=job.lost))
+            return run_from_start(partial(once, lost=job.lost))
 
         try:
             with closing(self._pool.run(waiting, start)) as results:
@@ -330,8 +332,9 @@ class Local:
             return RunOutcome(job.number, self._spec.name(job.number), succeeded=False, unrecorded=how)
         answer = json.loads(result.answer)
         outcome = RunOutcome(**answer["outcome"])
-        if answer["notes"] is not None and not self._warm:
-            warming.warm(answer["notes"])
+        for path, color, scale in () if self._warm else answer["models"]:
+            with suppress(Exception):  # the next run reports the error
+                load.load(path, color or None, scale=scale)
             self._warm = True
         if self._models is None and not outcome.unrecorded:
             self._models = share_models(Path(self._spec.folder) / outcome.name)

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation import checks, plugins
 from pycram.foundation.failures import AssetError, BadArgument, MissingPart, UnknownName
 from pycram.models.files import parse_toml, read_text
-from pycram.models.warming import notable
 from recorder import geometry
 from recorder.urdf import UrdfError
 
@@ -320,7 +319,6 @@ def find_description(urdf: Urdf) -> tuple[RobotDescription | None, Mapping[str, 
 
 
 @cache
-@notable
 def _own() -> tuple[RobotDescription, ...]:
     return tuple(RobotDescription.load(file) for file in sorted(Path(__file__).parent.glob("*.toml")))
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from pycram.models import shapes
 from pycram.models.store import stored_tree
-from pycram.models.warming import notable
 from pycram.reasoning.kinematics.forward import Articulation, drivers
 from pycram.world import attachment
 from recorder import geometry
@@ -128,7 +127,6 @@ class Boxes:
 
 
 @lru_cache(maxsize=256)
-@notable
 def _bounds(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Return the links of pieces, and their lowest and highest corners (k, 3) in the links' frames."""
     pieces: dict[str, list[shapes.Ends]] = {}
@@ -333,7 +331,6 @@ class _Structure:
 
 
 @lru_cache(maxsize=_CACHED)
-@notable
 def _structure(
     path: Path,
     robot: str,
@@ -393,7 +390,6 @@ def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> 
 
 
 @lru_cache(maxsize=_CACHED)
-@notable
 def joint_counts(path: Path, joints: tuple[str, ...]) -> Mapping[str, int]:
     """Return the number of moving joints above each link, for a model with a checked URDF."""
     urdf = stored_tree(path)

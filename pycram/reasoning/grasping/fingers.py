@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from pycram.foundation.failures import CollisionPair
 from pycram.models.store import stored_tree
-from pycram.models.warming import notable
 from pycram.reasoning.collision.boxes import Boxes
 from pycram.reasoning.collision.checker import DEPTH, link_name
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -269,7 +268,6 @@ def _near(
 
 
 @lru_cache(maxsize=_CACHED)
-@notable
 def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
     """Return the joints of a checked URDF between the palm and the fingers that the gripper doesn't move."""
     urdf = stored_tree(path)
@@ -281,7 +279,6 @@ def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
 
 
 @lru_cache(maxsize=_CACHED)
-@notable
 def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) -> Boxes:
     """Return boxes in the palm's frame around the space that fingers sweep between open and closed.
 

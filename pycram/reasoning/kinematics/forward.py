@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.store import stored_tree
-from pycram.models.warming import notable
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -228,7 +227,6 @@ class Drivers:
 
 
 @lru_cache(maxsize=_CACHED)
-@notable
 def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
     """Return the joints that move the links of a model with a checked URDF."""
     urdf = stored_tree(path)

@@ -10,7 +10,6 @@ import pytest
 
 from pycram.failures import BadArgument, Unreachable
 from pycram.fluent import Fluent, NotSettable, NotTrueOrFalse, network, whenever
-from tests.pycram.fluents.waiters import waiting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -58,27 +57,6 @@ def test_arithmetic_operators_and_their_names() -> None:
     ):
         assert (made.get_value(), made.name) == (value, name)
     assert [made.get_value() for made in (none // 2, none % 2, none**2, -none, abs(none))] == [None] * 5
-
-
-def test_networks_may_be_nested_deeper_than_the_recursion_limit() -> None:
-    number, asked = Fluent(1), []
-    deep = never = number
-    for _ in range(3000):
-        deep = deep + number
-        never = network(lambda *values: asked.append(values), never)
-    assert deep.get_value() == 3001
-    assert (number == 2).OR(deep > 0).get_value() is True
-    assert (number == 1).OR(never).get_value() is True
-    assert not asked  # the second operand is looked at only if the first one isn't true
-    condition = deep > 6000
-    with waiting(condition) as running:
-        number.set_value(2)
-    assert running.end() is True
-    for _ in range(1500):
-        condition = (number == 2).AND(condition)
-    assert condition.get_value() is True
-    del deep, condition, never  # all at once, and however deep
-    assert number.get_value() == 2
 
 
 def test_operators_with_arrays_make_networks() -> None:

@@ -26,9 +26,9 @@ from pycram.process_module import NoProcessModule
 from pycram.scheduling.schedule import LockHeld
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(eq=False)
 class Slipped(PlanFailure):
-    """A failure as a plan may define it: it refuses assignments, and its fields are in slots."""
+    """A failure as a plan may define it."""
 
     distance: float
 
