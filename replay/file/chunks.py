@@ -1,4 +1,4 @@
-"""The records in a recording's chunks: they are decompressed on demand, and found by interpolation search.
+"""The records in a recording's chunks: they are decompressed on demand, and found by binary search.
 
 Damaged parts are noted and left out. Files of other programs may have other chunks or none, and messages in any order.
 Such a file is read once, to find the position of each record. Then its records are yielded in the order of steps, in
@@ -8,8 +8,9 @@ record could take hours.
 
 from __future__ import annotations
 
+import math
 import struct
-from array import array
+from bisect import bisect_right
 from collections import OrderedDict
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -20,9 +21,9 @@ from mcap.opcode import Opcode
 from recorder.records import PACKAGE, TOPICS, Envelope, Keyframe, Mutation, Query, Record, known_definitions
 from recorder.records.beliefs import is_look, may_be_look
 from replay.file.mcap_format import (
-    CHANNEL_OFFSET,
     CHUNK_DAMAGE,
     HEADER,
+    LENGTH,
     ChunkExtent,
     Extent,
     decode,
@@ -54,8 +55,7 @@ _FIELDS: Final = 22  # size of a message's fields in bytes
 _PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before the payload of a message
 _MESSAGES: Final = 100  # number of messages in a chunk of sorted messages
 _IN_MEMORY: Final = 16 << 20  # inflated chunks with at most this many bytes stay in memory
-_LOOSE: Final = -1  # chunk number of a message outside of chunks
-_NUMBER: Final = 40  # number of low bits of a sort key, which are the message's number; the high bits are the step
+_OFFSET: Final = 40  # number of low bits of a sort key, which are the message's offset; the high bits are the step
 
 
 @dataclass(slots=True)
@@ -77,9 +77,13 @@ class Chunks:
         self._cached = 0  # number of bytes of the cached chunks
         self._spans: dict[int, tuple[int, int]] = {}  # first and last step of each chunk that was read
         self.damaged: dict[int, str] = {}  # causes of known damage by number of the chunk
-        self._sorted = None if index.ours else SortedMessages.of(index, kinds_of(index))
+        self._sorted = None if index.ours else SortedMessages(index, kinds_of(index))
+        if self._sorted is not None and self._sorted.in_order:
+            self._sorted.close()
+            self._sorted = None
         if self._sorted is not None:
-            index.chunks.arrange(self._sorted.chunks)
+            index.damage += self._sorted.damage
+            index.chunks[:] = self._sorted.chunks
         self.refresh(0)
 
     def __len__(self) -> int:
@@ -107,7 +111,7 @@ class Chunks:
 
     def channel_maps(self) -> Iterator[bytes | None]:
         """Return the field ``channels`` of each chunk (:class:`replay.file.mcap_format.ChunkExtent`)."""
-        return self._index.chunks.channel_maps()
+        return (chunk.channels for chunk in self._index.chunks)
 
     def refresh(self, number: int) -> None:
         """Drop the caches of a chunk and of all later chunks."""
@@ -208,23 +212,9 @@ class Chunks:
             return (first_step, last_step) if at == number else (last_step + 1, last_step)
         return 0, -1
 
-    def chunk_of(self, step: int, steps: int) -> int:
+    def chunk_of(self, step: int) -> int:
         """Return the number of the last chunk that begins at or before a step."""
-        low, first, high, end = 0, 0, len(self) - 1, steps
-        probes = 0
-        while low < high:
-            # steps increase almost evenly, so interpolation is fast; every third probe halves the range
-            probes += 1
-            guess = low + (high + 1 - low) * (step - first) // max(1, end - first)
-            middle = min(max(guess, low + 1), high) if probes % 3 else (low + high + 1) // 2
-            begin, last = self.span(middle)
-            if begin > step:
-                high, end = middle - 1, begin
-            elif last >= step:
-                return middle
-            else:
-                low, first = middle, begin
-        return low
+        return max(0, bisect_right(range(len(self)), step, key=lambda number: self.span(number)[0]) - 1)
 
     # --- decoding --------------------------------------------------------------------------------------------------
 
@@ -312,120 +302,57 @@ def _owner(metadata: Mapping[str, str]) -> Owner | None:
 # --- files of other programs ------------------------------------------------------------------------------------------
 
 
-class _MessagePlaces:
-    """Positions of the messages of a file in arrays, because there may be millions of messages."""
-
-    def __init__(self) -> None:
-        self.keys: list[int] = []  # step and number of each message
-        self.channels = array("H")
-        self.chunks = array("l")  # chunk of each message, or -1
-        # offset of each message in its chunk, or in the file for messages outside of chunks, bytes
-        self.offsets, self.lengths = array("Q"), array("Q")
-        self.sorted = True  # whether the records are in the order of their steps
-        self._last = -1
-
-    def add(self, step: int, channel: int, chunk: int, extent: Extent, *, is_record: bool) -> None:
-        """Add the next message."""
-        if is_record:
-            self.sorted = self.sorted and self._last <= step
-            self._last = step
-        self.keys.append(step << _NUMBER | len(self.keys))
-        self.channels.append(channel)
-        self.chunks.append(chunk)
-        self.offsets.append(extent.offset)
-        self.lengths.append(extent.length)
-
-
 class SortedMessages:
-    """The messages of a file in the order of steps."""
+    """The messages of a file in the order of steps, with chunks like the recorder's chunks."""
 
-    def __init__(self, index: Index, places: _MessagePlaces) -> None:
+    def __init__(self, index: Index, kinds: Mapping[int, type[Record]]) -> None:
         from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import
 
-        self._index = index
-        self._places = places
-        self._inflated = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
-        self._starts: dict[int, int] = {}  # offsets of chunks in the temporary file
-        for number in range(len(index.chunks)):
-            if (contents := _contents(index, number, [])) is not None:
-                self._starts[number] = self._inflated.tell()
-                self._inflated.write(contents)
-        numbers = array("Q", (key & ((1 << _NUMBER) - 1) for key in sorted(places.keys)))
-        self._groups = [numbers[start : start + _MESSAGES] for start in range(0, len(numbers), _MESSAGES)]
-        self.chunks = [  # these chunks replace the chunks of the file
-            ChunkExtent(
-                0, 0, b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in {places.channels[at] for at in group})
-            )
-            for group in self._groups
-        ]
-
-    @classmethod
-    def of(cls, index: Index, kinds: Mapping[int, type[Record]]) -> SortedMessages | None:
-        """Return the sorted messages of a file, or None if all records are in order.
-
-        ``kinds`` are the types of records by channel. Damage is added to the index.
-        """
-        damage: list[str] = []
-        places = _places(index, kinds, damage)
-        if not index.loose and places.sorted:
-            return None
-        index.damage += damage
-        return cls(index, places)
+        self._file = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
+        self.damage: list[str] = []
+        self.in_order = not index.loose  # whether the file already has its records in chunks and in order
+        # offsets of messages in the temporary file; the high bits are the step. There may be millions of messages.
+        self._keys: list[int] = []
+        last = at = 0
+        for where, message in _messages(index, self.damage):
+            try:
+                # messages for other tools have the number of the record
+                channel, step = _CHANNEL.unpack_from(message, HEADER)
+                if channel in kinds:  # some programs change the numbers of messages, but not of records
+                    step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
+                    self.in_order = self.in_order and last <= step
+                    last = step
+            except (DecodeError, struct.error) as error:
+                self.damage.append(f"the message at {where} is damaged ({describe(error)})")
+                continue
+            self._keys.append(step << _OFFSET | at)
+            at += self._file.write(message)
+        self._keys.sort()
+        self.chunks = [ChunkExtent(0, 0)] * math.ceil(len(self._keys) / _MESSAGES)
 
     def close(self) -> None:
         """Remove the temporary file."""
-        self._inflated.close()
+        self._file.close()
 
     def contents(self, number: int) -> bytes:
         """Return the messages of a chunk."""
         messages = []
-        for at in self._groups[number]:
-            chunk, extent = self._places.chunks[at], Extent(self._places.offsets[at], self._places.lengths[at])
-            if chunk == _LOOSE:
-                messages.append(self._index.read(extent))
-            else:
-                self._inflated.seek(self._starts[chunk] + extent.offset)
-                messages.append(self._inflated.read(extent.length))
+        for key in self._keys[number * _MESSAGES : (number + 1) * _MESSAGES]:
+            self._file.seek(key & ((1 << _OFFSET) - 1))
+            head = self._file.read(HEADER)
+            messages += [head, self._file.read(LENGTH.unpack(head)[1])]
         return b"".join(messages)
 
 
-def _places(index: Index, kinds: Mapping[int, type[Record]], damage: list[str]) -> _MessagePlaces:
-    places = _MessagePlaces()
-    for chunk, offset, message in _messages(index, damage):
-        try:
-            # messages for other tools have the number of the record
-            channel, step = _CHANNEL.unpack_from(message, HEADER)
-            is_record = channel in kinds
-            if is_record:  # some programs change the numbers of messages, but not of records
-                step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
-            places.add(step, channel, chunk, Extent(offset, len(message)), is_record=is_record)
-        except (DecodeError, struct.error) as error:
-            where = f"byte {offset}" if chunk == _LOOSE else f"byte {offset} of chunk {chunk}"
-            damage.append(f"the message at {where} is damaged ({describe(error)})")
-    return places
-
-
-def _messages(index: Index, damage: list[str]) -> Iterator[tuple[int, int, bytes]]:
-    """Yield chunk, offset in the chunk and bytes of each message.
-
-    Outside of chunks, yield -1 and the offset in the file.
-    """
+def _messages(index: Index, damage: list[str]) -> Iterator[tuple[str, bytes]]:
+    """Yield each message of a file, and its place in words."""
     for number in range(len(index.chunks)):
-        contents = _contents(index, number, damage) or b""
         try:
+            contents = index.contents(number)[0]
             for opcode, start, stop in framed(contents):
                 if opcode == Opcode.MESSAGE:
-                    yield number, start - HEADER, contents[start - HEADER : stop]
-        except struct.error as error:
+                    yield f"byte {start - HEADER} of chunk {number}", contents[start - HEADER : stop]
+        except CHUNK_DAMAGE as error:
             damage.append(f"chunk {number} is damaged ({describe(error)})")
     for extent in index.loose:
-        whole = Extent(extent.offset - HEADER, extent.length + HEADER)
-        yield _LOOSE, whole.offset, index.read(whole)
-
-
-def _contents(index: Index, number: int, damage: list[str]) -> bytes | None:
-    try:
-        return index.contents(number)[0]
-    except CHUNK_DAMAGE as error:
-        damage.append(f"chunk {number} is damaged ({describe(error)})")
-        return None
+        yield f"byte {extent.offset - HEADER}", index.read(Extent(extent.offset - HEADER, extent.length + HEADER))

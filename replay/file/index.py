@@ -10,7 +10,7 @@ import io
 import os
 import re
 import zlib
-from collections import defaultdict
+from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
@@ -23,7 +23,6 @@ from replay.file.mcap_format import (
     CHANNEL_OFFSET,
     CHUNK_DAMAGE,
     CHUNK_HEAD,
-    CHUNK_INDEX,
     DAMAGE,
     DATA_END,
     FOOTER,
@@ -32,11 +31,10 @@ from replay.file.mcap_format import (
     MAGIC,
     MAX_INFLATED,
     ChunkExtent,
-    ChunkTable,
     Decompressor,
     Extent,
-    StatedChunk,
     framed,
+    indexed_chunk,
 )
 
 if TYPE_CHECKING:
@@ -80,7 +78,7 @@ class Index:
         self.closed = False  # whether the recorder closed the file
         self.whole = False  # whether the summary is intact
         self.damage: list[str] = []  # damaged parts, in words
-        self.chunks = ChunkTable()  # the chunks in the file's order
+        self.chunks: list[ChunkExtent] = []  # the chunks in the file's order
         self.channels: dict[int, Channel] = {}  # channels by id
         self.schemas: dict[int, str] = {}  # names of message types by id
         self.definitions: dict[str, bytes] = {}  # serialized definitions of message types by name
@@ -126,7 +124,7 @@ class Index:
         if self._file.closed:
             raise LogClosed(self._file.name)
 
-    def read(self, extent: Extent | ChunkExtent | StatedChunk) -> bytes:
+    def read(self, extent: Extent | ChunkExtent) -> bytes:
         """Return the content of a record. The content is shorter if the file ends within the record.
 
         Raises:
@@ -149,14 +147,13 @@ class Index:
             CHUNK_DAMAGE: The chunk is damaged.
         """
         self.check_open()
-        stated = self.chunks.stated(number)
-        if stated is None:
-            return self._decompressed(number, memoryview(self.read(self.chunks[number]))), "", None
-        self._stored.take(
-            number, min(stated.length, self.size), self.size, "according to the index, it overlaps other chunks"
-        )
-        chunk = self.read(stated)
-        _, _, head, tail, messages = stated
+        extent = self.chunks[number]
+        if extent.stated is None:
+            return self._decompressed(number, memoryview(self.read(extent))), "", None
+        size = min(extent.length + HEADER, self.size)
+        self._stored.take(number, size, self.size, "according to the index, it overlaps other chunks")
+        chunk = self.read(Extent(extent.offset - HEADER, extent.length + HEADER))
+        head, tail, messages = extent.stated
         crc, data = len(head), len(head) + 4 + len(tail)
         fault = ""
         if chunk[crc : crc + 4] == b"\0\0\0\0" and self.ours:
@@ -220,28 +217,21 @@ class Index:
         summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
         if zlib.crc32(summary) != footer.summary_crc and (footer.summary_crc or self.ours):
             raise EOFError
-        self._read_summary_records(summary[: len(summary) - FOOTER + 4], checked=footer.summary_crc != 0)
+        self._read_summary_records(summary[: len(summary) - FOOTER + 4])
         if (not self.chunks and self.counts) or not self.channels:
             raise EOFError  # a file without an index of chunks
         self.data_end = footer.summary_start - DATA_END
         self.closed = self.whole = True
 
-    def _read_summary_records(self, summary: bytes, *, checked: bool) -> None:
-        starts = []
+    def _read_summary_records(self, summary: bytes) -> None:
         stop = 0
         for opcode, start, stop in framed(summary):
-            if opcode == Opcode.CHUNK_INDEX:  # the many indexes of chunks are read with their chunks
-                if stop - start < CHUNK_INDEX.size:
-                    raise EOFError
-                starts.append(start)
+            if opcode == Opcode.CHUNK_INDEX:
+                self.chunks.append(indexed_chunk(summary, start))
             else:
                 self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[start:stop])))
         if stop != len(summary):
             raise EOFError
-        self.chunks.take_summary(summary, starts)
-        if not checked:
-            for number in range(len(self.chunks)):
-                _ = self.chunks[number]
 
     def _read_summary_record(self, opcode: int, stream: ReadDataStream) -> None:
         if opcode == Opcode.SCHEMA:
@@ -297,9 +287,6 @@ class FileScan:
         self._file = file
         self._index = index
         self._next = len(MAGIC)
-        # known numbers of messages of the last chunk by channel
-        self._counted: defaultdict[int, int] = defaultdict(int)
-        self._decoded = -1  # number of the last chunk with decoded messages
 
     def resume(self) -> bool:
         """Continue the scan, and return whether there was a new part."""
@@ -329,8 +316,6 @@ class FileScan:
                 break
             index.damage.append(f"{following - at} bytes at byte {at} are damaged")
             at = following
-        if index.chunks:
-            self._count_last()  # the message index of the chunk may be incomplete
         self._next = at
         index.incomplete_bytes = size - at
         return at > before
@@ -388,16 +373,14 @@ class FileScan:
             if opcode == Opcode.CHUNK:
                 if extent.length < CHUNK_HEAD.size + 8 or not self._is_chunk(extent):
                     return False
-                if self._index.chunks and self._index.chunks[-1].channels is None:
-                    self._count_last()
-                self._counted = defaultdict(int)
-                self._index.chunks.append(ChunkExtent(*extent, None))
+                self._index.chunks.append(ChunkExtent(*extent))
+                self._count_messages(len(self._index.chunks) - 1)
             elif opcode == Opcode.MESSAGE:
                 self._index.loose.append(extent)
                 self._file.seek(extent.offset)
                 self._index.counts[int.from_bytes(self._file.read(2), "little")] += 1
             elif opcode == Opcode.MESSAGE_INDEX:
-                return self._read_message_index(extent)
+                return self._is_message_index(extent)
             elif opcode == Opcode.ATTACHMENT:
                 return self._read_attachment(extent)
             elif opcode == Opcode.METADATA:
@@ -408,21 +391,10 @@ class FileScan:
             return False
         return Opcode.HEADER <= opcode <= Opcode.DATA_END
 
-    def _read_message_index(self, extent: Extent) -> bool:
-        self._file.seek(extent.offset)
-        head = self._file.read(6)
-        channel, length = int.from_bytes(head[:2], "little"), int.from_bytes(head[2:], "little")
-        if extent.length != 6 + length or length % 16:
-            return False
-        if not self._index.chunks or not length or self._decoded == len(self._index.chunks) - 1:
-            return True
-        entry = CHANNEL_OFFSET.pack(channel, extent.offset)
-        self._index.chunks.set_channels((self._index.chunks[-1].channels or b"") + entry)
-        self._counted[channel] += length // 16
-        self._index.counts[channel] += length // 16
-        if channel not in self._index.channels:
-            self._define_from(len(self._index.chunks) - 1)
-        return True
+    def _is_message_index(self, extent: Extent) -> bool:
+        self._file.seek(extent.offset + 2)
+        length = int.from_bytes(self._file.read(4), "little")
+        return extent.length == 6 + length and length % 16 == 0
 
     def _read_attachment(self, extent: Extent) -> bool:
         self._file.seek(extent.offset + 16)
@@ -435,35 +407,22 @@ class FileScan:
         self._index.attachments[name] = extent
         return True
 
-    def _define_from(self, number: int) -> dict[int, int] | None:
-        """Read the channels that a chunk defines.
-
-        Return its numbers of messages by channel, or None for a damaged chunk.
-        """
-        counted: defaultdict[int, int] = defaultdict(int)
+    def _count_messages(self, number: int) -> None:
+        """Count the messages of a chunk, and read the channels that the chunk defines."""
+        index, counted = self._index, Counter[int]()
         try:
-            contents = self._index.contents(number)[0]
+            contents = index.contents(number)[0]
             for opcode, start, stop in framed(contents):
                 if opcode == Opcode.MESSAGE:
                     counted[int.from_bytes(contents[start : min(start + 2, stop)], "little")] += 1
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._index.define(_parsed(opcode, contents[start:stop]))
+                    index.define(_parsed(opcode, contents[start:stop]))
         except CHUNK_DAMAGE:  # readers of the chunk report the damage
-            return None
-        return counted
-
-    def _count_last(self) -> None:
-        """Count the messages of the decoded last chunk."""
-        number = len(self._index.chunks) - 1
-        if number == self._decoded:
             return
-        counted = self._define_from(number)
-        if counted is None:
-            return
-        for channel in counted.keys() | self._counted.keys():
-            self._index.counts[channel] += counted.get(channel, 0) - self._counted[channel]
-        self._index.chunks.set_channels(b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in counted))
-        self._decoded = number
+        for channel, count in counted.items():
+            index.counts[channel] += count
+        channels = b"".join(CHANNEL_OFFSET.pack(channel, 0) for channel in counted)
+        index.chunks[number] = index.chunks[number]._replace(channels=channels)
 
     def _next_chunk(self, start: int, size: int) -> int | None:
         """Return the offset of the first intact chunk at or after a byte; None without such a chunk."""

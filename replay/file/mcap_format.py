@@ -1,8 +1,7 @@
 """The MCAP format: framing, positions of chunks, decompression, and decoding of payloads.
 
-A recording of a million records has 20,000 chunks, but a question needs only a few of them. So the summary is decoded
-chunk by chunk, on demand. A payload with very many parts is rejected: an empty part takes two bytes in a file, and a
-hundred in memory. Parts of small payloads aren't counted.
+A payload with very many parts is rejected: an empty part takes two bytes in a file, and a hundred in memory. Parts of
+small payloads aren't counted.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
     from recorder.records import Record
 
@@ -35,7 +34,6 @@ _INDEX_LENGTH: Final = struct.Struct("<QI")
 _CHUNK: Final = int(Opcode.CHUNK)
 _MESSAGE_INDEX: Final = HEADER + 6  # size of a channel's message index before the entries, bytes
 _ENTRY: Final = 16  # size of the entry of a message, bytes
-_MAP_LENGTH: Final = struct.Struct("<I")
 #: Fields: start, end, size, CRC, and length of the compression's name.
 CHUNK_HEAD: Final = struct.Struct("<QQQII")
 MAX_INFLATED: Final = 64 << 20  # larger chunks (bytes) are rejected, because recorders close chunks at about 1 MiB
@@ -57,6 +55,14 @@ class Extent(NamedTuple):
         return self.offset + self.length
 
 
+class StatedHead(NamedTuple):
+    """A chunk according to the index at the end of a file."""
+
+    head: bytes  # bytes from the opcode to the CRC
+    tail: bytes  # bytes from the CRC to the data
+    messages: int | None
+
+
 class ChunkExtent(NamedTuple):
     """The extent of a chunk's content, and the channels of its messages.
 
@@ -65,7 +71,8 @@ class ChunkExtent(NamedTuple):
 
     offset: int
     length: int
-    channels: bytes | None
+    channels: bytes | None = None
+    stated: StatedHead | None = None  # None without an index
 
     def ids(self) -> Iterator[int]:
         """Return the ids of the channels of the chunk's messages."""
@@ -74,79 +81,17 @@ class ChunkExtent(NamedTuple):
         return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(whole))
 
 
-class StatedChunk(NamedTuple):
-    """An entry of the index at the end of a file: a chunk."""
-
-    offset: int  # offset of the opcode
-    length: int  # size with opcode and length, bytes
-    head: bytes  # bytes from the opcode to the CRC
-    tail: bytes  # bytes from the CRC to the data
-    messages: int | None
-
-
-class ChunkTable:
-    """The chunks of a file in order, from the summary or from a scan."""
-
-    def __init__(self) -> None:
-        self._summary = b""
-        self._items: list[int | ChunkExtent] = []  # chunks, or offsets of entries in the summary
-
-    def take_summary(self, summary: bytes, starts: Iterable[int]) -> None:
-        """Use the chunks of the summary."""
-        self._summary = summary
-        self._items = list(starts)
-
-    def append(self, chunk: ChunkExtent) -> None:
-        """Add the next chunk."""
-        self._items.append(chunk)
-
-    def set_channels(self, channels: bytes) -> None:
-        """Set the channels of the last chunk."""
-        self._items[-1] = self[-1]._replace(channels=channels)
-
-    def clear(self) -> None:
-        """Remove all chunks."""
-        self._items.clear()
-
-    def arrange(self, chunks: Iterable[ChunkExtent]) -> None:
-        """Replace all chunks."""
-        self._items = list(chunks)
-
-    def stated(self, number: int) -> StatedChunk | None:
-        """Return the entry of the summary for a chunk; None without a summary."""
-        at = self._items[number]
-        if isinstance(at, ChunkExtent):
-            return None
-        summary = self._summary
-        _, _, offset, length, channels = CHUNK_INDEX.unpack_from(summary, at)
-        sizes = at + CHUNK_INDEX.size + channels
-        indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
-        end = sizes + _INDEX_LENGTH.size + name + 8  # the uncompressed size follows
-        head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
-        entries = indexes - _MESSAGE_INDEX * (channels // CHANNEL_OFFSET.size)
-        return StatedChunk(offset, length, head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
-
-    def channel_maps(self) -> Iterator[bytes | None]:
-        """Yield the ``channels`` of each chunk (:class:`ChunkExtent`)."""
-        summary = self._summary
-        for item in self._items:
-            if isinstance(item, ChunkExtent):
-                yield item.channels
-            else:
-                first = item + CHUNK_INDEX.size
-                (length,) = _MAP_LENGTH.unpack_from(summary, first - _MAP_LENGTH.size)
-                yield summary[first : first + length] or None
-
-    def __len__(self) -> int:
-        return len(self._items)
-
-    def __getitem__(self, number: int) -> ChunkExtent:
-        item = self._items[number]
-        if isinstance(item, ChunkExtent):
-            return item
-        _, _, offset, size, length = CHUNK_INDEX.unpack_from(self._summary, item)
-        first = item + CHUNK_INDEX.size
-        return ChunkExtent(offset + HEADER, size - HEADER, self._summary[first : first + length] or None)
+def indexed_chunk(summary: bytes, at: int) -> ChunkExtent:
+    """Return the chunk of the entry at an offset of a summary; raise struct.error for an entry that is cut off."""
+    _, _, offset, length, size = CHUNK_INDEX.unpack_from(summary, at)
+    first = at + CHUNK_INDEX.size
+    sizes = first + size
+    indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
+    end = sizes + _INDEX_LENGTH.size + name + 8  # the uncompressed size follows
+    head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
+    entries = indexes - _MESSAGE_INDEX * (size // CHANNEL_OFFSET.size)
+    stated = StatedHead(head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
+    return ChunkExtent(offset + HEADER, length - HEADER, summary[first:sizes] or None, stated)
 
 
 def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:

@@ -286,7 +286,7 @@ class RecordReader:
 
     def chunk_of(self, step: int) -> int:
         """Return the number of the chunk that may contain a step."""
-        return self._chunks.chunk_of(step, self._steps)
+        return self._chunks.chunk_of(step)
 
     def end_of(self, lifetime: Lifetime) -> Record | None:
         """Return the last change or keyframe of a world; None if the record is lost."""
