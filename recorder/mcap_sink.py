@@ -27,7 +27,7 @@ from recorder.mcap_writer import MAGIC, MODELS_METADATA, McapWriter, SharedModel
 from recorder.packages import versions
 from recorder.records import TOPICS, Keyframe, Mutation, Query, Run, Task, escaped, format_number
 from recorder.records.motion import FrameTree
-from recorder.records.text import Lines
+from recorder.records.text import log_line
 from recorder.tracing.forking import own
 from recorder.tracing.journal import unrecorded
 
@@ -84,7 +84,6 @@ class McapSink:
         self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # messages since the last chunk was closed
-        self._lines = Lines()
         self._size = 0  # bytes in the buffer
         self._pending = 0  # records in the buffer
         self._count = 0
@@ -175,7 +174,7 @@ class McapSink:
             payload = message.SerializeToString()
             self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
             self._size += len(payload)
-        line = self._lines.of(record, self._now)
+        line = log_line(record, self._now)
         if line is not None:
             self._buffer.append((_LINES, record.seq, self._now, line, None))
 
@@ -183,13 +182,12 @@ class McapSink:
         self._watched.check(self._writer.size)
         buffered, self._buffer = self._buffer, []
         self._pending = self._size = 0
-        messages, lines, log = [], self._lines, self._channels[_LINES]
+        messages, log = [], self._channels[_LINES]
         for key, seq, time_ns, payload, record in buffered:
             messages.append((self._channels.get(key) or self._channel(key), seq, time_ns, payload))
-            if record is not None and (line := lines.of(record, time_ns)) is not None:
+            if record is not None and (line := log_line(record, time_ns)) is not None:
                 messages.append((log, seq, time_ns, line))  # a log line follows its record
         self._writer.add_messages(messages)
-        self._lines = Lines()
         self._writer.flush()
         if self._durable:
             self._watched.sync()

@@ -12,6 +12,7 @@ from abc import ABC, abstractmethod
 from contextlib import ContextDecorator, contextmanager
 from contextvars import ContextVar
 from functools import wraps
+from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
 from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, ParamSpec, TypeVar
 
 from pycram.foundation.errors import chained, raise_unchanged
@@ -21,7 +22,6 @@ from pycram.language.failures import NotCleanedUp, Retry
 from pycram.scheduling.cancellation import Binding, body as body_context, raise_if_cancelled, shielded
 from pycram.scheduling.schedule import scheduler
 from recorder.tracing import interrupts
-from recorder.tracing.call_stack import is_resumable
 from recorder.tracing.span import Cancelled, span
 
 if TYPE_CHECKING:
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
     from pycram.scheduling.cancellation import BlockBody
 
+
+_RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR  # code that other functions can resume
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
@@ -112,7 +114,7 @@ def _generator() -> int:
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() returns only this frame
     while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # skip frames of ExitStack
         frame = frame.f_back
-    return id(frame) if is_resumable(frame) else 0
+    return id(frame) if frame.f_code.co_flags & _RESUMABLE else 0
 
 
 class GeneratorScope(Scope[Value], ContextDecorator):

@@ -57,25 +57,15 @@ _NOTABLE_ERROR: Final = 0.01  # smaller errors of a motor aren't mentioned, rad 
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # faster than a loop for the most frequent length
 
 
-class Lines:
-    """The serialized lines of a few records. A shared message object is twice as fast as an object for each line.
-
-    But the object keeps the memory of all its texts, so it must not serve many records.
-    """
-
-    def __init__(self) -> None:
-        self._line = Log()
-        self._moment = self._line.timestamp
-
-    def of(self, record: Record, time_ns: int) -> bytes | None:
-        """Return the serialized line of a record; None without a line. The time is in ns since the Unix epoch."""
-        if not has_line(record):
-            return None
-        kind, line, moment = type(record), self._line, self._moment
-        line.message, line.level = _TEXTS[kind](record)
-        line.name = "plan" if kind in _OF_PLAN else record.world or "plan"
-        moment.seconds, moment.nanos = divmod(time_ns, _NS)
-        return line.SerializeToString()
+def log_line(record: Record, time_ns: int) -> bytes | None:
+    """Return the serialized line of a record; None without a line. The time is in ns since the Unix epoch."""
+    if not has_line(record):
+        return None
+    kind = type(record)
+    text, level = _TEXTS[kind](record)
+    line = Log(message=text, level=level, name="plan" if kind in _OF_PLAN else record.world or "plan")
+    line.timestamp.seconds, line.timestamp.nanos = divmod(time_ns, _NS)
+    return line.SerializeToString()
 
 
 def has_line(record: Record) -> bool:

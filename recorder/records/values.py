@@ -39,9 +39,6 @@ Position: TypeAlias = tuple[float, float, float]
 
 
 def _plain(value: object) -> object:
-    exact = _EXACT.get(type(value))
-    if exact is not None:
-        return exact(value)
     # ``type()`` returns the real type; a lazy result has the ``__class__`` of its value
     record = getattr(type(value), "__record__", None)
     if record is not None:
@@ -68,19 +65,8 @@ def _sequence(value: Iterable[object]) -> object:
     return [_plain(item) for item in value]
 
 
-# a fast path for Python's own types
-_EXACT: Mapping[type, Callable[[Any], object]] = {
-    type(None): lambda value: value,
-    bool: bool,
-    str: str,
-    int: int,
-    float: _finite,
-    dict: _mapping,
-    list: _sequence,
-    tuple: _sequence,
-}
-
 _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
+    ((bool, type(None)), lambda value: value),
     (str, lambda value: value),
     (int, int),
     (float, _finite),

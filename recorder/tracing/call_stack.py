@@ -13,8 +13,7 @@ import re
 import sys
 from contextlib import suppress
 from enum import Enum, auto
-from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
-from itertools import islice
+from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
@@ -28,7 +27,7 @@ from recorder.tracing.context import current_ident
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
-    from types import CodeType, FrameType
+    from types import FrameType
 
     from recorder.records import Failure
 
@@ -45,12 +44,10 @@ _RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.cli.restore
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"
 )
-_MAX_CACHED: Final = 4096  # largest number of cached call stacks, and also of cached lines
-_RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR
 
 
 class CallStack(NamedTuple):
-    """The plan's lines that led to a task. A named tuple is cheap to create for every task."""
+    """The plan's lines that led to a task."""
 
     #: Lines, outermost first. A recursive line is listed once. Without a recording, there is only the innermost line.
     lines: tuple[CallSite, ...]
@@ -58,56 +55,37 @@ class CallStack(NamedTuple):
     inherited: tuple[CallSite, ...]
     thread: int  # ident of the thread or branch of the innermost line
     callers: tuple[SourceLine, ...] = ()  # all lines except the innermost line, for records
-    recording: int = 0  # number of the recording; 0 without a recording
 
     @property
     def line(self) -> CallSite:
         """The innermost line; ("", 0) for an empty call stack."""
         return self.lines[-1] if self.lines else ("", 0)
 
-    def at_line(self, number: int) -> CallStack | None:
-        """Return the call stack for another line of the innermost function; None if only :func:`walk` can find it."""
-        lines, inherited, thread, callers, recording = self
-        file, latest = lines[-1]
-        # a recursive line is listed once
-        if recording != journal.recording_number() or lines[-2:-1] == ((file, number),):
-            return None
-        if number == latest:
-            return self
-        return CallStack((*lines[:-1], (file, number)), inherited, thread, callers, recording)
 
-
-def walk(frame: FrameType | None, outer: CallStack | None = None) -> tuple[CallStack, FrameType | None]:
-    """Return the call stack of running code, and the plan's innermost frame.
-
-    The frame is None if :meth:`CallStack.at_line` can't derive call stacks of its other lines.
+def walk(frame: FrameType | None, outer: CallStack | None = None) -> CallStack:
+    """Return the call stack of running code.
 
     Args:
         frame: The frame of the code, or of a function that the code has called.
         outer: The call stack of the current task.
     """
     frame, line = _innermost(frame)
-    recording = journal.recording_number() if journal.recording() else 0
     thread = current_ident()
     inherited: tuple[CallSite, ...] = ()
     if outer is not None:
         inherited = outer.inherited if outer.thread == thread else outer.lines
     innermost = (line,) if line is not None else ()
-    if not recording:
-        return CallStack(innermost or inherited[-1:], inherited[-1:], thread), None
+    if not journal.recording():
+        return CallStack(innermost or inherited[-1:], inherited[-1:], thread)
     own = _lines_from(frame.f_back) if frame is not None else ()
     around = (*inherited, *(own[1:] if own[:1] == inherited[-1:] else own))
-    repeated = around[-1:] == innermost  # a lambda is in the line that requests it
-    lines = around if repeated else (*around, *innermost)
+    lines = around if around[-1:] == innermost else (*around, *innermost)  # a lambda is in the line that requests it
     if len(lines) > MAX_LINES:
         lines = (*lines[: MAX_LINES // 2], *lines[-MAX_LINES // 2 :])
-    stays = frame is not None and not repeated and not is_resumable(frame)
-    return CallStack(lines, inherited, thread, _callers.of(lines), recording), frame if stays else None
-
-
-def is_resumable(frame: FrameType) -> bool:
-    """Return whether a frame belongs to a generator or coroutine, which other functions can resume."""
-    return bool(frame.f_code.co_flags & _RESUMABLE)
+    _attach_files(file for file, _ in lines)
+    file = lines[-1][0] if lines else ""
+    callers = tuple([SourceLine(file=each if each != file else "", line=number) for each, number in lines[:-1]])
+    return CallStack(lines, inherited, thread, callers)
 
 
 def call_site() -> CallSite:
@@ -122,39 +100,16 @@ def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | No
     """
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
-    return frame, _site(innermost)[1] if innermost is not None else None
+    return frame, _site(innermost) if innermost is not None else None
 
 
 def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
-    lines: list[CallSite] = []
-    known, plan, runner = _sites.get, _Origin.PLAN, _Origin.RUNNER  # local variables are faster
-    last = None
-    while frame is not None:
-        origin, line, _ = known((id(frame.f_code), frame.f_lasti)) or _site(frame)
-        if origin is plan:
-            if line != last:
-                lines.append(line)
-                last = line
-        elif origin is runner:
-            break
-        frame = frame.f_back
-    lines.reverse()
-    return tuple(lines)
+    lines = [_site(each) for each in plan_frames(frame)]
+    return tuple(line for line, _ in groupby(reversed(lines)))
 
 
-def _site(frame: FrameType) -> tuple[_Origin, CallSite, CodeType]:
-    """Return the origin of a frame's code, and its line. Python decodes lines slowly, so they are cached."""
-    code = frame.f_code
-    # hashing code is slow, so the key is its id; the value keeps the code alive, so that the id stays unique
-    key = id(code), frame.f_lasti
-    site = _sites.get(key)
-    if site is None:
-        file = code.co_filename
-        origin = _origins.get(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
-        if len(_sites) >= _MAX_CACHED:
-            _sites.clear()
-        site = _sites[key] = origin, (recorded_file(file), frame.f_lineno), code
-    return site
+def _site(frame: FrameType) -> CallSite:
+    return recorded_file(frame.f_code.co_filename), frame.f_lineno
 
 
 def recorded_file(file: str) -> str:
@@ -215,8 +170,6 @@ class _Origin(Enum):
 _origins: Final[dict[str, _Origin]] = {}  # origins of code by file
 #: Real file names by recorded names, if these differ: for cells of notebooks and names that aren't UTF-8.
 _unescaped: Final[dict[str, str]] = {}
-#: Origins and lines by the id of the code and the index of the instruction.
-_sites: Final[dict[tuple[int, int], tuple[_Origin, CallSite, CodeType]]] = {}
 
 
 def _origin(file: str, module: str) -> _Origin:
@@ -233,37 +186,19 @@ def _origin(file: str, module: str) -> _Origin:
     return origin
 
 
-class _Callers:
-    """A cache of callers for records, which also attaches each file of a plan to the recording."""
-
-    def __init__(self) -> None:
-        self._cache: dict[tuple[CallSite, ...], tuple[SourceLine, ...]] = {}
-        self._attached: set[str] = set()
-        self._recording = 0
-
-    def of(self, lines: tuple[CallSite, ...]) -> tuple[SourceLine, ...]:
-        if self._recording != journal.recording_number():
-            self._recording = journal.recording_number()
-            self._attached.clear()
-            self._cache.clear()
-        callers = self._cache.get(lines)
-        if callers is None:
-            for file in sorted({file for file, _ in lines} - self._attached):
-                self._attached.add(file)
-                source = Path(_unescaped.get(file, file))
-                is_cell = notebook.is_cell(file)
-                with suppress(OSError):  # the code has no file, or the file was deleted
-                    text = notebook.source_of(str(source)) if is_cell else source.read_bytes()
-                    journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
-            innermost = lines[-1][0] if lines else ""
-            callers = tuple([SourceLine(file=file if file != innermost else "", line=at) for file, at in lines[:-1]])
-            if len(self._cache) >= _MAX_CACHED:
-                self._cache.clear()
-            self._cache[lines] = callers
-        return callers
+_attached: Final[dict[int, set[str]]] = {}  # attached files by number of the recording
 
 
-_callers: Final = _Callers()
+def _attach_files(files: Iterable[str]) -> None:
+    """Attach each file of a plan to the recording."""
+    attached = _attached.setdefault(journal.recording_number(), set())
+    for file in sorted(set(files) - attached):
+        attached.add(file)
+        source = Path(_unescaped.get(file, file))
+        is_cell = notebook.is_cell(file)
+        with suppress(OSError):  # the code has no file, or the file was deleted
+            text = notebook.source_of(str(source)) if is_cell else source.read_bytes()
+            journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
 
 
 MAX_FRAMES: Final = 16  # an error has at most this many frames, the innermost frames

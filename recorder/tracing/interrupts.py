@@ -266,12 +266,8 @@ class Uninterrupted:
     __slots__ = ("_held",)
 
     def __enter__(self) -> Self:
-        global _open, _sections  # noqa: PLW0603  as above
-        if _open and threading.get_ident() == _holder:  # the code of enter(), inlined for speed
-            _open += 1
-            self._held = True
-        else:
-            self._held = enter()
+        global _sections  # noqa: PLW0603  as above
+        self._held = enter()
         _sections += self._held
         return self
 
@@ -281,13 +277,10 @@ class Uninterrupted:
         return self._held and _pending and not _defers(sys._getframe(1))  # noqa: SLF001  as above
 
     def __exit__(self, *_: object) -> None:
-        global _open, _sections  # noqa: PLW0603  as above
+        global _sections  # noqa: PLW0603  as above
         if self._held:
             _sections -= 1
-            if _open > 1:
-                _open -= 1  # as in leave()
-            else:
-                leave()
+            leave()
             if _pending and not _defers(sys._getframe(1)):  # noqa: SLF001  as above
                 raise_pending()
         if _soon is not None and not _sections:

@@ -19,18 +19,17 @@ from typing import TYPE_CHECKING, Final, TypeAlias, cast
 from recorder.records import Decision, Task, arguments, escaped, failure, to_json
 from recorder.tasks import Tree
 from recorder.tracing import context, journal
-from recorder.tracing.call_stack import CallStack, call_site, failure_with_frames, plan_frame, walk
+from recorder.tracing.call_stack import CallStack, call_site, failure_with_frames, walk
 from recorder.tracing.context import current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from contextvars import ContextVar, Token
-    from types import FrameType, TracebackType
+    from types import TracebackType
     from typing import Self
 
     from recorder.records import Event, Fluent, Mutation, Query, Refusal, Subscription
-    from recorder.tracing.call_stack import CallSite
     from recorder.tracing.journal import Journal
 
     #: Records that contain the plan's line.
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
 #: Limits of the tree in tasks and in bytes of records. A plan may run for days, so old tasks are dropped.
 MAX_TASKS: Final = 20_000
 MAX_BYTES: Final = 100_000_000
-_MAX_CACHED: Final = 4096  # fields of at most this many call stacks are cached
 
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # attributes of protobuf's classes are slow
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
@@ -84,7 +82,6 @@ class Span:
     _start_ns: int = 0
     _begun: bool = False
     _ended: bool = False
-    _frame: FrameType | None = field(default=None, init=False, repr=False)  # the plan's frame that entered the span
     _token: Token[Span | None] = field(init=False, repr=False)
 
     def ask(self) -> None:
@@ -143,9 +140,7 @@ class Span:
     def __enter__(self) -> Self:
         """Start the task, and make it the current task of this context."""
         if self.source is None:
-            outer = _current.get()
-            frame = sys._getframe(1)  # noqa: SLF001  see current_call_stack()
-            self.source, self._frame = walk(frame, outer.source if outer is not None else None)
+            self.source = current_call_stack()
         self._token = _current.set(self)
         try:
             self.start()
@@ -163,7 +158,6 @@ class Span:
             self.finish(interrupt)
             raise
         finally:
-            self._frame = None
             _current.reset(self._token)
 
     def _emit_begin(self, phase: Task.Phase, status: Task.Status) -> None:
@@ -246,36 +240,17 @@ def emit(
         task = _current.get()
         asked = task.source if task is not None else None
         if asked is None or call_site() not in (asked.line, ("", 0)):
-            record.MergeFromString(_line_fields(type(record), current_call_stack()))
+            stack = current_call_stack()
+            record.source_file, record.source_line = stack.line
+            record.callers.extend(stack.callers)
     return journal.emit(record, world=world, sim_step=sim_step, number=number)
-
-
-def _line_fields(kind: type[Located], stack: CallStack) -> bytes:
-    """Return the serialized fields of a call stack from a cache, because loops in a plan repeat call stacks."""
-    key = kind, stack.lines
-    fields = _fields.get(key)
-    if fields is None:
-        file, line = stack.line
-        if len(_fields) >= _MAX_CACHED:
-            _fields.clear()
-        fields = kind(source_file=file, source_line=line, callers=stack.callers).SerializeToString()
-        _fields[key] = fields
-    return fields
-
-
-_fields: Final[dict[tuple[type[Located], tuple[CallSite, ...]], bytes]] = {}
 
 
 def current_call_stack() -> CallStack:
     """Return the call stack of the caller."""
-    frame = sys._getframe(1)  # noqa: SLF001  inspect.stack() reads source files, and takes 100 times as long
     task = _current.get()
-    if task is None:
-        return walk(frame)[0]
-    outer, entered, call_stack = task.source, task._frame, None  # noqa: SLF001  same module
-    if outer is not None and entered is not None and plan_frame(frame)[0] is entered:
-        call_stack = outer.at_line(entered.f_lineno)
-    return call_stack or walk(frame, outer)[0]
+    # inspect.stack() reads source files, and takes 100 times as long
+    return walk(sys._getframe(1), task.source if task is not None else None)  # noqa: SLF001
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:

@@ -14,9 +14,9 @@ import pytest
 import recorder
 import replay
 from pycram import tasks
-from pycram.language import par, pursue, seq, try_in_order
+from pycram.language import par, try_in_order
 from recorder.records import Task
-from recorder.tracing.call_stack import MAX_LINES, CallStack
+from recorder.tracing.call_stack import MAX_LINES
 from recorder.tracing.span import span
 from replay.cli.main import main
 from replay.history.blame import blame
@@ -24,10 +24,8 @@ from replay.history.source import PlanSource
 from replay.history.tasks import causing_tasks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
-    from pycram.language.block import Block
 
 PLAN = """
 from pycram.bullet_world import BulletWorld, Object
@@ -152,71 +150,6 @@ def test_without_a_recording_a_task_knows_its_innermost_line_only() -> None:
     (node,) = tasks.tree().find(name="unseen")[-1:]
     assert __file__ in node.source
     assert not node.started.callers
-
-
-def ask(block: Block, name: str) -> None:
-    block(do, name)
-
-
-def again(block: Block, times: int) -> None:
-    block(do, f"again {times}"), times and again(block, times - 1)
-
-
-def descend(times: int) -> None:
-    with par if not times else descend(times - 1) or seq as block:
-        block(do, f"bottom {times}")
-
-
-def descend_in_body(times: int) -> None:
-    with seq as block:
-        descend_in_body(times - 1) if times else block(do, "ground")
-
-
-def in_pieces() -> Iterator[None]:
-    with seq as block:
-        block(do, "first piece")
-        yield
-        block(do, "second piece")
-
-
-def many_call_stacks(second: Path) -> None:
-    for turn in range(2):
-        with par as block:
-            block(do, f"one {turn}"), block(do, f"two {turn}")
-            block(do, f"three {turn}")
-            ask(block, f"four {turn}")
-            with pursue as inner:
-                inner(do, f"five {turn}")
-                inner(lambda: do("six"))
-    with seq as block:
-        again(block, 3)
-        par(lambda: do("seven"), lambda: do("eight"))
-        with recorder.record(second, source=recorder.__file__):
-            block(len, "no code of the plan")
-        block(do, "ten")
-    descend(2)
-    descend_in_body(2)
-    pieces = in_pieces()
-    next(pieces)
-    next(pieces, None)
-
-
-def test_reused_call_stacks_equal_those_that_are_walked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    call_stacks: list[set[tuple[object, ...]]] = []
-    for name in ("reused", "walked"):
-        files = [tmp_path / f"{name}.mcap", tmp_path / f"{name} inside.mcap"]
-        with recorder.record(files[0], source=__file__):
-            many_call_stacks(files[1])
-        for file in files:
-            with replay.open(file) as log:
-                tasks = [record for record in log.records(Task) if record.phase == Task.STARTED]
-                call_stacks.append(
-                    {(task.name, task.source_file, task.source_line, str(task.callers)) for task in tasks}
-                )
-                assert PlanSource(log).call_stack(tasks[-1])[-1].text  # the plan's files are in each
-        monkeypatch.setattr(CallStack, "at_line", lambda *_: None)
-    assert call_stacks[:2] == call_stacks[2:]
-    assert len(call_stacks[0]) > 30
 
 
 @pytest.fixture
