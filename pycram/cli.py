@@ -249,7 +249,10 @@ def options_parser() -> Parser:
     describe.add_argument("file", nargs="?", metavar="FILE.urdf", help="the URDF file, or the name of a bundled URDF")
     describe.add_argument("--check", metavar="ROBOT.toml", help="test this description: reach, fingers, stillness, ...")
     describe.add_argument(
-        "--gripper", choices=("suction",), help="describe a suction cup at the end of each arm without a gripper"
+        "--gripper",
+        choices=("suction", "two-finger"),
+        help="give each arm without a gripper a suction cup, or PyCRAM's gripper with two fingers, which needs a URDF: "
+        "the command writes FILE_with_gripper.urdf",
     )
     describe.add_argument(
         "--picture",

@@ -26,6 +26,7 @@ _EXTRAS: Final = {
             "greenlet", "pybullet", "pybullet_data", "scipy", "trimesh", "collada", "example-robot-data", "rich",
         ),
         "motion": ("ompl", "toppra"),
+        "xacro": ("xacro",),
         "render": ("PIL", "jinja2"),
         "viewer": ("pyarrow", "rerun", "rerun_cli", "rerun_sdk"),
         "runs": ("duckdb",),

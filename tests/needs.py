@@ -28,7 +28,7 @@ _REASON: Final = "this machine has no "
 #: Modules that only the environment of the long measures has.
 _PACKAGES: Final = {"Ray": "ray", "PyAV": "av", "polars": "polars", "datasets": "datasets"}
 #: Modules of the extra `dev` that only some tests use.
-_DEV_PACKAGES: Final = {"Jupyter": "nbclient", "RTAMT": "rtamt", "Foxglove": "mcap_protobuf"}
+_DEV_PACKAGES: Final = {"Jupyter": "nbclient", "RTAMT": "rtamt", "Foxglove": "mcap_protobuf", "xacro": "xacro"}
 _BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 #: What the viewer's window loads when it opens.
 _WINDOW_LIBRARIES: Final = (

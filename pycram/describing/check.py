@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.describing.chains import ArmChain, JointTree
+from pycram.describing.grasps import picked_up
 from pycram.describing.grippers import Corners, guess_hand
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics import pan_tilt
@@ -59,6 +60,8 @@ def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
         if arm.hand is not None and arm.hand.fingers:
             yield from _fingers(robot, arm, arm.hand)
         yield from _postures(robot, arm)
+        if arm.hand is not None:
+            yield _grasps(robot, arm)
     yield from _missing_grippers(robot, description)
     if description.camera is not None:
         yield _head(robot, description)
@@ -82,6 +85,15 @@ def _reach(robot: Object, arm: Arm) -> Finding:
         f"{arm.name} arm, reach",
         f"the arm reaches {reached} of {_POSES} tool poses, up to {far:.2f} m from {arm.base_link}",
     )
+
+
+def _grasps(robot: Object, arm: Arm) -> Finding:
+    """Check that an arm picks up at least one household object from a table."""
+    tried = list(picked_up(robot, arm, chain_of(robot, arm)))
+    counts = ", ".join(f"{name} {taken} of {places}" for name, taken, places, _ in tried)
+    if any(taken for _, taken, _, _ in tried):
+        return Finding(True, f"{arm.name} arm, picked up from a table", counts)
+    return Finding(False, f"{arm.name} arm, picked up from a table", f"{counts}; {tried[0][3]}")
 
 
 def _missing_grippers(robot: Object, description: RobotDescription) -> Iterator[Finding]:

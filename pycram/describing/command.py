@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from pycram.describing.check import always_touching, check, parked
+from pycram.describing.grippers import SuctionGuess
 from pycram.describing.guess import as_toml, guess, quoted
 from pycram.foundation.failures import AssetError
-from pycram.models import load
+from pycram.models import canonical_urdf, load, xacro_files
 from pycram.models.corrections import SUFFIX
-from pycram.models.files import ROBOT_URDFS, parse_toml
+from pycram.models.files import ROBOT_URDFS, find, mount_gripper, parse_toml, read_bytes, with_absolute_meshes
 from pycram.models.furniture import find_furniture, furniture_of
 from pycram.models.robots.description import RobotDescription
 from pycram.models.surfaces import Surface, closed_position
@@ -39,6 +40,8 @@ def run(options: argparse.Namespace) -> int:
     try:
         if options.check:
             return _check(RobotDescription.load(options.check), options)
+        if options.gripper == "two-finger":
+            options.file = _with_grippers(options.file)
         model = load.load(options.file)
         if is_furniture(model):
             print(describe_furniture(model, options.file), end="")
@@ -93,6 +96,28 @@ def _draw(body: Object, file: Path) -> None:
     except (OSError, ValueError) as error:  # ValueError: no image format has that suffix
         raise AssetError(file, str(error)) from error
     print(f"picture in {file}", file=sys.stderr)
+
+
+def _with_grippers(urdf: str) -> str:
+    """Write the URDF of a robot whose arms without a gripper have PyCRAM's gripper; return its name."""
+    source = find(urdf)
+    arms = [(arm, hand) for arm, hand in guess(load.load(urdf), suction=True).arms if not arm.fingers]
+    if not arms:
+        raise AssetError(urdf, "no arm is without a gripper")
+    robot = canonical_urdf.read(source, xacro_files.expanded(source, read_bytes(source)))
+    robot.set("name", f"{robot.get('name')}_with_gripper")
+    for arm, hand in arms:
+        assert isinstance(hand, SuctionGuess)  # noqa: S101  such arms get suction cups
+        xyz, rpy = (" ".join(map(repr, numbers)) for numbers in (hand.offset[0], geometry.to_rpy(hand.offset[1])))
+        mount_gripper(robot, arm.joints[-1].child, xyz, rpy, f"{arm.name}_" if len(arms) > 1 else "")
+    target = Path(f"{source.name.partition('.')[0]}_with_gripper.urdf")
+    try:
+        with target.open("xb") as file:
+            file.write(with_absolute_meshes(robot, source))
+    except OSError as error:
+        raise AssetError(target, f"the file can't be written: {error.strerror}") from error
+    print(f"the robot with grippers is in {target}; load this file", file=sys.stderr)
+    return str(target)
 
 
 def _refused(reason: str) -> int:

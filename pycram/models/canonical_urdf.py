@@ -34,7 +34,6 @@ _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
     "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 }
 _ANY_CHILD: Final = ("geometry", "contact")  # _check_shape() checks shapes; "contact" is an element of PyBullet
-_XACRO: Final = "ros.org/wiki/xacro}"
 _MAX_JOINTS: Final = 127  # maximum number of joints, also fixed ones; with more, PyBullet returns no states
 _MAX_MOVABLE: Final = 121  # maximum number of movable joints: PyBullet's state has 128 values, 7 for the base's pose
 _MAX_NAME: Final = 1000  # maximum length of a name in bytes; PyBullet crashes the process at about 1,024
@@ -66,16 +65,12 @@ def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
         scale: Metres per unit of length of the file.
 
     Raises:
-        AssetError: The text isn't XML, isn't a URDF, is xacro, or has a link that the engine can't use.
+        AssetError: The text isn't XML, isn't a URDF, or has a link that the engine can't use.
     """
     try:
         root = ET.fromstring(content)  # noqa: S314  the user chose the file, and expat limits the expansion of entities
     except (ET.ParseError, LookupError, ValueError) as error:
-        if b"<xacro:" in (content.encode() if isinstance(content, str) else content):
-            raise _expand_first(source) from error
         raise AssetError(source, f"the file is not well-formed XML: {error}") from error
-    if source.suffix == ".xacro" or any(_XACRO in element.tag for element in root.iter()):
-        raise _expand_first(source)
     namespace, end, tag = root.tag.rpartition("}")
     if tag == "robot" and end:  # URDFs of Drake have a default namespace
         for element in root.iter():
@@ -124,12 +119,6 @@ def _multiply(element: ET.Element, attributes: Iterable[str], factor: float) -> 
             numbers = [finite(part) * factor for part in element.attrib.get(attribute, "").split()]
             if numbers:
                 element.set(attribute, " ".join(map(repr, numbers)))
-
-
-def _expand_first(source: Path) -> AssetError:
-    target = source.name.removesuffix(".xacro").removesuffix(".urdf") + ".urdf"
-    target = target if target != source.name else f"expanded_{target}"
-    return AssetError(source, f"the file is xacro; make a URDF first: xacro {source.name} > {target}")
 
 
 def _strip(element: ET.Element) -> None:

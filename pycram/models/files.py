@@ -144,21 +144,39 @@ def _installed(name: str) -> Path:
 
 def _with_gripper(name: str, arm: Path) -> Path:
     """Store the URDF of an arm with PyCRAM's gripper. The z axis of the flange is the x axis of the gripper."""
-    gripper = resources() / "two_finger_gripper.urdf"
-    robot, hand = (ET.fromstring(read_text(file)) for file in (arm, gripper))  # noqa: S314  installed files
+    robot = ET.fromstring(read_text(arm))  # noqa: S314  an installed file
     robot.set("name", f"{robot.get('name')}_with_gripper")
-    for mesh in robot.iter("mesh"):  # relative names would be wrong in the store
-        mesh.set("filename", os.fspath(find_mesh(arm, mesh.get("filename", ""))))
+    mount_gripper(robot, _FLANGE, "0 0 0", "0 -1.5707963267948966 0")
+    content = with_absolute_meshes(robot, arm)
+    return store.write(AssetFile(name, content, store.URDF_TYPE).key, content)
+
+
+def mount_gripper(robot: ET.Element, link: str, xyz: str, rpy: str, prefix: str = "") -> None:
+    """Add PyCRAM's two-finger gripper to the URDF of a robot.
+
+    Args:
+        link: The link that gets the gripper; x of the gripper points away from it.
+        xyz: Position of the gripper in the link, m.
+        rpy: Orientation of the gripper in the link, rad.
+        prefix: Text before the names of links and joints of the gripper.
+    """
+    text = read_text(resources() / "two_finger_gripper.urdf").replace('"gripper_', f'"{prefix}gripper_')
+    hand = ET.fromstring(text)  # noqa: S314  an installed file
     children = {child.get("link") for child in hand.iter("child")}
     (base,) = (link.get("name", "") for link in hand.findall("link") if link.get("name") not in children)
     robot.extend(hand)
-    mount = ET.SubElement(robot, "joint", name="gripper_mount", type="fixed")
-    ET.SubElement(mount, "parent", link=_FLANGE)
+    mount = ET.SubElement(robot, "joint", name=f"{prefix}gripper_mount", type="fixed")
+    ET.SubElement(mount, "parent", link=link)
     ET.SubElement(mount, "child", link=base)
-    ET.SubElement(mount, "origin", xyz="0 0 0", rpy="0 -1.5707963267948966 0")
+    ET.SubElement(mount, "origin", xyz=xyz, rpy=rpy)
+
+
+def with_absolute_meshes(robot: ET.Element, source: Path) -> bytes:
+    """Return the text of a URDF that was read from a file; in another folder, relative names would be wrong."""
+    for mesh in robot.iter("mesh"):
+        mesh.set("filename", os.fspath(find_mesh(source, mesh.get("filename", ""))))
     ET.indent(robot)
-    content = ET.tostring(robot)
-    return store.write(AssetFile(name, content, store.URDF_TYPE).key, content)
+    return ET.tostring(robot)
 
 
 def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
@@ -201,10 +219,20 @@ def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
             found = folder
     if found is not None:
         raise AssetError(source, f"the mesh {name} doesn't exist: the package is {found}, which has no {path}")
+    raise AssetError(source, f"the mesh {name} doesn't exist: {_unknown(package)}")
+
+
+def _unknown(package: str) -> str:
     ways = f"Object(..., packages=[FOLDER]), or in the environment variable {_VARIABLE} or {_ROS_VARIABLE}"
-    raise AssetError(
-        source, f"the mesh {name} doesn't exist: no package {package!r} is known; give its folder in {ways}"
-    )
+    return f"no package {package!r} is known; give its folder in {ways}"
+
+
+def find_package(source: Path, package: str, packages: Sequence[Path] = ()) -> Path:
+    """Return the folder of a package that a file names; raise an AssetError if it isn't known."""
+    for folder in _candidates(source, package, packages):
+        if (folder.name == package or _is_package(folder, package)) and folder.is_dir():
+            return folder
+    raise AssetError(source, _unknown(package))
 
 
 def _candidates(source: Path, package: str, packages: Sequence[Path]) -> Iterator[Path]:

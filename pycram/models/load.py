@@ -17,7 +17,7 @@ from hashlib import sha256
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.failures import AssetError
-from pycram.models import canonical_urdf, conversion_cache, corrections, mesh, object_urdf, store
+from pycram.models import canonical_urdf, conversion_cache, corrections, mesh, object_urdf, store, xacro_files
 from pycram.models.files import check_packages, find, find_mesh, parse_urdf, read_bytes, read_text
 from pycram.models.shapes import piece_bounds
 from pycram.models.texture import cover_shape, warn_of_missing
@@ -66,7 +66,7 @@ def load(
     """Check a model and make it canonical.
 
     Args:
-        path: A .urdf, .stl, .obj or .dae file; see :func:`pycram.models.files.find`.
+        path: A .urdf, .xacro, .stl, .obj or .dae file; see :func:`pycram.models.files.find`.
         color: RGBA 0..1 of a mesh; None keeps the colours of the file.
         packages: Folders of ROS packages, or folders that contain them; see :mod:`pycram.models.files`.
         scale: Metres per unit of length of the file.
@@ -78,18 +78,18 @@ def load(
     file = find(path)
     kind = file.suffix.lower()
     with Uninterrupted():  # libraries with lazy imports ignore a Ctrl-C
-        if kind == ".urdf":
-            return _corrected(file, _canonical(file, read_bytes(file), file.stem, check_packages(packages), scale))
+        if kind in (".urdf", xacro_files.SUFFIX):
+            folders = check_packages(packages)
+            content = xacro_files.expanded(file, read_bytes(file), folders)
+            return _corrected(file, _canonical(file, content, file.stem.removesuffix(".urdf"), folders, scale))
         if kind in _MESH_SUFFIXES:
             return _canonical(file, object_urdf.build(file, color, scale), file.stem)
-    if kind == ".xacro":
-        canonical_urdf.read(file, read_bytes(file))
-    raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj or .dae")
+    raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj, .dae or .xacro")
 
 
 def _corrected(file: Path, model: Model) -> Model:
     """Return a model with the corrections of its furniture, if a TOML file next to the model has corrections."""
-    beside = file.with_name(f"{file.stem}{corrections.SUFFIX}")
+    beside = file.with_name(f"{file.stem.removesuffix('.urdf')}{corrections.SUFFIX}")
     if not beside.exists():
         return model
     text = read_text(beside)

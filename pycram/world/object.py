@@ -56,7 +56,7 @@ class Object(ReadOnlyAttributes):
     Args:
         name: A unique name in the world.
         type: "environment" and "robot" have a fixed base; objects of any other type, such as "milk", are free.
-        path: A .urdf, .stl, .obj or .dae file, or the bare name of a bundled file such as ``pr2.urdf``.
+        path: A .urdf, .xacro, .stl, .obj or .dae file, or the bare name of a bundled file such as ``pr2.urdf``.
         position: Position of the base link, m.
         orientation: Orientation of the base link, xyzw.
         world: None for the current world.
@@ -474,7 +474,7 @@ def _object(argument: str, value: object) -> Object:
 
 def _warn_of_shape(body: Object) -> None:
     """Warn that an object's mesh is probably in millimetres, or that hollow meshes of a URDF are filled."""
-    is_mesh = not body.path.lower().endswith(".urdf")  # lengths in a URDF are in m
+    is_mesh = not body.path.lower().endswith((".urdf", ".xacro"))  # lengths in a URDF are in m
     width = sizes.width(body.model.path) if is_mesh and not body.fixed else 0.0
     if width > sizes.WIDEST:
         warnings.warn_explicit(sizes.warning(body.name, width), sizes.Oversized, *call_site())

@@ -404,6 +404,40 @@ def test_an_arm_without_a_gripper_gets_a_suction_cup_that_passes_the_checks(
     (tmp_path / "mine.toml").write_text(ended.stdout)
     checked = describe("--check", "mine.toml", str(file))
     assert checked.returncode == 0, checked.stdout
+    assert "gantry arm, picked up from a table: cup 5 of 5, bottle 0 of 5, spoon 0 of 5\n" in checked.stdout
+
+
+def test_an_arm_that_takes_nothing_from_a_table_fails_the_check(describe: Callable[..., Ended], tmp_path: Path) -> None:
+    """A suction cup that is described as pointing up."""
+    file = gantry.write(tmp_path)
+    upwards = gantry.DESCRIPTION.replace("rpy = [0, 1.57", "rpy = [0, -1.57")
+    assert upwards != gantry.DESCRIPTION
+    (tmp_path / "mine.toml").write_text(upwards)
+    checked = describe("--check", "mine.toml", str(file))
+    assert checked.returncode == 1
+    assert (
+        "FAILED  z-axis arm, picked up from a table: cup 0 of 0, bottle 0 of 0, spoon 0 of 0; "
+        "no posture of the arm brings the tool over a table" in checked.stdout
+    )
+
+
+def test_an_arm_without_a_gripper_gets_two_fingers_in_a_urdf_of_its_own(
+    describe: Callable[..., Ended], tmp_path: Path
+) -> None:
+    file = gantry.write(tmp_path)
+    ended = describe(str(file), "--gripper", "two-finger")
+    assert ended.stderr == "the robot with grippers is in gantry_with_gripper.urdf; load this file\n"
+    (arm,) = RobotDescription.parse(ended.stdout).arms.values()
+    assert arm.gripper.fingers == ("gripper_left_finger", "gripper_right_finger")
+    (tmp_path / "mine.toml").write_text(ended.stdout)
+    checked = describe("--check", "mine.toml", "gantry_with_gripper.urdf")
+    assert checked.returncode == 0, checked.stdout
+    (taken,) = re.findall(r"picked up from a table: cup (\d) of 5, bottle (\d) of 5, spoon (\d) of 5", checked.stdout)
+    assert all(int(count) >= 3 for count in taken)
+    again = describe(str(file), "--gripper", "two-finger")
+    assert (again.returncode, again.stdout) == (2, ""), "the file exists"
+    both = describe("gantry_with_gripper.urdf", "--gripper", "two-finger")
+    assert "no arm is without a gripper" in both.stderr
 
 
 def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+import sys
 from typing import TYPE_CHECKING
 
 import pytest
@@ -207,12 +208,36 @@ XACRO = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="r">{}</robot>'
     ],
 )
 def test_xacro_is_rejected_with_the_command_that_expands_it(
-    tmp_path: Path, world: BulletWorld, name: str, content: str, command: str
+    tmp_path: Path, world: BulletWorld, name: str, content: str, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setitem(sys.modules, "xacro", None)  # isn't installed
     file = tmp_path / name
     file.write_text(content)
     with pytest.raises(AssetError, match=command):
         Object("arm", "robot", file)
+
+
+@pytest.mark.needs("xacro")
+def test_xacro_is_expanded_in_its_package(tmp_path: Path, world: BulletWorld) -> None:
+    folder = tmp_path / "arm_on_disk" / "urdf"
+    folder.mkdir(parents=True)
+    (folder.parent / "package.xml").write_text("<package><name>my_arm</name></package>")
+    macro = f'<xacro:macro name="part" params="name"><link name="${{name}}">{BOX}</link></xacro:macro>'
+    (folder / "parts.xacro").write_text(XACRO.format(macro))
+    (folder / "arm.urdf.xacro").write_text(
+        XACRO.format('<xacro:include filename="$(find my_arm)/urdf/parts.xacro"/><xacro:part name="a${1 + 1}"/>')
+    )
+    assert Object("arm", "robot", folder / "arm.urdf.xacro").links == ("a2",)
+    for wrong, message in (
+        ('<xacro:include filename="$(find other)/a.xacro"/>', "no package 'other' is known"),
+        (
+            '<link name="$(arg side)"/>',
+            "xacro can't expand the file .*side.*; give its arguments to the command: xacro",
+        ),
+    ):
+        (folder / "wrong.xacro").write_text(XACRO.format(wrong))
+        with pytest.raises(AssetError, match=message):
+            Object("wrong", "robot", folder / "wrong.xacro")
 
 
 def test_an_expanded_xacro_is_a_urdf(tmp_path: Path, world: BulletWorld) -> None:

@@ -18,6 +18,7 @@ BLOCK = re.compile(r"```(xml|python|text)\n(.*?)```", re.DOTALL)
 NAMED = re.compile(r"`([\w.]+)`[^`]*:\n\n```xml\n(.*?)```", re.DOTALL)
 
 
+@pytest.mark.needs("xacro")
 def test_commands_of_the_guide_to_models_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for name, content in NAMED.findall(GUIDE):
