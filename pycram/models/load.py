@@ -150,7 +150,7 @@ def _cached_model(
         for texture in material.findall("texture"):
             material.remove(texture)  # the shapes have the texture's colours now
     text, tree = canonical_urdf.write(source, root)
-    path, asset = store.write_urdf(f"{stem}.urdf", text, root)
+    path, asset = store.write_urdf(f"{stem}.urdf", text)
     piece_bounds(path)  # fill the cache, so that the first query is fast
     return Model(path, tree, (asset, *used.values()), meshes=tuple(meshes))
 

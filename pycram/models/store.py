@@ -94,18 +94,10 @@ def write(name: str, content: bytes) -> Path:
     return target
 
 
+@lru_cache(maxsize=_CACHED_DOCUMENTS)
 def document(path: Path) -> ET.Element:
     """Return the root element of a stored URDF. The caller must not modify it."""
-    known = _known(path)
-    if not known:
-        known.append(ET.fromstring(path.read_bytes()))  # noqa: S314  written by PyCRAM
-    return known[0]
-
-
-@lru_cache(maxsize=_CACHED_DOCUMENTS)
-def _known(_path: Path) -> list[ET.Element]:
-    """Return a cache for the root element of a URDF: a list that is empty or contains the element."""
-    return []
+    return ET.fromstring(path.read_bytes())  # noqa: S314  written by PyCRAM
 
 
 @lru_cache(maxsize=_CACHED_TREES)
@@ -121,16 +113,7 @@ def write_mesh(name: str, content: bytes) -> AssetFile:
     return asset
 
 
-def write_urdf(name: str, content: bytes, root: ET.Element | None = None) -> tuple[Path, AssetFile]:
-    """Store a URDF next to the folders of its meshes, where PyBullet looks for them.
-
-    Args:
-        name: Name of the file in recordings.
-        content: The text.
-        root: The root element if known; the caller must not modify it afterwards.
-    """
+def write_urdf(name: str, content: bytes) -> tuple[Path, AssetFile]:
+    """Store a URDF next to the folders of its meshes, where PyBullet looks for them; ``name`` is that in recordings."""
     asset = AssetFile(name, content, URDF_TYPE)
-    path = write(f"{asset.sha256}.urdf", content)
-    if root is not None:
-        _known(path)[:] = [root]
-    return path, asset
+    return write(f"{asset.sha256}.urdf", content), asset

@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import ctypes
 import os
-import socket
 import sys
 import time
 import weakref
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
     from pycram.physics.engine import Engine
 
-_CONNECT_TIMEOUT: Final = 2.0  # s
 _POLL_PERIOD: Final = 1 / 30  # s
 
 
@@ -41,11 +39,7 @@ def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
     display = os.environ.get("DISPLAY", "")
     if not display:
         raise DisplayError("DISPLAY is not set")
-    host, _, number = display.rpartition(":")
-    screen = number.partition(".")[0]
-    if not screen.isdigit():
-        raise DisplayError(f"DISPLAY={display} is not a display's address")
-    with _opened(display) if host in ("", "unix") else _connected(host, 6000 + int(screen)) as problem:
+    with _opened(display) as problem:
         if problem is not None:
             raise DisplayError(f"no X server answers at DISPLAY={display}{problem}")
         yield
@@ -53,7 +47,7 @@ def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
 
 @contextmanager
 def _opened(display: str) -> Iterator[str | None]:
-    """Open a display of this machine with PyBullet's library; yield None, or why the display doesn't answer."""
+    """Open a display with PyBullet's library; yield None, or why the display doesn't answer."""
     try:
         x11 = ctypes.CDLL("libX11.so.6")
     except OSError as error:
@@ -67,18 +61,6 @@ def _opened(display: str) -> Iterator[str | None]:
     finally:
         if opened:
             x11.XCloseDisplay(opened)
-
-
-@contextmanager
-def _connected(host: str, port: int) -> Iterator[str | None]:
-    """Connect to another machine's display. If it doesn't answer, PyBullet's library would wait forever."""
-    try:
-        connection = socket.create_connection((host, port), timeout=_CONNECT_TIMEOUT)
-    except OSError as error:
-        yield f" ({error.strerror})"
-        return
-    with connection:
-        yield None
 
 
 def watch(engine: Engine) -> None:

@@ -239,13 +239,10 @@ class CollisionChecker:
             )
         return dict(sorted(collisions.items(), key=lambda item: (-item[1]["depth"], item[0].name)))
 
-    def in_the_way(self, candidate: PostureCandidate, own_pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
-        """Return the deepest pair for each collision in a candidate, then colliding pairs of the robot's own links.
-
-        ``own_pairs`` are the candidate's :meth:`self_pairs`, if they are known.
-        """
+    def in_the_way(self, candidate: PostureCandidate) -> list[CollisionPair]:
+        """Return the deepest pair for each collision in a candidate, then colliding pairs of the robot's own links."""
         touched = [collision["pair"] for collision in self.touched(candidate).values()]
-        return touched + self.self_collisions(candidate, own_pairs)
+        return touched + self.self_collisions(candidate)
 
     def known(self, candidate: PostureCandidate) -> list[CollisionPair]:
         """Return the checked pairs that collide; the deepest pair is first."""
@@ -256,13 +253,9 @@ class CollisionChecker:
         found = [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
         return sorted(found, key=lambda pair: -pair.depth)
 
-    def self_collisions(self, candidate: PostureCandidate, pairs: Sequence[Pair] | None = None) -> list[CollisionPair]:
-        """Return the colliding pairs of the robot's own links and held objects, except neighbours.
-
-        ``pairs`` are the candidate's :meth:`self_pairs`, if they are known.
-        """
-        if pairs is None:
-            (pairs,) = self.self_pairs([candidate])
+    def self_collisions(self, candidate: PostureCandidate) -> list[CollisionPair]:
+        """Return the colliding pairs of the robot's own links and held objects, except neighbours."""
+        (pairs,) = self.self_pairs([candidate])
         depths = {pair: self.depth(candidate, pair) for pair in pairs}
         return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 

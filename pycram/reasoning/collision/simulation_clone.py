@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 _MAX_CACHED: Final = 8  # maximum number of cached values of an object
-_MAX_JOINED: Final = 8  # maximum number of cached sets of objects with their boxes
 _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 
@@ -113,7 +112,6 @@ class PosingClone(SimulationClone):
     def __init__(self, world: BulletWorld) -> None:
         super().__init__(world)
         self._states: dict[str, Snapshot] = {}
-        self._joined: dict[tuple[Boxes, ...], Boxes] = {}
 
     def sync(self) -> None:
         """Read the world's state; each body is updated when it is needed."""
@@ -162,12 +160,7 @@ class PosingClone(SimulationClone):
     def all_boxes(self, bodies: Iterable[Object]) -> tuple[Boxes, Sequence[Object]]:
         """Return the boxes around the pieces of objects in the world, and the owner of each box."""
         parts = [(body, self.boxes(body)) for body in bodies]
-        key = tuple(boxes for _, boxes in parts)
-        if key not in self._joined:
-            if len(self._joined) >= _MAX_JOINED:
-                self._joined.clear()
-            self._joined[key] = concatenate(key)
-        return self._joined[key], [body for body, boxes in parts for _ in boxes.links]
+        return concatenate([boxes for _, boxes in parts]), [body for body, boxes in parts for _ in boxes.links]
 
     def overlapping(self, boxes: Boxes, bodies: Iterable[Object]) -> dict[Part, LoadedBody]:
         """Return copies of the parts that overlap some boxes: links of furniture, and other objects as a whole."""

@@ -11,7 +11,6 @@ import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -49,7 +48,6 @@ _LEANING: Final = math.radians(5)  # lean of an object in rad above which the gr
 _SLIGHT: Final = math.radians(1)  # lean of an object in rad above which the gripper leans if no upright grasp is free
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
-_biases: WeakKeyDictionary[Object, dict[str, float]] = WeakKeyDictionary()
 #: The side from which a gripper comes.
 GraspSide: TypeAlias = Literal["front", "top", "left", "right"]
 GRASPS: Final[Mapping[str, Quaternion]] = {
@@ -198,7 +196,7 @@ def _upright(
     if arm.gripper.suction:
         fitting = _on_surface(caster, every, arm)
     else:
-        fitting = iter(_between_fingers(caster, every, arm, middle, _bias(robot, arm)))
+        fitting = iter(_between_fingers(caster, every, arm, middle, arm.bias(robot.urdf)))
     found: list[Grasp] = []
     for label, options in zip(labels, sides, strict=True):
         (_, turn), *_ = options
@@ -228,14 +226,6 @@ def along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
         if abs(skew) > _SKEW:
             yield geometry.product(geometry.from_rpy(0.0, 0.0, skew), turn)
         return
-
-
-def _bias(robot: Object, arm: Arm) -> float:
-    """Return by how much the sides of a gripper close unevenly, which is computed once for each robot."""
-    known = _biases.setdefault(robot, {})
-    if arm.name not in known:
-        known[arm.name] = arm.bias(robot.urdf)
-    return known[arm.name]
 
 
 def _between_fingers(
@@ -303,7 +293,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
 
 def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice: Choice) -> Iterator[Grasp]:
     """Yield grasps over the wall of a wide hollow object: on the arm's side, in front, and on the far side."""
-    gripper, bias = arm.gripper, _bias(robot, arm)
+    gripper, bias = arm.gripper, arm.bias(robot.urdf)
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
     side = 1.0 if shoulder[1] >= 0 else -1.0
     x, y, _ = caster.center

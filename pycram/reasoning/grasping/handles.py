@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm, Gripper
     from pycram.physics.body import LoadedBody
     from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.collision.checker import Pair, PostureCandidate
+    from pycram.reasoning.collision.checker import PostureCandidate
     from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
     from recorder.geometry import Pose, Quaternion, Vector
@@ -88,16 +88,12 @@ class Handle:
         self.container, self.joint, self.link = container, joint, link
         self._root = container.get_position_and_orientation()
         self._now = container.get_joint_positions()
-        self._poses: dict[tuple[float, str], Pose] = {}  # a cache, because many postures of an arm need each pose
         self.closed = closed_position(container.urdf.joint(joint))
 
     def pose(self, value: float, link: str | None = None) -> Pose:
         """Return the pose of the handle, or of another link, in the world at a position of the joint."""
-        key = value, link or self.link
-        if key not in self._poses:
-            at = self.container.urdf.forward_kinematics({**self._now, self.joint: value}, key[1])
-            self._poses[key] = geometry.multiply(self._root, at)
-        return self._poses[key]
+        at = self.container.urdf.forward_kinematics({**self._now, self.joint: value}, link or self.link)
+        return geometry.multiply(self._root, at)
 
     @cached_property
     def moved(self) -> Sequence[str]:
@@ -315,11 +311,8 @@ class _Search:
             checked.update((step, nodes[step]) for step in unchecked)
             touching = False
             candidates = self._checker.predict([postures[step] for step in unchecked], self._base)
-            own_pairs = self._checker.self_pairs(
-                candidates
-            )  # one call for all postures takes hardly longer than for one
-            for step, candidate, own in zip(unchecked, candidates, own_pairs, strict=True):
-                pairs = self._touching(candidate, own, self._values[step])
+            for step, candidate in zip(unchecked, candidates, strict=True):
+                pairs = self._touching(candidate, self._values[step])
                 if pairs:
                     touching = True
                     obstacles.setdefault(step, pairs)
@@ -421,11 +414,8 @@ class _Search:
         change[..., self._endless] = (change[..., self._endless] + math.pi) % (2 * math.pi) - math.pi
         return change
 
-    def _touching(self, candidate: PostureCandidate, own_pairs: Sequence[Pair], value: float) -> list[CollisionPair]:
-        """Return the links that would touch at a position of the joint, also those of the moved door or drawer.
-
-        ``own_pairs`` are pairs of the robot's links that may touch in the candidate.
-        """
+    def _touching(self, candidate: PostureCandidate, value: float) -> list[CollisionPair]:
+        """Return the links that would touch at a position of the joint, also those of the moved door or drawer."""
         robot = self._robot.name
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
         for body, link, part, pose in self._moving_along(value) if not pairs else ():
@@ -437,7 +427,7 @@ class _Search:
                     depths[touch.link_a] = max(depths.get(touch.link_a, 0.0), -touch.distance)
             pairs += [CollisionPair(robot, own, body, link, depth) for own, depth in depths.items()]
         pairs.sort(key=lambda pair: -pair.depth)
-        return pairs or self._checker.self_collisions(candidate, own_pairs)
+        return pairs or self._checker.self_collisions(candidate)
 
     def _moving_along(self, value: float) -> Iterator[tuple[str, str, LoadedBody, Pose]]:
         """Yield name, link, copy and pose of each link or carried object that the joint moves, at a joint position."""

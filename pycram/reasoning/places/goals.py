@@ -330,8 +330,8 @@ class TouchGoal:
         nearest: list[Rejection] = []
         with CollisionChecker(self._robot, solver.joints) as tried:
             candidates = tried.predict([posture.positions for posture in postures], base)
-            for candidate, own_pairs in zip(candidates, tried.self_pairs(candidates), strict=True):
-                pairs = tried.in_the_way(candidate, own_pairs)
+            for candidate in candidates:
+                pairs = tried.in_the_way(candidate)
                 if not pairs:
                     return ""
                 nearest.append(Touching(pairs))
