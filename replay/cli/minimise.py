@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE
 from replay.cli.retrace import AGAIN
+from replay.errors import ReplayError
 from replay.report.page import write
 
 if TYPE_CHECKING:
@@ -20,8 +22,26 @@ _BUDGET: Final = 200
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the file, and the limits of the search."""
-    parser.add_argument("-o", dest="file", metavar="FILE", help="file of the smaller plan (default: PLAN_small.py)")
+    add_output(parser, "file of the smaller plan (default: PLAN_small.py)")
     add_trials(parser, _BUDGET)
+
+
+def add_output(parser: argparse.ArgumentParser, words: str) -> None:
+    """Add the path of a written plan or test."""
+    parser.add_argument("-o", dest="file", metavar="FILE", help=words)
+    parser.add_argument("--overwrite", action="store_true", help="replace an existing file")
+
+
+def output(options: argparse.Namespace, default: str) -> Path:
+    """Return the path of a file that will be written.
+
+    Raises:
+        ReplayError: the file exists, and may not be replaced.
+    """
+    file = Path(options.file or default)
+    if file.exists() and not options.overwrite:
+        raise ReplayError(f"{file} exists; name another file with -o, or add --overwrite")
+    return file
 
 
 def add_trials(parser: argparse.ArgumentParser, budget: int) -> None:
@@ -42,13 +62,13 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
     with Trials(log, allow_effects=options.allow_effects) as trials:
+        file = output(options, f"{trials.program.stem}_small.py")
         print_message(f"{trials.program.name} runs again, up to {options.budget} times; {AGAIN}")
         found = minimise(trials, options.budget)
-    file = options.file or f"{trials.program.stem}_small.py"
-    write(file, found.text.encode())
+    write(str(file), found.text.encode())
     left = f"{found.lines[1]} of {found.lines[0]} lines, {found.objects[1]} of {found.objects[0]} objects"
     lines = [f"{file}: {left}, after {found.runs} runs", f"  it fails in the same way: {found.failure}"]
     if found.exhausted:
         lines.append("  the search ended at --budget; it may become smaller")
-    print_result(lambda: asdict(found) | {"file": file}, lines, as_json=options.json)
+    print_result(lambda: asdict(found) | {"file": str(file)}, lines, as_json=options.json)
     return FINE

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
+from replay.cli.minimise import add_output, output
 from replay.errors import ReplayError
 from replay.history.steps import HINT
 from replay.report.page import write
@@ -28,7 +28,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         help=f"rebuild the scene before the failed motion of this step, and perform it (default: run the plan): {HINT}",
     )
-    parser.add_argument("-o", dest="file", metavar="FILE", help="file of the test (default: test_PLAN.py)")
+    add_output(parser, "file of the test (default: test_PLAN.py)")
     parser.add_argument(
         "--holds", metavar="PROPERTY", action="append", default=[], help="also assert this property; repeatable"
     )
@@ -41,9 +41,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415  as above
 
     process = PlanProcess(log)
-    file = Path(options.file or f"test_{process.program.stem}.py")
-    if file.exists() and options.file is None:
-        raise ReplayError(f"{file} exists; name another file with -o")
+    file = output(options, f"test_{process.program.stem}.py")
     if options.step is None:
         text = written_test.of_plan(log, spec_of(log, process.program, process.arguments), file, options.holds)
     else:

@@ -16,9 +16,10 @@ from recorder.records import Failure, Query, Run, argument_values
 from recorder.records.text import fates_text, foreseen, is_choice
 from replay.compare import Difference, difference
 from replay.errors import NoSuchStep
-from replay.explain.causes import find
+from replay.explain.causes import decides, find
 from replay.explain.causes.case import FailureCase, bodies_in
 from replay.explain.scene import FailedBranch, InvolvedBody, bodies, branches
+from replay.history.flow import Flow
 from replay.history.summary import summary
 from replay.history.tasks import RootCause, choices, failed_threads, failures, root_cause
 from replay.report import phrases
@@ -43,6 +44,11 @@ _FIRST, _LAST = 5, 20  # this many first and last attempts have the robot's stat
 _LISTED: Final = 3  # at most this many first choices and last choices are listed
 _MAX_IMAGINED: Final = 6
 _MAX_PLACES: Final = 5  # at most this many last queries for places are listed
+_MAX_SOURCES: Final = 8
+_MAX_CAUSES: Final = 3  # largest number of causes whose lines are followed
+_OUTER: Final = 0.5  # rank of a caller's line after the called line
+_DECIDED: Final = -1.5  # rank of a line that made a cause which decides
+_OTHER: Final = 1.5  # rank of a line that made another cause
 _MOVED: Final = 0.001  # objects that moved less since a query count as unmoved, m
 
 
@@ -109,6 +115,7 @@ class Why:
     endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
     case: FailureCase | None = field(default=None, compare=False)  # facts around the failure, which show the causes
+    sources: tuple[Line, ...] = ()  # lines of the plan's source that flow into the failure, the likeliest first
     proofs: tuple[Proof, ...] = ()  # verdict on each cause that was tested in forks
     path: str = ""  # path of the recording for printed commands
 
@@ -175,7 +182,40 @@ def why(log: RecordReader, step: int | None = None) -> Why:
         explained = _task_failure(log, run, root.task, root, unfinished)
     explained = replace(explained, variables=_variables(root), endless=endless)
     threads = tuple(record for record in failed_threads(log) if record.failure != root.failure)
-    return replace(explained, failed_threads=threads)
+    return replace(explained, failed_threads=threads, sources=tuple(_sources(explained)))
+
+
+def _sources(why: Why) -> Iterator[Line]:
+    """Yield the lines whose values flow into the failure and into the changes that caused it."""
+    case = why.case
+    stack = [line for error in why.exceptions[-1:] for line in error.lines] if why.task is None else why.call_stack
+    starts: dict[str, dict[int, float]] = {}
+
+    def start(lines: Sequence[Line], rank: float) -> None:
+        for depth, line in enumerate(reversed(lines)):
+            starts.setdefault(line.file, {}).setdefault(line.number, rank + _OUTER * depth)
+
+    if case is None or not stack:
+        return
+    made = {
+        decided: [
+            step
+            for cause in why.causes[:_MAX_CAUSES]
+            for step in cause.steps
+            if step < why.step and decides(case, cause) is decided
+        ]
+        for decided in (True, False)
+    }
+    for step in made[True]:
+        start(case.source.call_stack(case.log[step]), _DECIDED)
+    start(stack, 0.0)
+    for step in made[False]:
+        start(case.source.call_stack(case.log[step]), _OTHER)
+    for file, ranks in starts.items():
+        flow = Flow(case.source.text(file))
+        for number in flow.lines(ranks, stack[-1].number if stack[-1].file == file else 0)[:_MAX_SOURCES]:
+            found = case.source.line(file, number)
+            yield from [found] if found is not None else []
 
 
 def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:

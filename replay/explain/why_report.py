@@ -61,6 +61,7 @@ def data(why: Why) -> dict[str, object]:
         "task": report.data(why.task),
         "around": report.data(list(why.task.around()) if why.task else []),
         **report.call_stack(why.call_stack),
+        "sources": report.data(why.sources),
         "variables": [
             {"file": file, "line": line, "values": dict(values)} for (file, line), values in why.variables.items()
         ],
@@ -164,6 +165,10 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
         yield from section("Why", causes)
         return
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
+    if not origins:
+        yield from section(
+            "Lines that it may come from", (f"{phrases.place(each)}  {each.text}" for each in why.sources)
+        )
     yield from section("Where in the plan", _where(why))
     threads = (
         f"also failed: thread {record.thread}, at step {record.seq}: {phrases.failure(record.failure)}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import math
-from collections import defaultdict, deque
+from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
@@ -48,13 +48,14 @@ class Edit:
     line: int  # number of the edited line
     what: str  # the edit, in words
     text: str  # the whole edited source
-    slip: bool = False  # whether a number or the order of numbers changes, as after a slip of the pen
+    asks: bool = False  # whether a value or name changes, rather than how values are computed
 
 
 class Editor:
     """Edits one source file."""
 
     def __init__(self, text: str) -> None:
+        self.text = text
         self._source = text.encode()  # the syntax tree counts bytes
         self._lines = [line.decode() for line in self._source.splitlines(keepends=True)]
         self._tree = ast.parse(text)
@@ -63,6 +64,7 @@ class Editor:
         self._goals: set[ast.AST] = set()  # the expressions of assertions, which stay unchanged
         self._counts: set[ast.AST] = set()  # expressions that count or number something, such as indices
         self._scene: set[ast.AST] = set()  # arguments of loaded objects; which objects there are stays unchanged
+        self._checks: set[str] = set()  # functions with assertions
         for node in ast.walk(self._tree):
             self._protect(node)
             self._note_roles(node)
@@ -76,10 +78,12 @@ class Editor:
             self._scene |= {*ast.walk(node)} if ast.unparse(node.func).endswith("Object") else set()
         if isinstance(node, ast.Dict) and len({ast.dump(key) for key in node.keys if key}) == len(node.keys):
             self._scene |= {*filter(None, node.keys)}  # a key that stands there twice may be wrong
-        if isinstance(node, ast.Assert | ast.Raise):
+        if _asserts(node):
             self._goals |= {*ast.walk(node)}
-        if isinstance(node, ast.If) and any(isinstance(each, ast.Raise) for each in (*node.body, *node.orelse)):
+        if isinstance(node, ast.If) and any(map(_asserts, (*node.body, *node.orelse))):
             self._goals |= {node, *ast.walk(node.test)}
+        if isinstance(node, ast.FunctionDef) and any(map(_asserts, ast.walk(node))):
+            self._checks.add(node.name)
 
     def _note_roles(self, node: ast.AST) -> None:
         """Note which texts and names the plan uses in the same role."""
@@ -100,29 +104,10 @@ class Editor:
             if getattr(node, "lineno", None) != line or node in self._goals:
                 continue
             for new, what, cost in (*self._values(node, sets), *_structures(node)):
-                slip = isinstance(node, ast.List | ast.Tuple) or type(getattr(node, "value", "")) in (int, float)
-                yield self._edit(node, new, what, cost, slip=slip)
+                asks = isinstance(node, ast.List | ast.Tuple | ast.Constant | ast.Name)
+                yield self._edit(node, new, what, cost, asks=asks)
             if isinstance(node, ast.stmt):
                 yield from self._moves(node)
-
-    def definitions(self, lines: Iterable[int]) -> Iterator[int]:
-        """Yield the lines that define the names on some lines, and the lines on which these definitions depend."""
-        stored: dict[str, set[int]] = defaultdict(set)
-        used: dict[int, set[str]] = defaultdict(set)
-        for node in ast.walk(self._tree):
-            if isinstance(node, ast.FunctionDef):
-                stored[node.name] |= {each.lineno for each in ast.walk(node) if isinstance(each, ast.Return)}
-            elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-                stored[node.id].add(node.lineno)
-            elif isinstance(node, ast.Name):
-                used[node.lineno].add(node.id)
-        waiting = deque(lines)
-        seen = set(waiting)
-        while waiting:
-            found = {line for name in used[waiting.popleft()] for line in stored[name]} - seen
-            seen |= found
-            waiting += sorted(found, reverse=True)
-            yield from sorted(found, reverse=True)
 
     def insertions(self, line: int) -> Iterator[Edit]:
         """Yield the plan with a wait before a line."""
@@ -158,7 +143,8 @@ class Editor:
                 continue
             at = block.index(statement)
             for to in (at + 1, at - 1, at + 2, at - 2):
-                if 0 <= to < len(block):
+                crossed = block[min(at, to) : max(at, to) + 1]
+                if 0 <= to < len(block) and not any(map(self._is_check, crossed)):
                     order = [each for each in block if each is not statement]
                     order.insert(to, statement)
                     yield self._reordered(
@@ -168,6 +154,11 @@ class Editor:
                         f"after line {block[to].lineno}" if to > at else f"before line {block[to].lineno}",
                     )
 
+    def _is_check(self, statement: ast.stmt) -> bool:
+        """Return whether a statement asserts something, itself or by a call."""
+        names = (getattr(each, "id", "") for each in ast.walk(statement))
+        return any(map(_asserts, ast.walk(statement))) or not self._checks.isdisjoint(names)
+
     def _reordered(self, block: Sequence[ast.stmt], order: Sequence[ast.stmt], moved: ast.stmt, where: str) -> Edit:
         lines = self._lines
         parts = {id(each): lines[each.lineno - 1 : each.end_lineno] for each in block}
@@ -176,13 +167,17 @@ class Editor:
         start, end = block[0].lineno - 1, block[-1].end_lineno or block[-1].lineno
         return Edit(0.7, moved.lineno, f"line {moved.lineno} {where}", "".join([*lines[:start], *new, *lines[end:]]))
 
-    def _edit(self, node: ast.AST, new: str, what: str, cost: float, *, slip: bool) -> Edit:
+    def _edit(self, node: ast.AST, new: str, what: str, cost: float, *, asks: bool) -> Edit:
         start, end = self._offset(node.lineno, node.col_offset), self._offset(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
         text = (self._source[:start] + new.encode() + self._source[end:]).decode()
-        return Edit(cost, node.lineno, what, text, slip)  # type: ignore[attr-defined]
+        return Edit(cost, node.lineno, what, text, asks)  # type: ignore[attr-defined]
 
     def _offset(self, line: int, column: int) -> int:
         return len("".join(self._lines[: line - 1]).encode()) + column
+
+
+def _asserts(node: ast.AST) -> bool:
+    return isinstance(node, ast.Assert | ast.Raise)
 
 
 def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:

@@ -10,7 +10,7 @@ import math
 from collections import Counter
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
-from itertools import islice
+from itertools import count, islice
 from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
@@ -21,6 +21,7 @@ from replay.errors import ReplayError
 from replay.explain.causes.case import hands
 from replay.fix.edits import Edit, Editor
 from replay.fix.trials import Version, alike
+from replay.history.flow import Flow
 from replay.history.source import PlanSource
 from replay.origins.origins import origins
 from replay.recording import Recording
@@ -42,6 +43,7 @@ _AWAY: Final = 0.1  # largest final distance of a placed object from its target,
 _MAX_LINES: Final = 12  # largest number of lines that are edited
 _LATER: Final = 0.12  # additional cost of a line for each likelier line
 _ANOTHER: Final = 0.8  # additional cost for each earlier edit of the same kind on the same line
+_MORE: Final = 30  # number of runs that search for another repair after a marked repair
 _GOALS: Final = ("place", "transporting", "placing")
 
 
@@ -106,7 +108,8 @@ def search(
         ]
     )
     candidates = _candidates(trials, log, why, checked)
-    while trials.runs < budget and all(each.mark for each in found.repairs):
+    marked = 0  # number of runs until the first marked repair
+    while trials.runs < min(budget, marked + _MORE if marked else budget) and all(each.mark for each in found.repairs):
         wave = [*islice(candidates, usable_cores())]
         if not wave:
             break
@@ -117,7 +120,8 @@ def search(
         for at, ending in ended:
             edit = wave[at]
             if ending.kind == "succeeded":
-                file = folder / f"{log.path.stem}.fix-{len(found.repairs) + 1}.mcap"
+                files = (folder / f"{log.path.stem}.fix-{number}.mcap" for number in count(1))
+                file = next(each for each in files if not each.exists())
                 if alike(trials.one(edit.text, file).ending, ending) and _reaches_goal(file, properties):
                     found.repairs.append(_checked(trials, edit, file, failed))
                 else:
@@ -125,7 +129,8 @@ def search(
             elif not alike(ending, trials.reference):
                 found.others[edit.what] = ending.failure
         found.runs = trials.runs
-        found.repairs.sort(key=lambda each: (bool(each.mark), each.edit.cost))
+        found.repairs.sort(key=lambda each: (bool(each.mark), each.seeds == 0, each.edit.cost))
+        marked = marked or (trials.runs if found.repairs else 0)
 
 
 def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty]) -> Iterator[Edit]:
@@ -135,11 +140,12 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     if why.world is not None:
         alternatives = [[*why.world.bodies], [*hands(why.world.bodies.get(why.world.robot))]]
     edits: list[Edit] = []
-    lines = _lines(trials, log, why, checked, editor)
+    lines, guessed = _lines(trials, log, why, checked, editor)
     for rank, line in enumerate(lines):
         kinds: Counter[float] = Counter()
         for edit in editor.edits(line, alternatives):
-            edits.append(replace(edit, cost=edit.cost + _LATER * rank + _ANOTHER * kinds[edit.cost]))
+            cost = edit.cost + _LATER * rank + _ANOTHER * kinds[edit.cost]
+            edits.append(replace(edit, cost=cost, asks=edit.asks and line not in guessed))
             kinds[edit.cost] += 1
     if lines:
         edits += editor.insertions(lines[0])
@@ -150,18 +156,24 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
             yield edit
 
 
-def _lines(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty], editor: Editor) -> list[int]:
-    """Return line numbers of the plan's main file, first the lines that likely contain the mistake."""
+def _lines(
+    trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty], editor: Editor
+) -> tuple[list[int], set[int]]:
+    """Return lines of the plan's main file, first those that likely contain the mistake, and lines with guesses."""
     name = trials.program.name
     ranked: list[int] = []
+    guessed: set[int] = set()
     with suppress(CantRetrace):
-        ranked = [] if why.failure is None else origins(log, why, recorded_source=True).lines_of(name)
+        found = None if why.failure is None else origins(log, why, recorded_source=True)
+        ranked = [] if found is None else found.lines_of(name)
+        guessed = set() if found is None else {each.line for each in found.guesses}
     source = PlanSource(log)
     stacks = [source.call_stack(each.record) for each in checked if not each and each.record is not None]
     called = [
         line.number for stack in (why.call_stack, *stacks) for line in reversed(stack) if line.file.endswith(name)
     ]
-    return [*dict.fromkeys((*ranked, *called, *editor.definitions(called)))][:_MAX_LINES]
+    flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
+    return [*dict.fromkeys((*ranked, *called[:1], *flow))][:_MAX_LINES], guessed
 
 
 def _is_python(text: str) -> bool:
@@ -216,6 +228,7 @@ def _changed_goal(done: Sequence[Node], failed: Node, edit: Edit) -> str:
         return f"{failed.name} isn't done any more with {phrases.value(thing)}"
     wanted = failed.parameters.get("target")
     targets = [node.parameters.get("target") for node in alike if node.parameters.get("object") == thing]
-    if wanted is not None and wanted not in targets and not edit.slip:  # a wrong number may be in the target
-        return f"it changes the target {phrases.value(wanted)} to {phrases.value(targets[-1] if targets else None)}"
+    if wanted is not None and wanted not in targets and edit.asks:
+        new = phrases.value(targets[-1] if targets else None)
+        return f"it changes what is asked for: the target {phrases.value(wanted)} becomes {new}"
     return ""

@@ -7,7 +7,7 @@ import inspect
 import math
 from bisect import bisect_right
 from collections import defaultdict, deque
-from itertools import chain as joined
+from itertools import chain as joined, islice, pairwise
 from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -27,6 +27,11 @@ if TYPE_CHECKING:
 _MAX_FACTS: Final = 400  # largest number of facts of a value
 _MAX_SEARCHED: Final = 64  # largest number of evaluations of an expression that are searched
 _MAX_BEFORE: Final = 2  # largest number of listed statements before a call
+_TAKING: Final = ("pop", "popitem", "popleft", "setdefault")  # methods that change a container and return an item
+_TRIVIAL: Final = (0, 1, None)  # numbers that nobody mistypes
+_SCOPES: Final = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
+_EXITS: Final = ast.Return | ast.Break | ast.Continue
+_LEFT: Final = {ast.Return: "returned", ast.Break: "ended the loop", ast.Continue: "began the next iteration"}
 _MAX_CHANGES: Final = 3  # largest number of listed changes of a container
 _PLAIN: Final = (bool, int, float, str, type(None), list, tuple, dict)
 _COMPREHENSIONS: Final = ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp
@@ -54,6 +59,8 @@ class Tracer:
         self._modules: dict[str, int] = {}  # number of the module's frame, by file
         self._changes: dict[int, list[Note]] = defaultdict(list)  # by id of the changed object
         self._made: dict[int, Note] = {}  # the first call that returned an object, by its id
+        self._entered: dict[int, Note] = {}  # the beginning of the plan's function, by the time of its call
+        self._inner: dict[int, list[Note]] = defaultdict(list)  # calls within a call, by its time
         for note in notes.all:
             self._sort_in(note)
         self._seen: set[tuple[int, str]] = set()
@@ -71,13 +78,21 @@ class Tracer:
         if note.kind == "bind":
             for at, name in enumerate(bound_names(node)):
                 self._binds[note.frame, name].append((note, at))
+            if note.parent is not None and isinstance(node, FUNCTIONS):
+                self._entered.setdefault(note.parent.time, note)
         elif note.kind == "store":
             self._changes[id(note.values[0].ref)].append(note)
         elif note.kind == "call":
-            if isinstance(self._around.get(id(node)), ast.Expr) and (owner := _receiver(note)) is not None:
-                self._changes[id(owner)].append(note)
-            if note.result is not None:
-                self._made.setdefault(id(note.result.ref), note)
+            self._sort_in_call(note, node)
+
+    def _sort_in_call(self, note: Note, node: ast.Call) -> None:
+        changes = isinstance(self._around.get(id(node)), ast.Expr) or getattr(node.func, "attr", "") in _TAKING
+        if changes and (owner := _receiver(note)) is not None:
+            self._changes[id(owner)].append(note)
+        if note.parent is not None:
+            self._inner[note.parent.time].append(note)
+        if note.result is not None:
+            self._made.setdefault(id(note.result.ref), note)
 
     def _node(self, note: Note) -> Any:
         return self._notes.nodes[note.number][1]
@@ -101,7 +116,9 @@ class Tracer:
         words, number = ("", None) if value is None else (shown(value.copy), _numbers_in(value.copy))
         own = [each for each in _own_nodes(node) if isinstance(each, ast.Constant | ast.operator)]
         numbers = any(not isinstance(getattr(each, "value", 0), str | None) for each in own)
-        weight = 1.0 if numbers else 0.5 * bool(own)
+        weight = 0.5 * bool(own)
+        if numbers:
+            weight = 1.0 if any(getattr(each, "value", 2) not in _TRIVIAL for each in own) else 0.75
         return Origin(kind, name, words, number, file, line, text, step, weight, body, remark, tuple(parts))
 
     # --- where a run was ------------------------------------------------------------------------------------------
@@ -110,11 +127,7 @@ class Tracer:
         """Return a call of the plan, with its arguments, and the conditions that led to it."""
         self._begin()
         node, place = self._node(note), Evaluation(note.frame, note.time)
-        facts = [*self._arguments(node, place), *self._conditions(node, place), *self._before(node, place)]
-        outer = note.parent
-        while outer is not None:
-            facts += self._conditions(self._node(outer), Evaluation(outer.frame, outer.time))
-            outer = outer.parent
+        facts = [*self._arguments(node, place), *self._path(node, place, note.parent)]
         return self._fact("call", node, ast.unparse(node.func), note.result, note.step, facts)
 
     def line(self, file: str, line: int, frame: int) -> Origin | None:
@@ -131,23 +144,97 @@ class Tracer:
         inner = ast.iter_child_nodes(statement) if hasattr(statement, "body") else ()
         parts = [each for each in inner if not isinstance(each, ast.stmt)] or [statement]
         facts = [fact for each in parts for fact in self._inputs(each, place)]
-        facts += self._conditions(statement, place)
+        entered = next((note for note in self._entered.values() if note.frame == frame), None)
+        facts += self._path(statement, place, None if entered is None else entered.parent)
         return self._fact("call", statement, "", None, self._notes.step, facts)
 
     def _begin(self) -> None:
         self._seen.clear()
         self._count, self._latest = 0, (set(), -1)
 
+    def _path(self, node: ast.AST, place: Evaluation, outer: Note | None) -> Facts:
+        """Yield the conditions around a node, and what the statements before it did; then the same for outer calls."""
+        yield from self._conditions(node, place)
+        yield from self._before(node, place)
+        while outer is not None:
+            node, place, outer = self._node(outer), Evaluation(outer.frame, outer.time), outer.parent
+            yield from self._conditions(node, place)
+            yield from self._before(node, place)
+
     def _before(self, node: ast.AST, place: Evaluation) -> Facts:
-        """Yield the calls in the statements just before a node, nearest first."""
-        statement = next(each for each in (node, *self._parents(node)) if isinstance(each, ast.stmt))
-        around = self._around.get(id(statement))
-        bodies = (body for _, body in ast.iter_fields(around)) if around is not None else ()
-        block = next((body for body in bodies if isinstance(body, list) and statement in body), [])
-        for each in block[: block.index(statement)][: -_MAX_BEFORE - 1 : -1] if block else ():
-            called = getattr(each, "value", None)
-            if isinstance(called, ast.Call) and (note := self._noted(called, place)) is not None:
-                yield self._fact("before", called, ast.unparse(called.func), note.result, note.step)
+        """Yield facts about the statements just before a node in its function, nearest first."""
+        listed = 0
+        for inner, around in pairwise((node, *self._parents(node))):
+            if isinstance(inner, FUNCTIONS | ast.ClassDef):
+                return
+            bodies = (body for _, body in ast.iter_fields(around) if isinstance(body, list) and inner in body)
+            block: list[Any] = next(bodies, []) if isinstance(inner, ast.stmt) else []
+            for each in reversed(block[: block.index(inner)] if block else []):
+                facts = [*self._done(each, place)]
+                yield from facts
+                listed += bool(facts)
+                if listed >= _MAX_BEFORE:
+                    return
+
+    def _done(self, statement: ast.stmt, place: Evaluation) -> Facts:
+        """Yield the calls of a statement, its branch, a loop that didn't run, or an error that it handled."""
+        called = getattr(statement, "value", None)
+        if isinstance(called, ast.Call) and (note := self._noted(called, place)) and note.function is not print:
+            handled = next((each for each in self._parents(statement) if isinstance(each, ast.Try)), None)
+            raised = handled is not None and handled.handlers and not note.values and note.end < place.time
+            remark = f"raised an error, and line {handled.handlers[0].lineno} continued" if handled and raised else ""
+            name, parts = ast.unparse(called.func), self._within(note)
+            yield self._fact("before", called, name, note.result, note.step, parts, remark=remark)
+        elif isinstance(statement, ast.If | ast.While | ast.For):
+            untaken = [*self._untaken(statement, place)]
+            yield from untaken or (fact for each in statement.body[-1:] for fact in self._done(each, place))
+        elif isinstance(statement, ast.Try):
+            yield from (fact for each in statement.body[-_MAX_BEFORE:] for fact in self._done(each, place))
+
+    def _within(self, note: Note) -> Facts:
+        """Yield the branches of a called function that left something out, and its last call."""
+        entered = self._entered.get(note.time)
+        if entered is None or self._is_known(note.time, "within"):
+            return
+        at = Evaluation(entered.frame, note.end)
+        for each in ast.walk(self._node(entered)):
+            if isinstance(each, ast.If | ast.While | ast.For):
+                yield from self._untaken(each, at)
+        for last in [each for each in self._inner[note.time] if each.function is not print][-1:]:
+            parts = self._arguments(self._node(last), Evaluation(last.frame, last.time))
+            yield self._fact("before", self._node(last), "", None, last.step, joined(parts, self._within(last)))
+
+    def _untaken(self, statement: ast.If | ast.While | ast.For, place: Evaluation) -> Facts:
+        """Yield the condition of statements with calls that didn't run: of a branch, of a loop, or after an exit."""
+        looped = isinstance(statement, ast.For)
+        test = statement.iter if isinstance(statement, ast.For) else statement.test
+        evaluated = self._noted(test, place)
+        held = self.value(test, place) if evaluated is None else evaluated.result
+        if held is None:
+            return
+        if isinstance(statement, ast.For):
+            ran = self._noted(statement, place)
+            taken = ran is not None and (bool(held.ref) if evaluated is None else evaluated.time < ran.time)
+        else:
+            taken = _truth(held)
+        before = [each for each in self._of_node[self._numbers[id(test)]] if evaluated and each.time < evaluated.time]
+        if isinstance(statement, ast.While) and not taken:  # a loop ends like this, also if it ran
+            taken = bool(before) and before[-1].frame == place.frame and _truth(before[-1].result)
+        left, done = (statement.orelse, statement.body) if taken else (statement.body, statement.orelse)
+        other = next((each for each in reversed(before) if each.result and _truth(each.result) is not taken), None)
+        unlike = f"unlike at step {other.step}, " if other is not None and not looped else ""
+        if done and isinstance(done[-1], _EXITS) and not looped:
+            remark = f"{unlike}line {done[-1].lineno} {_LEFT[type(done[-1])]}"
+        elif any(isinstance(each, ast.Call) for body in left for each in ast.walk(body)):
+            first, last = left[0].lineno, left[-1].end_lineno
+            lines = f"line {first}" if first == last else f"lines {first} to {last}"
+            remark = f"{'the loop was empty: ' * (not isinstance(statement, ast.If))}{unlike}{lines} didn't run"
+        else:
+            return
+        if not self._is_known(self._numbers[id(test)], f"path {place.frame}"):
+            parts = self._inputs(test, place)
+            kind = "item" if looped else "condition"
+            yield self._fact(kind, test, ast.unparse(test), held, self._notes.step, parts, remark=remark)
 
     def _conditions(self, node: ast.AST, place: Evaluation) -> Facts:
         """Yield the conditions of the branches and loops around a node, innermost first."""
@@ -250,7 +337,8 @@ class Tracer:
             yield from self._inputs(node.body if test is None or test.copy else node.orelse, place)
         else:
             for each in ast.iter_child_nodes(node):
-                yield from self._inputs(each.iter if isinstance(each, ast.comprehension) else each, place)
+                inner = (each.iter, *each.ifs) if isinstance(each, ast.comprehension) else (each,)
+                yield from joined.from_iterable(self._inputs(part, place) for part in inner)
 
     def _name(self, node: ast.Name, place: Evaluation) -> Facts:
         bound = self._bind(node, place)
@@ -289,10 +377,28 @@ class Tracer:
         node, code = self._node(note), self._notes.codes[note.frame]
         if isinstance(node, ast.For) and note.frame != place.frame:
             return "as the loop left it"
+        if isinstance(node, ast.Assign):
+            called = node.value.func.value if _is_method(node.value) else None  # type: ignore[attr-defined]
+            held = None if called is None else self.value(called, Evaluation(note.frame, note.time))
+            later = [] if held is None else [each for each in self._changes[id(held.ref)] if each.frame != note.frame]
+            late = next((each for each in later if note.time < each.time < place.time), None)
+            if late is not None and type(held.ref).__module__.startswith("pycram.fluents"):  # type: ignore[union-attr]
+                return f"{ast.unparse(called)} was set since then, at line {self._node(late).lineno}"  # type: ignore[arg-type]
+            if self._is_replaced(name, note, node):
+                return "replaces the value of the iteration before"
         outer = self._in_module(self._file(node), name, place.time) if code.co_name != "<module>" else None
         if outer is not None and outer[0] is not note and name in bound_names(node):
             return f"hides {name} of line {getattr(self._node(outer[0]), 'lineno', 0)}"
         return ""
+
+    def _is_replaced(self, name: str, note: Note, node: ast.Assign) -> bool:
+        """Return whether an iteration replaces a value of earlier iterations that began before the loop."""
+        loop = next((each for each in self._parents(node) if isinstance(each, (ast.For, ast.While, *_SCOPES))), None)
+        binds = [each for each, _ in self._binds[note.frame, name] if each.time < note.time]
+        if not isinstance(loop, ast.For | ast.While) or not binds or binds[-1].number != note.number:
+            return False
+        reads = (each for each in ast.walk(loop) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Load))
+        return any(each.number != note.number for each in binds) and all(each.id != name for each in reads)
 
     def _rounding(self, source: ast.AST | None, place: Evaluation) -> str:
         for each in ast.walk(source) if source is not None else ():
@@ -324,7 +430,10 @@ class Tracer:
             yield self._fact("argument", located, name, held, note.step, joined(changes, inner))
 
     def _changed(self, ref: Any, since: int, until: int, key: Any = None) -> Facts:
-        if isinstance(ref, bool | int | float | str | tuple | type(None) | ModuleType):
+        module = type(ref).__module__
+        if isinstance(ref, bool | int | float | str | tuple | type(None) | ModuleType) or (
+            module.startswith("pycram.") and not module.startswith("pycram.fluents")
+        ):
             return
         notes = [note for note in self._changes.get(id(ref), ()) if since < note.time and note.time < until]
         if key is not None:
@@ -420,12 +529,17 @@ class Tracer:
                 parts = [node.slice]
             elif element is not None and not self._is_known(self._numbers[id(element)], ast.unparse(node)):
                 name = ast.unparse(node)
-                if not isinstance(node.slice, ast.Constant):
+                remark = ""
+                if not isinstance(node.slice, ast.Constant | ast.UnaryOp):
                     name += f", {ast.unparse(node.slice)} = {shown(key.copy)}"
+                    backwards = type(key.copy) is int and key.copy < 0
+                    remark = f"{ast.unparse(node.slice)} counts from the end" if backwards else ""
                 changes = self._changed(note.result.ref, at.time, place.time)
                 made = joined(changes, self._inputs(node.slice, place), self._inputs(element, at))
-                yield self._fact("item", element, name, note.result, note.step, made)
+                yield self._fact("item", element, name, note.result, note.step, made, remark=remark)
                 return
+        elif owner is not None:  # there is no such item
+            yield from islice(self._changed(owner.ref, -1, place.time), _MAX_BEFORE)
         for each in parts:
             yield from self._inputs(each, place)
 
@@ -492,6 +606,17 @@ def _same(one: Any, other: Any) -> bool:
         return one is other or (isinstance(one, _PLAIN) and bool(one == other))
     except Exception:  # noqa: BLE001  an element's own method may raise any error
         return False
+
+
+def _is_method(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+
+
+def _truth(held: Held | None) -> bool:
+    try:
+        return held is not None and bool(held.copy)
+    except Exception:  # noqa: BLE001  as above
+        return True
 
 
 def _receiver(note: Note) -> Any:

@@ -17,6 +17,12 @@ _MAX_ROWS: Final = 12  # largest number of lines of the plan that are shown
 _EARLIER: Final = 1.5  # rank of calls before the failed one; if they decided, they come before it
 _LATER: Final = 0.2  # added for each call before it
 _SUSPECT: Final = 3.0  # by how much a remark or a guess raises a line
+_PASSING: Final = 2.5  # by how much a line without numbers comes after a line with numbers
+_CHANGING: Final = 1.0  # by how much a line that changes a container comes before others
+_LOADING: Final = 2.0  # by how much a line that loads an object comes after others
+_FURTHER: Final = {"condition": 1.5, "before": 1.0}  # added to the rank of such a part
+_LAST: Final = 100.0  # added to the rank of the failed call, unless it has numbers
+_HARMLESS: Final = ("", "hides", "line", "lines")  # first words of remarks that don't raise a line
 _WORDS: Final = {
     "default": " by default",
     "read": ", read after step {}",
@@ -81,6 +87,7 @@ class Origins:
     decided: int = 0  # how many of these made a cause that explains the failure
     guesses: tuple[PossibleMistake, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
+    lacks_step: bool = False  # whether a step before the failed call is missing, so the call's own line counts
 
     def lines_of(self, name: str) -> list[int]:
         """Return the numbers of the lines of a file that made the values, the likeliest first."""
@@ -94,17 +101,21 @@ class Origins:
         for number, call in enumerate((self.failed, *self.earlier)):
             start = _EARLIER if number > self.decided else -_EARLIER if number else 0.0
             known = set(facts)
-            for rank, each in _walk(call, start + _LATER * number) if call is not None else ():
+            decided = 0 < number <= self.decided
+            for rank, each in _walk(call, start + _LATER * number, decided=decided) if call is not None else ():
                 place = each.place
                 if place not in known:  # an earlier call had other values there
                     facts[place].append(each)
                 raised = (each.file != self.program) - _SUSPECT * (place in guessed)
+                raised += _LAST * (each is self.failed and each.own < 1 and not self.lacks_step)
                 ranks[place] = min(ranks.get(place, rank + raised), rank + raised)
         return sorted(ranks, key=lambda place: ranks[place]), facts
 
     def lines(self) -> Iterator[str]:
         """Yield the plan's lines that made the values, the likeliest first, and the guesses."""
         ranked, facts = self._ranked()
+        if self.failed is not None and self.failed.place not in ranked[: _MAX_ROWS - 1]:
+            ranked[_MAX_ROWS - 1 :] = [self.failed.place]
         for place in ranked[:_MAX_ROWS]:
             values = dict.fromkeys(filter(None, map(_said, facts[place])))
             comment = f"  # {phrases.short('; '.join(values))}" if values else ""
@@ -115,17 +126,26 @@ class Origins:
         yield from (f"note: {each}" for each in self.notes)
 
 
-def _walk(origin: Origin, rank: float) -> Iterator[tuple[float, Origin]]:
+def _walk(origin: Origin, rank: float, *, decided: bool = False) -> Iterator[tuple[float, Origin]]:
     """Yield the facts with their ranks: far from the failure, and what only passes values on, comes last."""
-    suspect = _SUSPECT if origin.moved or origin.remark.partition(" ")[0] not in ("", "hides") else 0.0
-    yield rank - suspect + 1.0 - origin.own, origin
+    strange = origin.remark.partition(" ")[0] not in _HARMLESS or _returns_stale(origin)
+    own = rank - _SUSPECT * (strange or bool(origin.moved)) + _LOADING * ("Object(" in origin.text)
+    if origin.kind == "change":
+        own -= _CHANGING
+    elif not decided and not strange:
+        own += _PASSING * (1.0 - origin.own)
+    yield own, origin
     for part in origin.parts:
-        away = 0.5 + origin.own / 2
-        if "Object(" in part.text or (part.kind == "change" and "Object(" in origin.text):
-            away += 3.0
-        elif part.kind in ("condition", "before"):
-            away += 1.0
-        yield from _walk(part, rank + away)
+        yield from _walk(part, rank + 0.5 + origin.own / 2 + _FURTHER.get(part.kind, 0.0))
+
+
+def _returns_stale(origin: Origin) -> bool:
+    """Return whether a value is from a call that read an object which has moved since then."""
+
+    def is_stale(part: Origin) -> bool:
+        return bool(part.moved) or any(map(is_stale, part.parts) if part.kind in ("value", "returned") else ())
+
+    return origin.kind == "value" and any(part.kind == "returned" and is_stale(part) for part in origin.parts)
 
 
 def _said(origin: Origin) -> str:

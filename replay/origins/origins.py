@@ -13,7 +13,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import Mutation
+from replay.explain.causes import decides
 from replay.explain.causes.case import CausingChange, hands, joints_of
+from replay.explain.causes.changed import HandState
+from replay.explain.causes.out_of_reach import ObstructingBody
 from replay.history.blame import Blame, blame
 from replay.origins.origin import Origin, Origins
 from replay.origins.relating import guesses, with_moves
@@ -22,16 +25,13 @@ from replay.retrace.plan_process import CantRetrace, PlanProcess
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from replay.explain.causes.case import Cause
     from replay.explain.why import Why
     from replay.file.record_reader import RecordReader
 
 _MAX_CAUSES: Final = 3  # largest number of causes whose calls are explained
-#: Kinds of causes that say what went wrong before the failed call, rather than how things were.
-_DECIDING: Final = (
-    *("other-world", "gravity", "swallowed-failure", "refused"),
-    *("physics", "no-longer-true", "removed", "timeout"),
-)
 _SHOWN: Final = 2000
+_MOVED: Final = 0.001  # position of a joint that isn't closed, rad or m
 
 
 def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Origins:
@@ -79,18 +79,21 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
     if answer["difference"] is not None:
         notes.append("the plan differs from its recording at step {step}: {text}".format(**answer["difference"]))
     mistakes = tuple(guesses(why, failed))
-    return Origins(failed, tuple(earlier.values()), str(process.program), decided, mistakes, tuple(notes))
+    ungrasped = why.causes[:1] and isinstance(why.causes[0], HandState) and why.causes[0].precondition == "held"
+    return Origins(
+        failed, tuple(earlier.values()), str(process.program), decided, mistakes, tuple(notes), bool(ungrasped)
+    )
 
 
 def _steps(log: RecordReader, why: Why) -> dict[int, bool]:
     """Return the steps that led to the failure, and whether they decided it; these steps come first."""
-    causes = [(each, each.kind in _DECIDING) for each in why.causes[:_MAX_CAUSES]]
+    causes = [(each, why.case is not None and decides(why.case, each)) for each in why.causes[:_MAX_CAUSES]]
     causes.sort(key=lambda each: not each[1])
-    found = [(step, decides) for cause, decides in causes for step in _made_by(cause)]
+    found = [(step, decided) for cause, decided in causes for step in (*_made_by(cause), *_moved_joints(why, cause))]
     steps: dict[int, bool] = {}
-    for step, decides in (*found, *((step, False) for step in _made_state(log, why))):
+    for step, decided in (*found, *((step, False) for step in _made_state(log, why))):
         if step < why.step:
-            steps.setdefault(step, decides)
+            steps.setdefault(step, decided)
     return steps
 
 
@@ -101,6 +104,15 @@ def _made_by(cause: Any) -> Iterator[int]:
             if isinstance(item, CausingChange):
                 yield item.step
     yield from cause.steps
+
+
+def _moved_joints(why: Why, cause: Cause) -> Iterator[int]:
+    """Yield the last step that moved a joint of the furniture in the way."""
+    case = why.case
+    if isinstance(cause, ObstructingBody) and cause.change is None and case is not None and case.world is not None:
+        body = case.world.bodies[cause.body]
+        changes = [case.changed(f"{body.name}.{joint}") for joint, value in body.joints.items() if abs(value) > _MOVED]
+        yield from sorted(each.step for each in changes if each is not None)[-1:]
 
 
 def _made_state(log: RecordReader, why: Why) -> Iterator[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Final
 
+from recorder import geometry
 from replay.explain.causes.case import CausingChange
 from replay.explain.causes.changed import Gone, HandState, Misbelief, NoLonger
 from replay.explain.causes.lacked import RefusedRequest, Swallowed
@@ -34,6 +35,12 @@ KINDS: Final[tuple[type[Cause], ...]] = (
     UnreachedTarget,
     NoCandidate,
 )
+_DECIDING: Final = (
+    *("other-world", "gravity", "swallowed-failure", "refused"),
+    *("physics", "no-longer-true", "removed", "timeout"),
+)
+_TOO_FAR: Final = 1.2  # an arm reaches nothing at this distance from the robot's base, m
+_BEHIND: Final = 0.2  # distance behind the robot's base, m
 
 
 def find(case: FailureCase) -> tuple[Cause, ...]:
@@ -46,6 +53,15 @@ def find(case: FailureCase) -> tuple[Cause, ...]:
         return ended
     found = [cause for kind in KINDS for cause in kind.find(case)]
     return tuple(_with_events(cause) for cause in found if not cause.is_explained(found))
+
+
+def decides(case: FailureCase, cause: Cause) -> bool:
+    """Return whether a cause says what went wrong before the failed call, rather than how things were."""
+    target = case.data.get("target")
+    if not isinstance(cause, UnreachedTarget) or not isinstance(target, list) or case.robot is None:
+        return cause.kind in _DECIDING
+    ahead, *_ = geometry.transform(geometry.invert(case.robot.pose), [float(str(each)) for each in target])
+    return cause.distance > _TOO_FAR or ahead < -_BEHIND  # the robot's place is wrong
 
 
 def _with_events(cause: Cause) -> Cause:

@@ -140,8 +140,8 @@ class Timeout(Cause):
     """A part of the plan missed its deadline."""
 
     kind = "timeout"
-    seconds: float  # the limit
-    clock: str  # "wall" or "simulated"
+    seconds: float  # the limit; 0 in a deadlock
+    clock: str  # "wall" or "simulated"; "" in a deadlock
     pending: tuple[PendingTask, ...]  # the pending tasks at the deadline
     line: Line | None  # the plan's line at the stop
     took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first by the limit's clock
@@ -161,6 +161,12 @@ class Timeout(Cause):
             line = case.line(stop.lines) if stop is not None else None  # the deadline stopped this line
             yield _timeout(case, seconds, clock, doing, tuple(took), line, simulated)
             return
+        if case.failure.type == "DeadlockedBranches":
+            tree = _tree(case, case.step + 1)
+            waits = _stopped(tree, tree.nodes[case.task.id] if case.task is not None else None)
+            pending = tuple(_pending(case, node, tree, case.step) for node in waits if node.kind == "wait")
+            yield from [_timeout(case, 0, "", pending, (), None)] if pending else []
+            return
         for wait in list(answers(case))[-1:]:
             if isinstance(wait, Task) and from_json(wait.result_json) is False:
                 tree = _tree(case, case.step + 1)
@@ -171,14 +177,17 @@ class Timeout(Cause):
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with a longer limit, and with the awaited fluents."""
         limited = case.task if case.task is not None and case.task.kind == "timeout" else self.pending[0].task
-        yield from trials.longer(limited.started, self.seconds)
+        yield from trials.longer(limited.started, self.seconds)  # none in a deadlock
         for each in self.pending:
             if each.task.kind == "wait":
                 yield from trials.fulfilled(each.task.started, each.values)
 
     def _words(self) -> Iterator[str]:
         simulated = " of simulated time" if self.clock == _SIMULATED_TIME else ""
-        yield f"after {self.seconds:g} s{simulated} the plan was still {_doing(self.pending)}{phrases.at(self.line)}"
+        limit = (
+            f"after {self.seconds:g} s{simulated} the plan was still" if self.clock else "in a deadlock, the plan was"
+        )
+        yield f"{limit} {_doing(self.pending)}{phrases.at(self.line)}"
         for pending in self.pending:
             yield from pending.details()
         if self.took and not any(pending.task.kind == "wait" for pending in self.pending):

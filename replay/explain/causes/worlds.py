@@ -64,7 +64,9 @@ class NoGravity(Cause):
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoGravity]:
         """Yield an unusual gravity of the failure's world."""
-        if case.world is not None and case.world.gravity[2] >= 0 and _OF_GRAVITY.search(case.failure.message):
+        if case.world is None or case.world.gravity[2] < 0:
+            return
+        if case.world.gravity[2] > 0 or _OF_GRAVITY.search(case.failure.message):
             change = _last(case, case.world.name, "set_gravity")
             steps = (change.step, case.step) if change is not None else (case.step,)
             yield NoGravity(steps, tuple(case.world.gravity), change)

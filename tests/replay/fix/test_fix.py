@@ -102,6 +102,7 @@ def test_what_a_plan_places_has_to_stay_at_its_target(tmp_path: Path, capsys: py
     assert code == 0
     assert "place is done" in str(found["asked"])
     assert "+WHERE = [0.5, 0.2, 0.83]" in found["repairs"][0]["diff"]
+    assert found["repairs"][0]["mark"].startswith("it changes what is asked for")
 
 
 def test_edits_stay_at_one_place_and_leave_no_statement_out() -> None:
@@ -116,6 +117,17 @@ def test_edits_stay_at_one_place_and_leave_no_statement_out() -> None:
     assert 'x = [1, 0, 0, 1]\nif a < b and not c:\n    go("right")  # é\n    do("left", d / 2)\n' in edited[4]
     for texts in edited.values():
         assert all("do(" in each and "go(" in each and "x = " in each for each in texts)
+
+
+def test_statements_stay_on_their_side_of_an_assertion() -> None:
+    text = "def check(x):\n    assert x\nx = a()\ncheck(x)\nb()\nif x:\n    raise ValueError\nc()\n"
+    moves = [edit for line in (3, 5, 8) for edit in Editor(text).edits(line) if edit.what.startswith("line")]
+    assert not moves
+    plain = Editor(text.replace("check(x)\n", "go(x)\n"))
+    assert [edit.what for edit in plain.edits(5) if edit.what.startswith("line")] == [
+        "line 5 before line 4",
+        "line 5 before line 3",
+    ]
 
 
 def test_the_scene_and_keys_of_tables_stay_as_they_are() -> None:

@@ -74,7 +74,9 @@ def test_a_much_shorter_plan_fails_in_the_same_way(
         assert gone not in text
     ended = subprocess.run([sys.executable, small], capture_output=True, text=True, check=False)
     assert "PlanFailure: blue is at -3.000 m" in ended.stderr
-    assert main(["minimise", str(log), "--budget", "12", "-o", "some.py"]) == 0
+    assert main(["minimise", str(log)]) == 2  # it doesn't replace the file
+    assert small.read_text() == text
+    assert main(["minimise", str(log), "--budget", "12", "--overwrite"]) == 0
     assert "the search ended at --budget" in capsys.readouterr().out
 
 

@@ -211,6 +211,39 @@ PLANS = {
         """,
         "perhaps target [-2.4, 0.2, 0.1] is milk's position relative to pr2",
     ),
+    "an early return": (
+        """
+        places, seen = [[0.1, 0, 0]], []
+        def prepare(number):
+            if number in seen:  # here
+                return
+            seen.append(number)
+            places.append([0.2, 0, 0])
+        for number in (1, 1, 1):
+            prepare(number)
+            perform(moving(target=places.pop()))
+        """,
+        "unlike at step",
+    ),
+    "an entry under another key": (
+        """
+        held = {}
+        def take(thing, arm):
+            held[thing.name] = arm  # here
+        take(milk, "left")
+        free = next(arm for arm in ("left", "right") if arm not in held)
+        perform(moving(target=[free, 0, 0]))
+        """,
+        "held[thing.name] = arm",
+    ),
+    "a loop that doesn't run": (
+        """
+        for number in range(1, 0):  # here
+            perform(pick_up(object=milk, arm="left"))
+        perform(place(object=milk, target=[0.5, 0.2, 0.1], arm="left"))
+        """,
+        "the loop was empty",
+    ),
 }
 
 

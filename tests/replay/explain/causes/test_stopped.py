@@ -51,6 +51,22 @@ def test_a_timeout_tells_the_fluent_its_value_and_who_sets_it(
     assert "after 0.05 s the plan was still waiting for apple ready" in words(tmp_path, capsys)
 
 
+def test_a_deadlock_tells_the_fluent_its_value_and_who_sets_it(explained: Callable[..., Why], tmp_path: Path) -> None:
+    (cause,) = explained("""
+        held = Fluent(0, "held")
+        def take():
+            held.set_value(held.get_value() - 1)
+        def leave():
+            (held == 1).wait_for()
+        with par as s:
+            s(take)
+            s(leave)
+    """).causes
+    (pending,) = cause.pending
+    assert (pending.values, pending.fulfillers[0].line.number) == ({"held": -1}, line_of(tmp_path, "held.set_value"))
+    assert next(cause.lines()) == "in a deadlock, the plan was waiting for held == 1 in leave"
+
+
 def test_a_timeout_tells_what_took_the_time_in_a_block(explained: Callable[..., Why]) -> None:
     why = explained("""
         import time

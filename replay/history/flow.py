@@ -1,0 +1,140 @@
+"""Which lines of a plan may have made the values of a line, by the source alone.
+
+Names are followed to their assignments, calls to the returns of the plan's functions, attributes and containers to the
+lines that store in them. Nothing is run.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Final
+
+from recorder.plan_lines import syntax_nodes
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+_FUNCTIONS: Final = (ast.FunctionDef, ast.AsyncFunctionDef)
+_CHANGING: Final = ("add", "append", "clear", "extend", "insert", "pop", "popleft", "remove", "set_value", "update")
+_STEP: Final = 0.75  # rank of a line after the line that it flows into
+_PASSED: Final = 2.0  # added to the rank of a line without numbers of its own
+_LOADING: Final = 3.0  # added to the rank of a line that loads an object
+_BEFORE: Final = 2  # largest number of statements before a line that counts
+_LAST: Final = 100.0  # added to the rank of the line that failed
+_TRIVIAL: Final = (0, 1)  # numbers that nobody mistypes
+
+
+class Flow:
+    """The flow of values between the statements of a file."""
+
+    def __init__(self, text: str) -> None:
+        self._statements: list[tuple[ast.stmt, str]] = []  # with the name of their function; outer statements first
+        self._made: dict[tuple[str, str], set[int]] = defaultdict(set)  # lines by function and name
+        self._returns: dict[str, set[int]] = defaultdict(set)
+        self._given: dict[str, set[str]] = defaultdict(set)  # parameters by function
+        self._conditions: dict[int, set[int]] = defaultdict(set)  # the lines of conditions, by the line of a statement
+        self._before: dict[int, list[int]] = {}  # the lines of the statements just before, by the line of a statement
+        for node in syntax_nodes(text)[:1]:
+            self._visit(node, "", ())
+
+    def _visit(self, node: ast.AST, function: str, conditions: tuple[int, ...]) -> None:
+        if isinstance(node, _FUNCTIONS):
+            function = node.name
+            self._given[function] |= {each.arg for each in ast.walk(node.args) if isinstance(each, ast.arg)}
+            for given in (*node.args.defaults, *filter(None, node.args.kw_defaults)):
+                self._returns[function].add(given.lineno)
+        if isinstance(node, ast.stmt):
+            self._statements.append((node, function))
+            self._conditions[node.lineno] |= {*conditions}
+            for name in _stored(node):
+                self._made[function, name].add(node.lineno)
+                self._made["", name] |= {node.lineno} if name.startswith(".") else set()
+            if isinstance(node, ast.Return):
+                self._returns[function].add(node.lineno)
+        if isinstance(node, ast.If | ast.While):
+            conditions = (*conditions, node.lineno)
+        for _, block in ast.iter_fields(node):
+            lines = [each.lineno for each in block if isinstance(each, ast.stmt)] if isinstance(block, list) else []
+            self._before |= {line: lines[max(at - _BEFORE, 0) : at] for at, line in enumerate(lines)}
+        for each in ast.iter_child_nodes(node):
+            self._visit(each, function, conditions)
+
+    def lines(self, starts: Mapping[int, float], failed: int = 0) -> list[int]:
+        """Return the lines whose values flow into some lines, the likeliest first.
+
+        Args:
+            starts: lines with their ranks.
+            failed: the line that failed; it comes last, unless it has numbers of its own.
+        """
+        ranks: dict[int, float] = {}
+        waiting = [(rank, line) for line, rank in starts.items()]
+        waiting.sort()
+        while waiting:
+            rank, line = heappop(waiting)
+            if line in ranks:
+                continue
+            found = next((each for each in reversed(self._statements) if _holds(each[0], line)), None)
+            if found is None:
+                continue
+            weight = _weight(found[0])
+            ranks[line] = rank + weight + _LAST * (line == failed and weight > 0)
+            for source in self._sources(*found):
+                if source not in ranks:
+                    heappush(waiting, (rank + _STEP, source))
+            before = self._before.get(found[0].lineno, ()) if line in starts else ()
+            for condition in (*self._conditions[found[0].lineno], *before):
+                heappush(waiting, (rank + 2 * _STEP, condition))
+        return sorted(ranks, key=lambda line: ranks[line])
+
+    def _sources(self, statement: ast.stmt, function: str) -> Iterator[int]:
+        for node in _own(statement):
+            names = []
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+                names = [node.id, f"{node.id}[]"]
+            elif isinstance(node, ast.Attribute):
+                names = [f".{node.attr}", f".{node.attr}[]"]
+            for name in names:
+                if name in self._given[function] and (function, name) not in self._made:
+                    continue  # the caller made it
+                yield from self._made.get((function, name), self._made.get(("", name), ()))
+                yield from self._returns.get(name.removeprefix("."), ())
+
+
+def _own(statement: ast.stmt) -> Iterator[ast.AST]:
+    """Yield the nodes of a statement without the statements in it."""
+    for each in ast.iter_child_nodes(statement):
+        if not isinstance(each, ast.stmt):
+            yield from (node for node in ast.walk(each) if not isinstance(node, ast.stmt))
+
+
+def _holds(statement: ast.stmt, line: int) -> bool:
+    return statement.lineno <= line <= (statement.end_lineno or statement.lineno)
+
+
+def _weight(statement: ast.stmt) -> float:
+    """Return how unlikely the mistake is in a statement: it only passes values on, or loads an object."""
+    constants = [node.value for node in _own(statement) if isinstance(node, ast.Constant)]
+    numbers = [each for each in constants if isinstance(each, int | float)]
+    computes = any(isinstance(node, ast.BinOp | ast.Compare) for node in _own(statement))
+    own = 1.0 if computes or any(each not in _TRIVIAL for each in numbers) else 0.5 * bool(constants)
+    loads = any(isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Object") for node in _own(statement))
+    return _PASSED * (1 - own) + _LOADING * loads
+
+
+def _stored(statement: ast.stmt) -> Iterator[str]:
+    """Yield the names that a statement makes or changes; ``.x`` is an attribute, ``x[]`` the items of x."""
+    for node in _own(statement):
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            yield f".{node.attr}"
+        elif isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
+            yield f"{_named(node.value)}[]"
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _CHANGING:
+            yield f"{_named(node.func.value)}[]"
+
+
+def _named(node: ast.expr) -> str:
+    return f".{node.attr}" if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
