@@ -123,7 +123,8 @@ class Editor:
             value = node.value
             for number, factor in enumerate(_FACTORS if value else ()):
                 yield _number(value * factor), f"{value} times {factor:.3g}", 0.3 + 0.1 * number + 0.4 * (number > 2)
-            yield f"{-value!r}", f"the sign of {value}", 0.5
+            if isinstance(value, float) or node not in self._counts:
+                yield f"{-value!r}", f"the sign of {value}", 0.5
             if isinstance(value, int) and node in self._counts:
                 for other in (value - 1, value + 1):
                     yield repr(other), f"{other} instead of {value}", 0.45

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
 from recorder.properties import BadProperty
-from recorder.records import Check
+from recorder.records import Check, Mutation
 from recorder.tasks import State
 from replay.errors import ReplayError
 from replay.explain.causes.case import hands
 from replay.fix.edits import Edit, Editor
 from replay.fix.trials import Version, alike
+from replay.history.blame import commanded
 from replay.history.flow import Flow
 from replay.history.source import PlanSource
 from replay.origins.origins import origins
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from recorder.tasks import Node
     from replay.explain.check import CheckedProperty
     from replay.explain.why import Why
+    from replay.file.record_reader import RecordReader
     from replay.fix.trials import Trials
 
 CHECKS: Final = (5, 3)  # a repair is checked in this many runs with other seeds, and with displaced objects
@@ -213,9 +215,16 @@ def _checked(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> Rep
             good[index >= CHECKS[0]] += trial.ending.kind == "succeeded"
     with Recording(file) as log:
         mark = "" if failed is None else _changed_goal(log.tree().find(status=State.SUCCEEDED), failed, edit)
+        if not mark and (left := sorted(_commanded(trials.log) - _commanded(log))):
+            mark = f"it leaves {phrases.names(left)} alone"
     if not mark and not all(good):
         mark = "it succeeds with its own seed only" if not good[0] else "it fails with objects 1 cm elsewhere"
     return Repair(edit, file, good[0], good[1], mark)
+
+
+def _commanded(log: RecordReader) -> set[str]:
+    """Return the names of the objects that the plan changed."""
+    return {commanded(record) for record in log.records(Mutation)}
 
 
 def _changed_goal(done: Sequence[Node], failed: Node, edit: Edit) -> str:
