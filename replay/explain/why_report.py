@@ -158,13 +158,16 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
         for line in (*cause.lines(), *([f"  {proof.text}"] if proof is not None else []))
     ]
     yield from _headline(why)
-    yield from section("Where the values come from", origins)
+    forked = bool(why.causes) and why.causes[0].kind == "fork"  # the plan's values didn't cause the failure
+    origin = [*section("Where the values come from", origins)]
+    yield from () if forked else origin
     yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))
     yield from section("Unfinished, or finished in a lost record", _unfinished(why.endless))
     if why.failure is None:
         yield from section("Why", causes)
         return
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
+    yield from origin if forked else ()
     if not origins:
         yield from section(
             "Lines that it may come from", (f"{phrases.place(each)}  {each.text}" for each in why.sources)

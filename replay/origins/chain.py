@@ -12,6 +12,7 @@ from types import FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pycram.world.object import Object
+from pycram.world.world import BulletWorld
 from recorder.tracing.call_stack import described
 from replay.origins.noting import FUNCTIONS, Held, bound_names
 from replay.origins.origin import Origin
@@ -430,10 +431,7 @@ class Tracer:
             yield self._fact("argument", located, name, held, note.step, joined(changes, inner))
 
     def _changed(self, ref: Any, since: int, until: int, key: Any = None) -> Facts:
-        module = type(ref).__module__
-        if isinstance(ref, bool | int | float | str | tuple | type(None) | ModuleType) or (
-            module.startswith("pycram.") and not module.startswith("pycram.fluents")
-        ):
+        if isinstance(ref, bool | int | float | str | tuple | type(None) | ModuleType | BulletWorld):
             return
         notes = [note for note in self._changes.get(id(ref), ()) if since < note.time and note.time < until]
         if key is not None:

@@ -13,13 +13,14 @@ from replay.explain.causes.out_of_reach import NoCandidate, ObstructingBody, Unr
 from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import Raised
 from replay.explain.causes.waiting import Interruption, Timeout
-from replay.explain.causes.worlds import NoGravity, OtherWorld
+from replay.explain.causes.worlds import ForkedChange, NoGravity, OtherWorld
 
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
 
 #: All kinds. The kinds that explain most come first.
 KINDS: Final[tuple[type[Cause], ...]] = (
+    ForkedChange,
     OtherWorld,
     NoGravity,
     Swallowed,

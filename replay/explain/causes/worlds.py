@@ -1,4 +1,4 @@
-"""The object is in another world, or the world's gravity doesn't pull things down."""
+"""The object is in another world, the world's gravity doesn't pull things down, or a fork changed the world."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Mutation
+from recorder.records import Mutation, Run
+from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, bodies_in, since
+from replay.history.blame import commanded
 from replay.report import phrases
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from replay.explain.causes.trials import Trial
+
+_FORKED: Final = 10  # largest number of changes that a fork makes at a step
 #: Messages about things that move, hang or lack support.
 _OF_GRAVITY: Final = re.compile(r"\bmoves at|\bhangs?\b|\bin the air\b|\bsupport|\brest\b|\bfall")
 
@@ -74,6 +79,30 @@ class NoGravity(Cause):
     def _words(self) -> Iterator[str]:
         how = since(self.change) if self.change is not None else ": the plan never set it"
         yield f"gravity is {phrases.vector(self.gravity)} m/s^2{how}"
+
+
+@dataclass(frozen=True, slots=True)
+class ForkedChange(Cause):
+    """The fork, not the plan, had changed an object."""
+
+    kind = "fork"
+    change: CausingChange
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[ForkedChange]:
+        """Yield the changes that the fork made."""
+        began = case.log[0]
+        steps = sorted({each.step for each in began.origin.changes} if isinstance(began, Run) else ())
+        for record in (each for step in steps for each in case.log.records(Mutation, step + 1, step + 1 + _FORKED)):
+            if record.by_fork and record.seq < case.step and case.is_here(record) and commanded(record):
+                yield ForkedChange((record.seq, case.step), case.change(record, commanded(record), "command"))
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial without the change."""
+        yield from trials.put_back(case, self.change)
+
+    def _words(self) -> Iterator[str]:
+        yield f"step {self.change.step}: {self.change}, not by the plan"
 
 
 def _last(case: FailureCase, world: str, command: str, body: str = "") -> CausingChange | None:

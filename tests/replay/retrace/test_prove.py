@@ -132,7 +132,8 @@ def test_claims_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str
             Trial(last, "the milk is back", ("milk.position=0,0,0.1",)),
             Trial(last, "no such thing", ("mlik.position=0,0,0.1",)),
         ]
-        proven, control = prove(recording, replace(why, causes=tuple(Claim((each.step,), each) for each in set_)))
+        claims = replace(why, causes=tuple(Claim((each.step,), each) for each in set_))
+        proven, control = prove(recording, claims, keep=tmp_path / "kept")
         assert control.identical
         found = {cause.trial.words: proof.verdict for cause, proof in zip(proven.causes, proven.proofs, strict=True)}
         assert found == {
@@ -142,6 +143,9 @@ def test_claims_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str
         }
         assert [*found][:: len(found) - 1] == ["the milk is back", "the cup is back"]
         assert "later" in proven.proofs[0].text
+    with replay.open(proven.proofs[-1].forks[0].file) as refuted:
+        cause = refuted.why().causes[0]
+        assert (cause.kind, "by the fork, not by the plan" in next(cause.lines())) == ("fork", True)
 
 
 @pytest.mark.costly
