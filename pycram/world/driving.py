@@ -15,6 +15,7 @@ from pycram.foundation.failures import BadArgument, CollisionPair, TrackingLost,
 from pycram.foundation.refusals import refusing
 from pycram.scheduling.cancellation import raise_if_cancelled, shielded, uninterruptible
 from pycram.world import attachment, simulation
+from pycram.world.coasting import Coasting
 from pycram.world.joints import with_followers
 from pycram.world.trajectory import BaseFrame, Trajectory
 from recorder import geometry, records
@@ -84,6 +85,20 @@ class Followed:
         engine.set_pose(self.body.handle, self._base.pose(self._targets))
         attachment.move_attached(self.body, transaction)
 
+    def coast(self, sim_step: int, transaction: Transaction) -> None:
+        """Move the body to its target at a simulated step, without the engine's simulation."""
+        self.time = min(time_of(self.following, sim_step), self.trajectory.duration)
+        self._targets = self.trajectory.at(self.time)[0]
+        engine = self.body.world.engine
+        if self.joints:
+            earlier = min(time_of(self.following, sim_step - 1), self.trajectory.duration)
+            before = self.trajectory.at(max(earlier, 0.0))[0]
+            speeds = [(b - a) * records.STEPS_PER_SECOND for a, b in zip(before, self._targets, strict=True)]
+            engine.pose_joints(self.body.handle, dict(zip(self.trajectory.joints, self._targets, strict=True)), speeds)
+        else:
+            engine.set_pose(self.body.handle, self._base.pose(self._targets))
+        attachment.move_attached(self.body, transaction)
+
     def measure(self) -> None:
         """Measure the deviations of the joints from their targets."""
         if not self.joints:
@@ -122,6 +137,7 @@ class Trajectories:
         self._world = world
         self.active: dict[int, Followed] = {}  # trajectories by number, oldest first
         self.last = 0  # number of the latest trajectory
+        self._coasting = Coasting(world)
 
     def add(self, followed: Followed) -> None:
         """Make a body follow a trajectory from the next step on, in a transaction or a world that is rebuilt."""
@@ -131,6 +147,9 @@ class Trajectories:
     def step(self, steps: int, transaction: Transaction) -> None:
         """Simulate steps of 1/240 s while bodies follow their trajectories, then measure their deviations."""
         engine, start = self._world.engine, self._world.sim_step
+        coasts = all(followed.following.begin.coasts for followed in self.active.values())
+        if coasts and self._coast(start, steps, transaction):
+            return
         for sim_step in range(start + 1, start + steps + 1):
             for followed in self.active.values():
                 followed.drive(sim_step, transaction)
@@ -140,6 +159,26 @@ class Trajectories:
                 self.end(followed)
         for followed in self.active.values():
             followed.measure()
+        if coasts:
+            self._coasting.simulated()
+
+    def _coast(self, start: int, steps: int, transaction: Transaction) -> bool:
+        """Move the bodies without the engine's simulation; return False if the engine must simulate the steps."""
+        end, moved = start + steps, list(self.active.values())
+        if any(has_ended(each.following, sim_step) for each in moved for sim_step in range(start + 1, end)):
+            return False  # a trajectory ends between two samples
+        if not self._coasting.may_begin([(each.body, each.trajectory.joints) for each in moved]):
+            return False
+        for each in moved:
+            each.coast(end, transaction)
+        if not self._coasting.may_end():
+            for each in moved:
+                each.coast(start, transaction)
+            return False
+        for each in moved:
+            if has_ended(each.following, end):
+                self.end(each)
+        return True
 
     def end(self, followed: Followed) -> None:
         """End a trajectory; motors hold the body's joints."""
@@ -231,17 +270,20 @@ def begin(
     trajectory: Trajectory,
     search: records.PathSearch | None = None,
     number: int | None = None,
+    *,
+    coasts: bool | None = None,
 ) -> Followed:
     """Make a body follow a trajectory; see :meth:`pycram.world.world.BulletWorld.begin_trajectory`.
 
-    ``number`` is the recorded number if a recorded trajectory begins again.
+    ``number`` and ``coasts`` are recorded values if a recorded trajectory begins again.
     """
     if not isinstance(trajectory, Trajectory):
         raise BadArgument("trajectory", trajectory, "a Trajectory")
     if getattr(body, "world", None) is not world:
         raise BadArgument("body", body, f"an object in {world.name}")
     _check(body, trajectory)
-    command = records.BeginTrajectory(body=body.name, trajectory=trajectory.record(), search=search)
+    coasts = not world.engine.has_window if coasts is None else coasts
+    command = records.BeginTrajectory(body=body.name, trajectory=trajectory.record(), search=search, coasts=coasts)
     mutation = records.Mutation(begin_trajectory=command)
     with world.transactions.begin(mutation):
         last = world.trajectories.last

@@ -25,7 +25,7 @@ from recorder import geometry, records
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -389,11 +389,12 @@ class RestDetector:
     within 0.5 mm and 5 mrad of where it came to rest, because solvers let some of many objects tremble at any moment.
     An object that moves to and fro for 3 s, within 2 mm and 0.02 rad, is also at rest: solvers let thin objects between
     other objects tremble forever. Robots, and objects attached to robots or to a fixed base, are ignored; joints of
-    furniture count.
+    furniture count, unless the furniture is in ``ignored``.
     """
 
-    def __init__(self, world: BulletWorld) -> None:
+    def __init__(self, world: BulletWorld, ignored: Collection[Object] = ()) -> None:
         self._world = world
+        self._ignored = ignored
         self._last: tuple[int, Mapping[Object, Snapshot]] = self._snapshots()
         self._speeds: deque[Mapping[Object, Speed]] = deque(maxlen=INTERVALS)
         self._rested: dict[Object, Snapshot] = {}  # states in which objects came to rest
@@ -444,7 +445,9 @@ class RestDetector:
         moving = [
             body
             for body, root in roots
-            if not root.is_robot and (not root.fixed or (root is body and bool(body.joints)))
+            if body not in self._ignored
+            and not root.is_robot
+            and (not root.fixed or (root is body and bool(body.joints)))
         ]
         return self._world.sim_step, {body: take_snapshot(body) for body in moving}
 

@@ -328,16 +328,18 @@ class PathSearch(_message.Message):
     def __init__(self, planner: _Optional[str] = ..., seed: _Optional[int] = ..., attempts: _Optional[int] = ..., checks: _Optional[int] = ..., max_checks: _Optional[int] = ..., way_points: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class BeginTrajectory(_message.Message):
-    __slots__ = ("body", "number", "trajectory", "search")
+    __slots__ = ("body", "number", "trajectory", "search", "coasts")
     BODY_FIELD_NUMBER: _ClassVar[int]
     NUMBER_FIELD_NUMBER: _ClassVar[int]
     TRAJECTORY_FIELD_NUMBER: _ClassVar[int]
     SEARCH_FIELD_NUMBER: _ClassVar[int]
+    COASTS_FIELD_NUMBER: _ClassVar[int]
     body: str
     number: int
     trajectory: Trajectory
     search: PathSearch
-    def __init__(self, body: _Optional[str] = ..., number: _Optional[int] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., search: _Optional[_Union[PathSearch, _Mapping]] = ...) -> None: ...
+    coasts: bool
+    def __init__(self, body: _Optional[str] = ..., number: _Optional[int] = ..., trajectory: _Optional[_Union[Trajectory, _Mapping]] = ..., search: _Optional[_Union[PathSearch, _Mapping]] = ..., coasts: bool = ...) -> None: ...
 
 class StopTrajectory(_message.Message):
     __slots__ = ("number", "body")

@@ -316,7 +316,7 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
 def _begin_trajectory(world: BulletWorld, command: BeginTrajectory) -> None:
     search = command.search if command.HasField("search") else None
     trajectory = Trajectory.of_record(command.trajectory)
-    driving.begin(world, world.get_object(command.body), trajectory, search, command.number)
+    driving.begin(world, world.get_object(command.body), trajectory, search, command.number, coasts=command.coasts)
 
 
 _COMMANDS: Final[Mapping[str, Callable[[BulletWorld, Any], None]]] = {

@@ -52,6 +52,11 @@ def each_step(world: BulletWorld, look: Callable[[], None]) -> None:
     world.engine.step = stepped  # type: ignore[method-assign]
 
 
+def falling(world: BulletWorld) -> Object:
+    """Something far away that falls, so the engine simulates all the time."""
+    return Object("apple", "apple", "apple.stl", [50, 0, 1000])
+
+
 ARMS = {
     "ur5.urdf": SWING,
     "panda.urdf": {"panda_joint1": 0.7, "panda_joint2": 0.6, "panda_joint4": -1.0, "panda_joint6": 1.2},
@@ -65,6 +70,7 @@ ARMS = {
 def test_an_arm_is_where_its_trajectory_says_in_each_step(world: BulletWorld, file: str) -> None:
     world.set_gravity([0, 0, -9.81])
     robot = Object("robot", "robot", file, [0, 0, 1])
+    falling(world)
     trajectory = to(robot, ARMS[file], 1.0)
     errors: list[float] = []
 
@@ -131,10 +137,41 @@ def test_what_is_held_stays_in_a_fast_hand(ur5: Object) -> None:
         hand = geometry.invert(world.engine.link_pose(ur5.handle, link))
         apart.append(math.dist(geometry.multiply(hand, world.engine.pose(cup.handle))[0], pose[0]))
 
+    falling(world)
     each_step(world, look)
     move(ur5, {"shoulder_pan_joint": 1.0, "elbow_joint": 1.0}, 1.0)  # 1.9 rad/s
     assert len(apart) == 240
     assert max(apart) < 1e-3
+
+
+def test_the_engine_rests_while_only_an_arm_moves(ur5: Object) -> None:
+    """It simulates whatever falls, is touched, or loses its hold, as if the arm never coasted."""
+    world, steps = ur5.world, []
+    each_step(world, lambda: steps.append(world.sim_step))
+    cup = Object("cup", "cup", "cup.stl", geometry.transform(world.engine.link_pose(ur5.handle, "tool0"), (0, 0, 0.2)))
+    ur5.attach(cup, "tool0")
+    held = ur5.attachments[cup].pose
+    move(ur5, {"shoulder_pan_joint": 1.0}, 2.0)
+    assert len(steps) < 120, "until all is known to be at rest, and the last interval"
+    hand = geometry.invert(world.engine.link_pose(ur5.handle, "tool0"))
+    assert geometry.multiply(hand, world.engine.pose(cup.handle))[0] == pytest.approx(held[0], abs=1e-6)
+    move(ur5, {"shoulder_pan_joint": 1.5}, 0.5)
+    ur5.detach(cup)
+    high = cup.get_position()[2]
+    move(ur5, {"shoulder_pan_joint": 0.0}, 1.0)
+    assert high - cup.get_position()[2] > 4.0, "it fell for a second"
+    cup.remove()
+    x, y, z = geometry.transform(world.engine.link_pose(ur5.handle, "tool0"), (0, 0, 0.0))
+    Object("table", "environment", "table.urdf", [x - 0.2, y, z - 0.78])
+    milk = Object("milk", "milk", "milk.stl", [x, y, z + 0.03])
+    move(ur5, {"shoulder_pan_joint": 0.6}, 1.0)
+    milk.set_position([x, y, z + 0.03], [0, 0, 0, 1])
+    world.settle()
+    before = milk.get_position()
+    steps.clear()
+    move(ur5, {"shoulder_pan_joint": -0.6}, 2.0)
+    assert math.dist(before, milk.get_position()) > 0.1, "the arm pushed it"
+    assert len(steps) > 30
 
 
 def test_a_drawer_follows_and_takes_along_what_lies_in_it(world: BulletWorld) -> None:

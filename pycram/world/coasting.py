@@ -1,0 +1,153 @@
+"""Coasting: intervals of simulated time in which bodies follow trajectories without the engine's simulation.
+
+A body that follows its trajectory in free space moves as planned, and everything at rest stays at rest. So if all else
+is at rest, and nothing is near the moving links at both ends of an interval of 1/30 s, the bodies are set to their
+positions at the end of the interval. The engine's steps would take a hundred times as long.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from pycram.world import attachment, simulation
+from recorder import geometry
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from numpy.typing import NDArray
+
+    from pycram.world.object import Object
+    from pycram.world.world import BulletWorld
+    from recorder.geometry import Pose
+
+    Array = NDArray[np.float64]
+
+_NEAR: Final = 0.005  # minimum distance in m, in addition to the way of a link in the interval
+_RIGID: Final = (1e-3, 1e-2)  # largest motion in m and rad of two moving links relative to each other, if they touch
+
+
+class Coasting:
+    """Decides whether the bodies of a world that follow trajectories may coast."""
+
+    def __init__(self, world: BulletWorld) -> None:
+        self._world = world
+        self._detector: simulation.RestDetector | None = None
+        self._state: tuple[object, ...] = ()  # state of the world after the last interval
+        self._following: Sequence[tuple[Object, Sequence[str]]] = ()
+        self._rows: list[tuple[Object, str]] = []  # the moving links
+        self._columns: list[tuple[Object, str]] = []  # all links
+        self._possible: NDArray[np.bool_] = np.zeros((0, 0), bool)  # pairs (moving link, link) that may collide
+        self._boxes = np.zeros((0, 2, 3))  # bounds of all links, m
+        self._before = np.zeros((0, 2, 3))  # bounds of the moving links at the start of the interval, m
+        self._touching: dict[tuple[int, int], Pose] = {}  # relative poses of moving links that touch
+        self._is_clear = False  # whether nothing was near at the end of the last interval
+
+    def may_begin(self, following: Sequence[tuple[Object, Sequence[str]]]) -> bool:
+        """Return whether all else is at rest, and nothing is near the moving links at the start of an interval.
+
+        Args:
+            following: The bodies that follow trajectories, and the moving joints of each; no joints for a base.
+        """
+        if self._detector is None or self._state != self._present() or list(following) != self._following:
+            self._following, self._is_clear = list(following), False
+            self._detector = simulation.RestDetector(self._world, [body for body, _ in following])
+            self._rows = []
+            return False
+        if not self._detector.sample():
+            self._rows = []
+            return False
+        if not self._rows:
+            self._find_pairs()
+        if not self._is_clear:
+            self._touching = {}
+            self._before = self._moving_boxes()
+            self._is_clear = not self._is_near(np.full(len(self._rows), _NEAR), starts=True)
+        return self._is_clear
+
+    def may_end(self) -> bool:
+        """Return whether nothing is near the moving links at the end of an interval, to which they were moved."""
+        after = self._moving_boxes()
+        way = np.abs(after - self._before).max(axis=(1, 2), initial=0.0)
+        self._is_clear = not self._is_near(way + _NEAR)
+        self._before = after
+        if self._is_clear:
+            self._state = self._present()
+        return self._is_clear
+
+    def simulated(self) -> None:
+        """Note the state of the world after an interval that the engine simulated."""
+        self._state, self._rows, self._is_clear = self._present(), [], False
+
+    def _present(self) -> tuple[object, ...]:
+        """Return the state of the world, without the poses of carried objects."""
+        world = self._world
+        return (
+            *world.gravity,
+            *(
+                (body, *body.attachments.values(), None if body.carrier else world.engine.snapshot(body.handle))
+                for body in world.objects
+            ),
+        )
+
+    def _find_pairs(self) -> None:
+        engine, objects = self._world.engine, self._world.objects
+        self._columns = [(body, link) for body in objects for link in body.links]
+        self._boxes = np.array([engine.box(body.handle, link) for body, link in self._columns]).reshape(-1, 2, 3)
+        has_shape = np.ptp(self._boxes, axis=1).max(axis=1) > 0.0
+        moved: dict[tuple[Object, str], bool] = {}  # moving links, and whether a base moves them
+        for body, joints in self._following:
+            moved |= dict.fromkeys(_moving(body, joints), not joints)
+        self._rows = [each for each, shaped in zip(self._columns, has_shape, strict=True) if shaped and each in moved]
+        roots = {body: attachment.root_of(body) for body in objects}
+        turning = {body: {*attachment.moved_links(body.urdf, body.urdf.movable)} for body in objects}
+        still = [body.is_environment and link not in turning[body] for body, link in self._columns]
+        others = np.array([[roots[body] is not roots[other] for other, _ in self._columns] for body, _ in self._rows])
+        driving = np.array([moved[each] for each in self._rows])  # paths of bases are checked, and bases aren't stopped
+        self._possible = others.reshape(-1, len(self._columns)) & has_shape & ~(driving[:, None] & np.array(still))
+
+    def _moving_boxes(self) -> Array:
+        engine = self._world.engine
+        boxes = np.array([engine.box(body.handle, link) for body, link in self._rows]).reshape(-1, 2, 3)
+        numbers = {each: number for number, each in enumerate(self._columns)}
+        self._boxes[[numbers[each] for each in self._rows]] = boxes
+        return boxes
+
+    def _is_near(self, distances: Array, *, starts: bool = False) -> bool:
+        """Return whether a link is nearer to a moving link than a distance in m, and doesn't move along with it."""
+        engine, rows = self._world.engine, self._before if starts else self._moving_boxes()
+        low, high = rows[:, 0] - distances[:, None], rows[:, 1] + distances[:, None]
+        overlap = (low[:, None] <= self._boxes[:, 1]).all(axis=2) & (self._boxes[:, 0] <= high[:, None]).all(axis=2)
+        for row, column in np.argwhere(overlap & self._possible).tolist():
+            (body, link), (other, other_link) = self._rows[row], self._columns[column]
+            if engine.link_closest_points(
+                body.handle, link, other.handle, float(distances[row]), link_b=other_link
+            ) and not self._is_rigid(row, column, starts=starts):
+                return True
+        return False
+
+    def _is_rigid(self, row: int, column: int, *, starts: bool) -> bool:
+        """Return whether two links move along with each other, as a hand and the handle that it holds."""
+        (body, link), other = self._rows[row], self._columns[column]
+        if other not in self._rows:
+            return False
+        engine = self._world.engine
+        pose = engine.link_pose(body.handle, link)
+        relative = geometry.multiply(geometry.invert(pose), engine.link_pose(other[0].handle, other[1]))
+        was = self._touching.get((row, column)) if not starts else relative
+        if was is None:
+            return False
+        self._touching[row, column] = relative
+        off = np.linalg.norm(np.subtract(was[0], relative[0])), geometry.angle(was[1], relative[1])
+        return bool(off[0] < _RIGID[0] and off[1] < _RIGID[1])
+
+
+def _moving(body: Object, joints: Sequence[str]) -> Iterator[tuple[Object, str]]:
+    """Yield the links that a trajectory moves, also of carried objects."""
+    links = attachment.moved_links(body.urdf, joints) if joints else body.links
+    yield from ((body, link) for link in links)
+    for held in body.carried:
+        if held.carrier_link in links:
+            yield from _moving(held.body, ())
