@@ -98,6 +98,10 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap", "the smallest edit that makes it succeed"),
             ("run.mcap --apply", "the same, and write it into the plan"),
         ),
+        "last-chance": (
+            ("run.mcap", "when it was too late, and what helped before"),
+            ("run.mcap --budget 20", "the same, in at most 20 runs"),
+        ),
         "minimise": (
             ("run.mcap", "a smaller plan with the same failure"),
             ("run.mcap -o small.py --budget 50", "the same, in at most 50 runs"),

@@ -43,9 +43,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     from replay.fix.search import CHECKS, SearchResult, search  # noqa: PLC0415  needs the executor
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
-    folder = Path(options.keep)
-    if not folder.is_dir():
-        raise ReplayError(f"{folder}: no such folder; make it first")
+    folder = existing_folder(options.keep)
     found = SearchResult("")
     with Trials(log, allow_effects=options.allow_effects) as trials:
         print_message(f"{trials.program.name} runs again, up to about {options.budget} times; {AGAIN}")
@@ -57,6 +55,14 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             _apply(trials, found)
         print_result(lambda: _data(trials, found), _lines(trials, found, CHECKS), as_json=options.json)
     return FINE if found.repairs else FAILED
+
+
+def existing_folder(name: str) -> Path:
+    """Return the path of a folder; raise ReplayError if it doesn't exist."""
+    folder = Path(name)
+    if not folder.is_dir():
+        raise ReplayError(f"{folder}: no such folder; make it first")
+    return folder
 
 
 def _apply(trials: Trials, found: SearchResult) -> None:
@@ -74,7 +80,7 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
         {
             "line": each.edit.line,
             "edit": each.edit.what,
-            "diff": "\n".join(_difference(trials, each.edit.text)),
+            "diff": "\n".join(difference(trials, each.edit.text)),
             "recording": str(each.recording),
             "seeds": each.seeds,
             "elsewhere": each.elsewhere,
@@ -100,7 +106,7 @@ def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iter
         yield f"{'possible repair' if each.mark else 'repair'}: {each.edit.what}" + (
             f" ({each.mark})" if each.mark else ""
         )
-        yield from _difference(trials, each.edit.text)
+        yield from difference(trials, each.edit.text)
         yield f"  its run: {each.recording}"
         yield f"  it also succeeds under {each.seeds} of {checks[0]} other seeds,"
         yield f"  and in {each.elsewhere} of {checks[1]} runs with loose objects 1 cm elsewhere"
@@ -108,7 +114,8 @@ def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iter
     yield f"{asked}; tried {count}"
 
 
-def _difference(trials: Trials, text: str) -> Iterator[str]:
+def difference(trials: Trials, text: str) -> Iterator[str]:
+    """Yield the unified diff of an edited plan."""
     name = trials.program.name
     before, after = trials.text.splitlines(), text.splitlines()
     return difflib.unified_diff(before, after, f"a/{name}", f"b/{name}", lineterm="", n=2)

@@ -49,6 +49,7 @@ VERBS: Final = {
     "fork": "run the plan again up to a step, then continue with another plan, world, answer or seed",
     "debug": "open a prompt at a step, in the plan's frame, and step forwards and back",
     "fix": "find the smallest edit with which the whole plan succeeds",
+    "last-chance": "find the last step from which another choice or a repair leads to success",
     "minimise": "find a smaller plan and scene with the same failure",
     "test": "write a pytest that fails as the run did, and passes when the plan is mended",
     "resume": "continue a plan whose process was killed",
@@ -202,7 +203,7 @@ def _joined(arguments: Sequence[str]) -> list[str]:
 
 
 def _verb(name: str) -> Verb:
-    module = importlib.import_module(f"replay.cli.{_FILES.get(name, name)}")
+    module = importlib.import_module(f"replay.cli.{_FILES.get(name, name.replace('-', '_'))}")
     suffix = f"_{name}" if name in _FILES else ""
     add, run, run_folder = (getattr(module, f"{part}{suffix}", None) for part in ("add", "run", "run_folder"))
     return Verb(add or (lambda _: None), run, run_folder)
@@ -236,7 +237,12 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         count = "?" if name == _DEBUG else None  # an editor may name the recording later
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
-            add_cached(name, _FILES.get(name, name), verb, lambda parser: _verb(parser.prog.split()[-1]).add(parser))
+            add_cached(
+                name,
+                _FILES.get(name, name.replace("-", "_")),
+                verb,
+                lambda parser: _verb(parser.prog.split()[-1]).add(parser),
+            )
         elif name in arguments:
             _verb(name).add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")

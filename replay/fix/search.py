@@ -124,7 +124,7 @@ def search(
             if ending.kind == "succeeded":
                 files = (folder / f"{log.path.stem}.fix-{number}.mcap" for number in count(1))
                 file = next(each for each in files if not each.exists())
-                if alike(trials.one(edit.text, file).ending, ending) and _reaches_goal(file, properties):
+                if alike(trials.one(edit.text, file).ending, ending) and reaches_goal(file, properties):
                     found.repairs.append(_checked(trials, edit, file, failed))
                 else:
                     file.unlink(missing_ok=True)
@@ -186,7 +186,7 @@ def _is_python(text: str) -> bool:
     return True
 
 
-def _reaches_goal(file: Path, properties: Sequence[str]) -> bool:
+def reaches_goal(file: Path, properties: Sequence[str]) -> bool:
     """Return whether properties hold in a run, and whether objects stay where the run placed them."""
     with Recording(file) as log:
         placed: dict[str, Sequence[float]] = {}

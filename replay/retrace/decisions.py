@@ -157,7 +157,7 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
     found = next((each for each in log.records(Query, step + 1) if given.fits_recorded(each)), None)
     if found is None:
         raise BadChange(given.text, f"no such choice is recorded after step {step}")
-    names = list(_candidates(found))
+    names = list(candidate_names(found))
     if given.number > len(names):
         listed = ", ".join(f"#{number} {name}" for number, name in enumerate(names, 1))
         raise BadChange(given.text, f"the choice at step {found.seq} has {len(names)} candidates: {listed}")
@@ -170,7 +170,7 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
     return f"{given.text.rpartition('=')[0]}={name!r}"
 
 
-def _candidates(record: Query) -> Iterator[str]:
+def candidate_names(record: Query) -> Iterator[str]:
     """Yield the names of the recorded candidates. Places are in the order of their scores."""
     decimals = _PLACES.get(record.name)
     for spot in record.grid.spots if decimals is not None else ():

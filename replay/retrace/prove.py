@@ -70,7 +70,7 @@ def prove(
     ):
         undoing.callback(unchanged.stop)  # otherwise an interrupted block would wait for its runs
         control = pool.submit(compared, unchanged, log)
-        prover = _Prover(log, why, keep or Path(temporary), recorded_source=recorded_source, kept=keep is not None)
+        prover = Prover(log, why, keep or Path(temporary), recorded_source=recorded_source, kept=keep is not None)
         undoing.callback(prover.stop)
         known: dict[Trial, TriedTrial] = {}  # causes may share trials
         tried: list[list[TriedTrial]] = [[] for _ in why.causes]
@@ -112,7 +112,7 @@ def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Pr
     return Proof(UNTESTED, f"not tested: {untested}", tuple(tried))
 
 
-class _Prover:
+class Prover:
     """A runner of an explanation's trials as forks."""
 
     def __init__(self, log: RecordReader, why: Why, folder: Path, *, recorded_source: bool, kept: bool) -> None:

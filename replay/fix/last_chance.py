@@ -1,0 +1,285 @@
+"""The last step from which a failed plan could still have succeeded, and the step that closed this chance.
+
+The closing step is found by forks just before the failed motion: in each, all objects are as they were at an earlier
+step. If these forks succeed up to a step and fail after it, a bisection needs few of them. Then forks force other
+choices on record before that step, latest choice first. Without a choice that helps, a repair is searched
+(:mod:`replay.fix.search`).
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Final
+
+from pycram.foundation.forcing import SKIPPED
+from pycram.projection.child import usable_cores
+from recorder.mcap_sink import free_path
+from recorder.records import Check, Mutation, Query, Run, Task, argument_values
+from recorder.records.text import NOT_TRIED, TAKEN, chosen_name, fates
+from replay.compare import compare_recordings
+from replay.errors import ReplayError
+from replay.explain.causes.trials import CONFIRMED, NONE, Trial, TriedTrial, restored
+from replay.fix.search import SearchResult, reaches_goal, search
+from replay.history.source import PlanSource
+from replay.recording import Recording
+from replay.report.question import written
+from replay.retrace.decisions import candidate_names
+from replay.retrace.prove import Prover
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from replay.explain.causes.case import FailureCase
+    from replay.fix.search import Repair
+    from replay.fix.trials import Trials
+    from replay.history.source import Line
+
+_ALTERNATIVES: Final = 2  # largest number of other candidates of a choice, except places, that are forced
+_SHARES: Final = (2, 1, 3)  # places at these quarters of the order of distances from the taken place are forced
+_PROBES: Final = 2  # number of forks that check whether the bisection was right
+
+
+@dataclass(slots=True)
+class LastChance:
+    """The result of a search."""
+
+    step: int | None = None  # the last step from which the plan still succeeds; None without such a step
+    closed: int | None = None  # the step that closed the last chance; None if it is unknown
+    line: Line | None = None  # the plan's line of this step
+    choice: str = ""  # the decision with which the plan succeeds, as ``fork --answer`` takes it; "" without a decision
+    repair: Repair | None = None  # the repair with which the plan succeeds; None without a repair
+    recording: Path | None = None  # the recording of the success
+    runs: int = 0  # number of whole runs
+    #: Steps at which the objects were as in a run that fails, although they were right at a later step, or vice versa.
+    exceptions: list[int] = field(default_factory=list)
+    others: list[str] = field(default_factory=list)  # tried choices that don't help, with their outcomes
+
+
+def last_chance(
+    trials: Trials, log: Recording, folder: Path, found: LastChance, *, holds: Sequence[str] = (), budget: int
+) -> None:
+    """Search the last chance of a failed plan, and add it to ``found``, which keeps the result after an interrupt.
+
+    Args:
+        trials: the plan.
+        log: its recording.
+        folder: folder for the recording of the success.
+        found: the result.
+        holds: properties that must hold in a successful run.
+        budget: largest number of whole runs.
+
+    Raises:
+        ReplayError: the plan succeeded, or it doesn't end as recorded.
+    """
+    if trials.control().kind == "succeeded":
+        raise ReplayError("the plan succeeded")
+    found.runs = trials.runs
+    chances = _Chances(trials, log, folder, found, holds, budget)
+    try:
+        chances.find_closing()
+        chances.find_choice()
+    finally:
+        chances.stop()
+    if found.choice or found.runs >= budget:
+        return
+    result = SearchResult("")
+    before = trials.runs
+    try:
+        search(trials, log, folder, result, holds=holds, budget=budget - found.runs)
+    finally:
+        found.runs += trials.runs - before
+        found.repair = next((each for each in result.repairs if not each.mark), None)
+        if found.repair is not None:
+            found.recording = found.repair.recording
+            with Recording(found.recording) as repaired:
+                parted = compare_recordings(log, repaired).divergence
+            first = parted.first.seq if parted is not None and parted.first is not None else len(log)
+            found.step = first - 1
+            if found.closed is None or found.closed < first:
+                chances.close(first)
+
+
+class _Chances:
+    def __init__(
+        self, trials: Trials, log: Recording, folder: Path, found: LastChance, holds: Sequence[str], budget: int
+    ) -> None:
+        why = log.why()
+        self._temporary = TemporaryDirectory(prefix="pycram-chance-")
+        self._prover = Prover(log, why, Path(self._temporary.name), recorded_source=True, kept=True)
+        self._folder = folder
+        self._log, self._case, self._found, self._budget = log, why.case, found, budget
+        self._control = trials.runs
+        watched = (each.property for each in log.records(Check) if each.phase == Check.WATCHED)
+        self._properties = [*dict.fromkeys((*holds, *watched))]
+        self._tasks = {each.task: each for each in log.records(Task) if each.phase == Task.STARTED}
+        #: The step at which objects are put back: the start of the failed motion, or else the step before the failure.
+        self._end = why.step - 1 if why.case is None or why.case.motion is None else why.case.began
+        self._source = PlanSource(log)
+
+    def stop(self) -> None:
+        """Stop all forks, and delete their recordings."""
+        self._prover.stop()
+        self._temporary.cleanup()
+
+    # --- the step that closed the chance -----------------------------------------------------------------------------
+
+    def find_closing(self) -> None:
+        """Find the change after which the failed motion fails, by putting the objects back to earlier steps."""
+        case = self._case
+        if case is None or case.world is None:
+            return
+        held = {each.body for each in case.world.attachments.values() if each.carrier == case.world.robot}
+        needed = {case.world.robot, *held.intersection(case.subjects)}
+        names = [name for name in case.world.bodies if name not in needed]
+        changes = [each.seq for each in self._log.records(Mutation, 0, self._end) if self._changes(each, {*names})]
+        known: dict[int, bool] = {len(changes): False}  # by number of kept changes
+
+        def helps(kept: int) -> bool:
+            if kept not in known and self._left():
+                tried = self._prover.tried(_put_back(case, names, changes[kept] - 1, self._end))
+                known[kept] = tried.verdict == CONFIRMED
+                self._found.runs = self._control + self._prover.forks
+            return known.get(kept, False)
+
+        kept, width = len(changes) - 1, 1
+        while kept > 0 and not helps(kept):  # a change that closed the chance is often late
+            kept, width = max(kept - width, 0), 2 * width
+        if not changes or not helps(kept):
+            return
+        kept = self._bisected(kept, known, helps)
+        for _ in range(_PROBES):  # is it right again at a step between later steps at which it is wrong?
+            later = sorted(each for each in known if each > kept)
+            gaps = [(after - before, (before + after) // 2) for before, after in pairwise(later)]
+            width, probe = max(gaps, default=(0, 0))
+            if width > 1 and helps(probe):
+                self._found.exceptions.append(changes[kept])
+                kept = self._bisected(probe, known, helps)
+        if kept and not helps(0):
+            self._found.exceptions.append(changes[0])
+        self.close(changes[kept])
+
+    def _bisected(self, kept: int, known: dict[int, bool], helps: Callable[[int], bool]) -> int:
+        """Return the largest number of kept changes that helps, up to the next number that is known not to help."""
+        wrong = min(number for number, right in known.items() if number > kept and not right)
+        while wrong - kept > 1 and self._left():
+            middle = (kept + wrong) // 2
+            if helps(middle):
+                kept = middle
+            else:
+                wrong = middle
+        return kept
+
+    def _changes(self, record: Mutation, names: set[str]) -> bool:
+        effect = record.effect
+        moved = {each.body for states in (effect.bodies, effect.attached, effect.detached) for each in states}
+        case = self._case
+        same_world = case is not None and case.world is not None and record.world == case.world.name
+        return same_world and not record.HasField("load_body") and not names.isdisjoint(moved)
+
+    def close(self, step: int) -> None:
+        """Note the step that closed the chance, with the plan's line."""
+        record = self._log[min(step, len(self._log) - 1)]
+        stack, task = self._source.call_stack(record), self._tasks.get(record.task) if hasattr(record, "task") else None
+        while not stack and task is not None:
+            stack, task = self._source.call_stack(task), self._tasks.get(task.parent)
+        self._found.closed, self._found.line = record.seq, stack[-1] if stack else None
+
+    def _left(self) -> bool:
+        return self._found.runs < self._budget
+
+    # --- choices -----------------------------------------------------------------------------------------------------
+
+    def find_choice(self) -> None:
+        """Force other choices before the closing step, latest choice first, until the whole plan succeeds."""
+        choices = list(self._choices())
+        with ThreadPoolExecutor(usable_cores()) as pool, ExitStack() as undoing:
+            undoing.callback(self._prover.stop)  # otherwise an interrupted block would wait for its forks
+            while choices and self._left():
+                wave, choices = choices[: usable_cores()], choices[usable_cores() :]
+                for tried in pool.map(self._prover.tried, wave):
+                    self._found.runs = self._control + self._prover.forks
+                    if not self._found.choice and self._succeeds(tried):
+                        self._take(tried)
+                    else:
+                        self._found.others.append(tried.text)
+                if self._found.choice:
+                    return
+
+    def _take(self, tried: TriedTrial) -> None:
+        found = self._found
+        found.step, found.choice = tried.trial.step, tried.trial.answers[0]
+        found.recording = free_path(self._folder / f"{self._log.path.stem}.chance.mcap")
+        shutil.move(tried.file, found.recording)
+        if found.closed is None or found.closed <= found.step:
+            self.close(found.step + 1)
+
+    def _succeeds(self, tried: TriedTrial) -> bool:
+        if tried.verdict != CONFIRMED:
+            return False
+        with Recording(tried.file) as forked:
+            end = forked[-1]
+        return isinstance(end, Run) and end.succeeded and reaches_goal(Path(tried.file), self._properties)
+
+    def _choices(self) -> Iterator[Trial]:
+        """Yield decisions with other values, latest decision first."""
+        closed = self._found.closed
+        if closed is not None:
+            yield from self._skipped(closed)
+        for record in self._log.backwards(self._end if closed is None else closed, (Query, Task)):
+            texts: list[str] = []
+            step = record.seq - 1
+            if isinstance(record, Query):
+                texts = [f"{record.name}(...)={name!r}" for name in _alternatives(record)]
+            elif isinstance(record, Task) and (motion := self._tasks.get(record.parent)) is not None:
+                used = argument_values(record.parameters).get("arm")
+                chooses = used and record.phase == Task.STARTED and record.kind == "process-module"
+                arms = [*self._case.hands] if chooses and self._case is not None else []
+                texts = [f"{motion.name}.arm(...)={arm}" for arm in arms if arm != used]
+                step = motion.seq - 1
+            yield from (Trial(step, text, answers=(text,)) for text in texts)
+
+    def _skipped(self, closed: int) -> Iterator[Trial]:
+        """Yield the trial without the call that closed the chance, if the plan itself made it and it has no result."""
+        record, line = self._log[closed], self._found.line
+        if not isinstance(record, Mutation) or record.task or line is None:
+            return
+        with suppress(SyntaxError):
+            calls = [node.func for node in ast.walk(ast.parse(line.text)) if isinstance(node, ast.Call)]
+            for called in calls:
+                if isinstance(called, ast.Attribute) and called.attr not in ("simulate", "settle"):
+                    text = f"{called.attr}(...)={SKIPPED}"
+                    yield Trial(closed - 1, text, answers=(text,))
+
+
+def _put_back(case: FailureCase, names: Sequence[str], then: int, end: int) -> Trial:
+    """Return the fork in which objects are as after an earlier step, also in the robot's hands."""
+    hands = {name: case.holder(name, then) for name in names if case.holder(name, then) != case.holder(name, end - 1)}
+    freed = [f"{written(name)}.hand={NONE}" for name in hands]
+    taken = [f"{written(name)}.hand={arm}" for name, arm in hands.items() if arm in case.hands]
+    words = f"all objects are as at step {then}"
+    whole = next(restored(case, names, then, end, words), Trial(end, words))
+    return replace(whole, settings=(*freed, *whole.settings, *taken))
+
+
+def _alternatives(query: Query) -> list[str]:
+    """Return the names of a few candidates that weren't tried."""
+    if not query.HasField("chosen"):
+        return []
+    names = [*candidate_names(query)]
+    if not query.grid.spots:
+        untried = [name for each in query.candidates if each.reason in ("", "Untried") for name in each.names]
+        return [name for name in untried if name != chosen_name(query)][:_ALTERNATIVES]
+    spots, every = [each.position[:2] for each in query.grid.spots], [*fates(query)]
+    taken = next((at for at, fate in zip(spots, every, strict=True) if fate == TAKEN), spots[0])
+    free = sorted(
+        (math.dist(at, taken), name) for at, fate, name in zip(spots, every, names, strict=True) if fate == NOT_TRIED
+    )
+    return [free[len(free) * share // 4][1] for share in _SHARES if free]
