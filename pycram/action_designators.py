@@ -39,8 +39,7 @@ def closing(
         arm: Name of the arm; by default any arm within reach.
         place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
         orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("closing", **locals()))
@@ -62,8 +61,7 @@ def delivering(
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         put: Exact place of the object, a LocationDesignator with a position; by default places of the target.
         place: Place of the robot, a LocationDesignator; by default places within reach of the target.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("delivering", **locals()))
@@ -89,8 +87,7 @@ def fetching(
         place: Place of the robot, a LocationDesignator; by default places within reach of the object.
         clear: Whether to clear obstacles away first; by default only after they caused a failure. Without a place, this
             also closes drawers and doors beside the object, and opens the object's own as far as possible.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("fetching", **locals()))
@@ -119,8 +116,7 @@ def handing_over(
         orientation: Orientation of the giving hand's tool at that place, a quaternion [x, y, z, w].
         place: Place of the robot, a LocationDesignator; by default its present place, if necessary turned away from
             obstacles.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("handing-over", **locals()))
@@ -160,8 +156,7 @@ def looking(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         target: A LocationDesignator, the name of a surface (to its middle), an Object, or [x, y, z] in m, world frame.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("looking", **locals()))
@@ -180,8 +175,7 @@ def navigating(
         target: A LocationDesignator for the robot, or the position [x, y, z] of its base in m, world frame.
         orientation: Orientation of the base, a quaternion [x, y, z, w] in the world frame; by default that of the
             place, else unchanged.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("navigating", **locals()))
@@ -210,8 +204,7 @@ def opening(
             it.
         place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
         orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("opening", **locals()))
@@ -229,8 +222,7 @@ def parking_arms(
 
     Args:
         arm: Name of the arm; by default all arms.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("parking-arms", **locals()))
@@ -249,8 +241,7 @@ def perceiving(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("perceiving", **locals()))
@@ -271,8 +262,7 @@ def picking_up(
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
             side.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("picking-up", **locals()))
@@ -292,8 +282,7 @@ def placing(
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         orientation: Orientation of the object, a quaternion [x, y, z, w] in the world frame; by default upright.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("placing", **locals()))
@@ -314,8 +303,7 @@ def searching(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("searching", **locals()))
@@ -345,8 +333,7 @@ def transporting(
         place: Place of the robot for taking the object, a LocationDesignator; by default places within reach.
         clear: Whether to clear obstacles away first.
         close: Whether to close opened drawers and doors at the end, if possible.
-        budget: Number of tries that may fail, including tries of subactions; by default 20, or the remaining tries of
-            the outer action.
+        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("transporting", **locals()))

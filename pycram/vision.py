@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from pycram.physics.body import Snapshot
     from pycram.world.object import Object
     from recorder.geometry import Pose, Vector
 
@@ -120,20 +118,11 @@ def drawable_link(
     return Drawable(one, np.array([pose[0]]), np.array([pose[1]]), color, is_robot)
 
 
-#: The last result of :func:`drawable` for an object, with the state of the object.
-_drawn: Final[WeakKeyDictionary[Object, tuple[Snapshot, Drawable]]] = WeakKeyDictionary()
-
-
 def drawable(body: Object) -> Drawable:
     """Return an object of a live world to render; the caller holds the world's lock."""
-    engine, color = body.world.engine, body.color
-    now = engine.snapshot(body.handle)
-    state, known = _drawn.get(body, (None, None))
-    if known is None or state is not now or known.color != color:
-        shapes = shapes_of(body.model.path)
-        known = Drawable(shapes, *engine.link_frames(body.handle, shapes.links), color, body.is_robot)
-        _drawn[body] = now, known
-    return known
+    shapes = shapes_of(body.model.path)
+    frames = body.world.engine.link_frames(body.handle, shapes.links)
+    return Drawable(shapes, *frames, body.color, body.is_robot)
 
 
 @dataclass(frozen=True, slots=True)

@@ -146,8 +146,7 @@ _COMMON: Final = (
     Slot(
         "budget",
         _BUDGET,
-        text="number of tries that may fail, including tries of subactions; by default 20, or the remaining tries "
-        "of the outer action",
+        text="number of tries that may fail, also in subactions; by default 20, or what the outer action has left",
     ),
     Slot("projected", _FLAG, text="whether to try the best choices in projections first; False by default"),
 )

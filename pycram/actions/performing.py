@@ -25,7 +25,7 @@ from pycram.motions.process_module import current_environment
 from pycram.motions.slots import DesignatorError
 from pycram.process_module import ProcessModule
 from pycram.projection import Outcome, is_projected, project_all
-from pycram.reasoning.places.remedies import aside
+from pycram.reasoning.places.search import aside
 from pycram.scheduling.cancellation import Binding, checkpoint
 from pycram.world.world import BulletWorld
 from recorder.records import Decision, format_error

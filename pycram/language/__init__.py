@@ -38,7 +38,7 @@ branches; ``in_thread(time.sleep, 3)`` prevents this. Motions queue for the robo
 
 from __future__ import annotations
 
-from pycram.language.block import Action, Kind, NeverOpened, Nothing, Opening, par, pursue, seq, try_all, try_in_order
+from pycram.language.block import Action, Kind, Nothing, Opening, par, pursue, seq, try_all, try_in_order
 from pycram.language.nesting import finally_
 from pycram.language.retries import failure_handling, retry
 from pycram.language.timeouts import timeout
@@ -48,7 +48,6 @@ from recorder.tasks import State
 __all__ = [
     "Action",
     "Kind",
-    "NeverOpened",
     "Nothing",
     "Opening",
     "State",

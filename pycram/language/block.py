@@ -23,7 +23,6 @@ no block, and actions run in order. A decided ``try_in_order`` ends its body at 
 from __future__ import annotations
 
 import threading
-import warnings
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -41,7 +40,6 @@ from pycram.scheduling.future import Future, branch_of
 from pycram.scheduling.schedule import Condition, LockHeld, refuse_held, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
-from recorder.tracing.call_stack import call_site
 from recorder.tracing.context import current_branch, current_name, enter_branch
 from recorder.tracing.span import Cancelled, Span, current_call_stack
 
@@ -464,33 +462,19 @@ class ReadBlock(Block):
             self._pending.popleft().settle(State.CANCELLED)
 
 
-class NeverOpened(RuntimeWarning):
-    """A list for failures was given to a block that no ``with`` statement opened."""
-
-
 class Opening(Scope[Block]):
-    """Opens a block at the start of a ``with`` statement; reusable, also in other threads and nested.
-
-    Warns with NeverOpened if it has a list for failures, but no ``with`` statement used it.
-    """
+    """Opens a block at the start of a ``with`` statement; reusable, also in other threads and nested."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         super().__init__(policy.name)
         self._policy = policy
         self._failures = failures
-        self._unused_at = None if failures is None else call_site()
 
     def _opened(self) -> Block:
-        self._unused_at = None
         host = current_block()
         if host is not None and host.reads_blocks:
             return ReadBlock(self._policy, host, self._failures)
         return Block(self._policy, self._failures)
-
-    def __del__(self) -> None:
-        if self._unused_at is not None:
-            text = f"{self._policy.name}(failures) opens no block; write `with {self._policy.name}(failures) as s:`"
-            warnings.warn_explicit(text, NeverOpened, *self._unused_at)
 
 
 class Nothing(Opening, list[Result]):

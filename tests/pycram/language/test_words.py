@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.failures import BadArgument
-from pycram.language import NeverOpened, par, try_in_order
+from pycram.language import par, try_in_order
 from pycram.language.failures import BlockClosed
 from tests.pycram.language.gates import KINDS, Meeting, fails, succeeds
 
@@ -44,13 +44,6 @@ def test_no_functions_give_no_results(name: str) -> None:
     results = KINDS[name](*functions)
     assert results == []
     assert [*results] == []
-
-
-def test_a_forgotten_with_causes_a_warning() -> None:
-    failures: list[BaseException] = []
-    with pytest.warns(NeverOpened, match=r"write `with par\(failures\) as s:`") as warned:
-        par(failures)
-    assert warned[0].filename == __file__
 
 
 def test_the_five_words_are_reusable_in_threads_and_within_themselves() -> None:
