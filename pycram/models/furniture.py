@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from pycram.models.corrections import SUFFIX, correct, read
-from pycram.models.level_faces import AREA, THINGS, Face, faces, first_met, pieces
-from pycram.models.shapes import piece_bounds
+from pycram.models.level_faces import THINGS, Face, faces, first_met, pieces
 from pycram.models.store import stored_tree
 from pycram.models.surfaces import DOOR, DRAWER, Container, Furniture, Surface, closed_position, open_position
 from recorder import geometry
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 
     from pycram.models.level_faces import Piece
     from pycram.models.load import Model
-    from pycram.models.shapes import Ends
     from recorder.geometry import Pose, Quaternion
     from recorder.urdf import Urdf, UrdfJoint
 
@@ -70,7 +68,7 @@ def find_furniture(path: Path, urdf: Urdf) -> Furniture:
     """Return the surfaces and containers of a canonical URDF, without corrections."""
     closed = {name: closed_position(urdf.joints[name]) for name in urdf.movable}
     poses = urdf.link_poses(closed)
-    every = pieces(path, poses) if _is_wide(path, poses) else []
+    every = pieces(path, poses)
     floor = min((float(piece.low[2]) for piece in every), default=0.0)
     offered = [face for face in faces(every) if _is_usable(face, floor, every)]
     return _Search(urdf, poses, every, offered).furniture()
@@ -92,19 +90,6 @@ def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
     found = [face for face in faces(every, THINGS) if face.clearance == math.inf] if every else []
     names = distinct("top" for _ in found)
     return tuple(surface_of(name, face, poses) for name, face in zip(names, found, strict=True))
-
-
-def _is_wide(path: Path, poses: Mapping[str, Pose]) -> bool:
-    """Return whether a link is wide enough for a face; most objects that robots carry have no such link."""
-    boxes: dict[str, list[Ends]] = {}
-    for link, ends in piece_bounds(path):
-        boxes.setdefault(link, []).append(ends)
-    for link, each in boxes.items():
-        low, high = np.array(each).transpose(1, 2, 0)
-        width, depth, _ = np.abs(geometry.to_matrix(poses[link][1])) @ (high.max(axis=1) - low.min(axis=1))
-        if width * depth >= AREA:
-            return True
-    return False
 
 
 def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:

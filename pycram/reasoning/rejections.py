@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from pycram.foundation.failures import CollisionPair
 
@@ -19,13 +19,16 @@ _MAX_PAIRS: Final = 3
 class Rejection:
     """The reason for a rejection; its fields are facts. Plans may define subclasses."""
 
+    _common: ClassVar[tuple[str, ...]] = ()
+    """Names of the fields that all candidates of a group share."""
+
     def data(self) -> Mapping[str, object]:
         """Return the fields for a record."""
         return {each.name: short(getattr(self, each.name)) for each in fields(self)}
 
     def alike(self) -> Hashable:
-        """Return the property that all candidates of a group share, besides the type of their reason."""
-        return ()
+        """Return the properties that all candidates of a group share, besides the type of their reason."""
+        return tuple(getattr(self, name) for name in self._common)
 
     def group(self) -> Hashable:
         """Return the group of the reason; a record counts the reasons of a group together."""
@@ -105,22 +108,16 @@ TAKEN: Final = "the place is taken, or leaves no room for a finger"
 class NoRoom(Rejection):
     """The place is taken, or has no support."""
 
+    _common = ("reason",)
     reason: str  # the reason as text
-
-    def alike(self) -> Hashable:
-        """Return the reason."""
-        return self.reason
 
 
 @dataclass(frozen=True, slots=True)
 class Slips(Rejection):
     """The closed fingers don't hold the object."""
 
+    _common = ("sides",)
     sides: int  # number of sides of the object that the fingers would touch
-
-    def alike(self) -> Hashable:
-        """Return the number of sides that the fingers would touch."""
-        return self.sides
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,12 +170,9 @@ class Unseen(Rejection):
 class Inferior(Rejection):
     """Another candidate is better."""
 
+    _common = ("by",)
     by: str  # name of the quantity
     value: float  # value of the quantity
-
-    def alike(self) -> Hashable:
-        """Return the name of the quantity."""
-        return self.by
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,11 +184,8 @@ class Untried(Rejection):
 class Unfit(Rejection):
     """Any other reason for a rejection."""
 
+    _common = ("reason",)
     reason: str  # the reason as text
-
-    def alike(self) -> Hashable:
-        """Return the reason."""
-        return self.reason
 
 
 def short(value: Any) -> object:
