@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from pycram.models.shapes import LazySequence, Shapes, shapes_of
+from pycram.models.shapes import Shapes, shapes_of
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -110,8 +110,8 @@ def drawable_link(
     """Return a link to render: the link with shapes at the index ``at``. Its mesh is read when it is rendered."""
     one = Shapes(
         (shapes.links[at],),
-        LazySequence([lambda: shapes.triangles[at]]),
-        LazySequence([lambda: shapes.colors[at]]),
+        lambda _: shapes.triangles(at),
+        lambda _: shapes.colors(at),
         shapes.low[at : at + 1],
         shapes.high[at : at + 1],
     )
@@ -207,10 +207,10 @@ class Camera:
         to_camera = geometry.to_matrix(self.pose[1]).T
         for number in np.flatnonzero(shown):
             index, link = links[number]
-            colors, paint = models[index].colors[link], bodies[index].color
+            colors, paint = models[index].colors(link), bodies[index].color
             if paint is not None:
                 colors = np.tile(paint[:3], (len(colors), 1))
-            turned = models[index].triangles[link] @ (to_camera @ boxes.turns[number]).T
+            turned = models[index].triangles(link) @ (to_camera @ boxes.turns[number]).T
             yield index, models[index].links[link], turned + self.to_frame(boxes.positions[number]), colors
 
     def _shown(self, boxes: _Boxes, window: Window, far: float) -> NDArray[np.bool_]:

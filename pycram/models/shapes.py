@@ -7,10 +7,9 @@ group of a collision mesh. The planes of a hull are half spaces, so lines can be
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache, lru_cache, partial
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar, overload
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from recorder.packages import LazyModule, needed
 from recorder.urdf import shapes_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
+    from collections.abc import Callable, Iterable, Iterator, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-T = TypeVar("T")
 Number = TypeVar("Number", np.float64, np.int64)
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
 """The lowest and the highest corner of a bounding box, m."""
@@ -54,8 +52,9 @@ class Shapes:
     """Shapes of a model, each in the frame of its link. Links without shapes are left out; k links remain."""
 
     links: tuple[str, ...]
-    triangles: Sequence[Array]  # for each link, (n, 3, 3) corners, m
-    colors: Sequence[Array]  # for each link, (n, 3) RGB 0..1 of the triangles
+    #: Functions of a link's index; values are computed when they are first needed, because a camera sees few links.
+    triangles: Callable[[int], Array]  # returns (n, 3, 3) corners, m
+    colors: Callable[[int], Array]  # returns (n, 3) RGB 0..1 of the triangles
     low: Array  # (k, 3) lowest corners of bounding boxes, m
     high: Array  # (k, 3) highest corners of bounding boxes, m
 
@@ -63,50 +62,25 @@ class Shapes:
 @lru_cache(maxsize=256)
 def shapes_of(path: Path, role: str = "visual") -> Shapes:
     """Return the "visual" or "collision" shapes of a canonical URDF."""
-    links = _read(path, role)
-    triangles = LazySequence([partial(_corners_of, tuple(parts), path.parent) for parts in links.values()])
-    colors = LazySequence([partial(_colors_of, tuple(parts), path.parent) for parts in links.values()])
-    every = [[_ends(part, path.parent) for part in parts] for parts in links.values()]
+    links, folder = _read(path, role), path.parent
+    by_number = list(links.values())
+
+    @cache
+    def triangles(link: int) -> Array:
+        return np.concatenate([_placed(part, _triangles(part, folder)) for part in by_number[link]])
+
+    @cache
+    def colors(link: int) -> Array:
+        return np.concatenate([np.tile(part.color[:3], (len(_triangles(part, folder)), 1)) for part in by_number[link]])
+
+    every = [[_ends(part, folder) for part in parts] for parts in by_number]
     ends = np.array([each[0] if len(each) == 1 else bounds(np.array(each)) for each in every]).reshape(-1, 2, 3)
     return Shapes(tuple(links), triangles, colors, ends[:, 0], ends[:, 1])
-
-
-class LazySequence(Sequence[T]):
-    """A list whose values are computed by ``make`` when they are first read: a camera sees few links at a time."""
-
-    def __init__(self, make: Sequence[Callable[[], T]]) -> None:
-        self._make = make
-        self._made: dict[int, T] = {}
-
-    @overload
-    def __getitem__(self, index: int) -> T: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> list[T]: ...
-
-    def __getitem__(self, index: int | slice) -> T | list[T]:
-        if isinstance(index, slice):
-            return [self[number] for number in range(*index.indices(len(self)))]
-        number = range(len(self))[index]
-        if number not in self._made:
-            self._made[number] = self._make[number]()
-        return self._made[number]
-
-    def __len__(self) -> int:
-        return len(self._make)
 
 
 @lru_cache(maxsize=256)
 def _read(path: Path, role: str) -> dict[str, list[Shape]]:
     return shapes_in(store.document(path), role)
-
-
-def _corners_of(parts: Sequence[Shape], folder: Path) -> Array:
-    return np.concatenate([_placed(part, _triangles(part, folder)) for part in parts])
-
-
-def _colors_of(parts: Sequence[Shape], folder: Path) -> Array:
-    return np.concatenate([np.tile(part.color[:3], (len(_triangles(part, folder)), 1)) for part in parts])
 
 
 def bounds(corners: Array) -> tuple[Array, Array]:

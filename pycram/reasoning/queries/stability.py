@@ -198,7 +198,7 @@ class Solid:
             return np.zeros((0, 3))
         frames = self._engine.link_frames(self._body, [self._shapes.links[i] for i in chosen])
         turns = geometry.to_matrices(frames[1])
-        moved = [self._shapes.triangles[i].reshape(-1, 3) @ turns[k].T + frames[0][k] for k, i in enumerate(chosen)]
+        moved = [self._shapes.triangles(i).reshape(-1, 3) @ turns[k].T + frames[0][k] for k, i in enumerate(chosen)]
         return np.concatenate(moved)
 
 

@@ -45,8 +45,7 @@ f 4/1 1/1 5/1 8/1
 
 def triangles(folder: Path, shape: str, role: str = "visual") -> NDArray[np.float64]:
     (folder / "thing.urdf").write_text(URDF.format(role, shape))
-    (drawn,) = shapes_of(load.load(folder / "thing.urdf").path, role).triangles
-    return drawn
+    return shapes_of(load.load(folder / "thing.urdf").path, role).triangles(0)
 
 
 def volume(corners: NDArray[np.float64]) -> float:

@@ -71,8 +71,8 @@ def seen(folder: Path, mesh: str, material: str = "") -> tuple[np.ndarray, np.nd
     model = load.load(file)
     shapes = shapes_of(model.path)
     drawn = read_shapes(model.files[0].content, "visual")["a"]  # what viewers show
-    assert {shape.color[:3] for shape in drawn} == {tuple(color) for color in shapes.colors[0].tolist()}
-    return shapes.triangles[0].mean(axis=1), shapes.colors[0]
+    assert {shape.color[:3] for shape in drawn} == {tuple(color) for color in shapes.colors(0).tolist()}
+    return shapes.triangles(0).mean(axis=1), shapes.colors(0)
 
 
 def color_at(found: tuple[np.ndarray, np.ndarray], x: float, y: float) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_a_missing_texture_of_a_urdf_is_warned_of(tmp_path: Path) -> None:
     )
     with pytest.warns(MissingTexture, match=r"thing\.urdf: the texture package://things/label\.png doesn't exist"):
         model = load.load(tmp_path / "thing.urdf")
-    assert {0.0, 1.0} <= set(shapes_of(model.path).colors[0][0].tolist())
+    assert {0.0, 1.0} <= set(shapes_of(model.path).colors(0)[0].tolist())
 
 
 def halves(folder: Path, upper: tuple[float, ...] = RED) -> str:
@@ -160,11 +160,11 @@ def test_a_urdf_s_texture_covers_shapes(tmp_path: Path, shape: str) -> None:
         assert shapes.high == pytest.approx(bare.high, abs=2e-3)
         drawn = read_shapes(model.files[0].content, "visual")["a"]  # what viewers show
         assert len({part.color[:3] for part in drawn}) == 2
-        middles, colors = shapes.triangles[0].mean(axis=1), shapes.colors[0]
+        middles, colors = shapes.triangles(0).mean(axis=1), shapes.colors(0)
         outside = np.abs(middles[:, 2]) < 0.29  # not the ends
         assert np.abs(colors[outside & (middles[:, 2] > 0.02)] - RED).max() < 0.05
         assert np.abs(colors[outside & (middles[:, 2] < -0.02)] - BLUE).max() < 0.05
-        edges = shapes.triangles[0]
+        edges = shapes.triangles(0)
         normals = np.cross(edges[:, 1] - edges[:, 0], edges[:, 2] - edges[:, 0])
         assert (np.einsum("ij,ij->i", normals, middles) > 0).all(), "they are seen from outside"
 
