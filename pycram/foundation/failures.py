@@ -140,7 +140,7 @@ class Unreachable(PlanFailure):
     reason: str = ""  # cause, if the distance isn't the cause
 
     def _message(self) -> str:
-        near = f"; the nearest posture stays {self.distance:.3f} m away" if self.distance is not None else ""
+        near = f"; the nearest posture found stays {self.distance:.3f} m away" if self.distance is not None else ""
         reason = f"; {self.reason}" if self.reason else ""
         return f"{self.arm} arm can't reach {_point(self.target)}{near}{reason}"
 

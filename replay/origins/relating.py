@@ -16,7 +16,7 @@ from replay.report import phrases
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from recorder.records import Plain
     from replay.explain.why import Why
@@ -31,6 +31,7 @@ _ROOM: Final = 3.0  # in m, outside of the scene
 _TILTED: Final = 0.5  # smaller cosines of a lean mean that nothing stands like that
 _POSITION: Final = 3  # number of its coordinates
 _UNITS: Final = ((100.0, "centimetres"), (1000.0, "millimetres"))
+_DEGREES: Final = 5.0  # smaller angles are rarely in degrees
 _LEAST: Final = 50.0  # a number in a unit is at least this part of 1 m
 _NUMBER: Final = re.compile(r"(?<![\w.])\d+(?:\.\d*)?(?![\w.])")
 
@@ -62,11 +63,14 @@ def _moved_since(log: RecordReader, origin: Origin, why: Why) -> str:
 
 def guesses(why: Why, failed: Origin | None) -> Iterator[PossibleMistake]:
     """Yield mistakes that would explain a number of the failed call, each because of numbers of the scene."""
-    if failed is None or why.world is None or why.task is None:
+    if failed is None or why.world is None:
         return
     facts = [failed]
     for each in facts:  # the list grows
         facts += each.parts
+    yield from _in_degrees({} if why.case is None else why.case.data, facts)
+    if why.task is None:
+        return
     for name, value in why.task.motion.parameters.items():
         numbers = _vector(value)
         bodies = [body for body in why.world.bodies.values() if not body.fixed_base and body.name != why.world.robot]
@@ -80,6 +84,20 @@ def guesses(why: Why, failed: Origin | None) -> Iterator[PossibleMistake]:
             made = [each for each in facts if isinstance(each.number, list) and _near(each.number, numbers)]
             deepest = made[-1] if made else failed
             yield PossibleMistake(f"{name} {phrases.vector(numbers)} {found}", *deepest.place)
+
+
+def _in_degrees(data: Mapping[str, Plain], facts: Sequence[Origin]) -> Iterator[PossibleMistake]:
+    """Yield the line of a joint's value that would be within the joint's limits if it were in radians."""
+    value, lower, upper = (data.get(key) for key in ("value", "lower", "upper"))
+    if isinstance(value, int | float) and isinstance(lower, int | float) and isinstance(upper, int | float):
+        angle = math.radians(value)
+        if abs(value) >= _DEGREES and lower <= angle <= upper:
+            for text, each in ((text, fact) for fact in facts for text in _NUMBER.findall(fact.text)):
+                if math.isclose(float(text), abs(value)):
+                    limits = f"{phrases.number(lower)} to {phrases.number(upper)}"
+                    said = f"{text} is in degrees ({phrases.number(angle)} rad): {data.get('joint')} goes from {limits}"
+                    yield PossibleMistake(said, *each.place)
+                    return
 
 
 def _vector(value: Plain) -> list[float]:

@@ -353,7 +353,7 @@ def _distance(distance: Plain, evidence: _Evidence) -> str:
         turned = f" and is turned by {math.degrees(turn):.0f} degrees"
     if distance < 1e-3 and not turned:
         return "a posture reaches it"
-    return f"the nearest posture stays {distance:.3f} m away{turned}"
+    return f"the nearest posture found stays {distance:.3f} m away{turned}"
 
 
 def _obstacles(bodies: Plain, _: _Evidence) -> str:

@@ -151,7 +151,7 @@ def _failure(arm: Arm, handle: Handle, asked: float, end: DeadEnd, hints: Sequen
     if end.distance is None:
         reason = "the arm would have to change its posture while it holds the handle"
     else:
-        reason = f"the nearest posture stays {end.distance:.3f} m and {math.degrees(end.turn):.0f} degrees away"
+        reason = f"the nearest posture found stays {end.distance:.3f} m and {math.degrees(end.turn):.0f} degrees away"
     return HandleUnreachable(handle.joint, reason, target=end.position, distance=end.distance, turn=end.turn, **details)
 
 

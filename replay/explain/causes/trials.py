@@ -36,8 +36,8 @@ _ROOM: Final = 0.1  # the robot moves nearer by this distance and the distance t
 _LONGER: Final = 10.0  # limits of waits are multiplied by this factor
 NONE: Final = "none"
 _FLUENT: Final = "fluent:"
-_COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
-_JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # a fluent that follows a joint
+COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
+JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # a fluent that follows a joint
 _BEYOND: Final = 0.01  # the new number exceeds a bound by this amount, or by this share of the bound
 _WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls without a result, in addition to setters
 
@@ -215,7 +215,7 @@ def longer(started: Task, seconds: object) -> Iterator[Trial]:
 
 def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
     """Yield the trial in which the condition of a wait holds: one of the fluents, perhaps compared with a number."""
-    compared = _COMPARED.fullmatch(started.name)
+    compared = COMPARED.fullmatch(started.name)
     leaf = compared[1] if compared else started.name
     if leaf not in values:
         return
@@ -225,7 +225,7 @@ def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
         return
     if compared and isinstance(wanted, int | float) and compared[2] != "==":
         wanted += (1 if compared[2].startswith(">") else -1) * max(_BEYOND, _BEYOND * abs(wanted))
-    joint = _JOINT.fullmatch(leaf)
+    joint = JOINT.fullmatch(leaf)
     target = f"{written(joint[2])}.{joint[1]}" if joint else f"{_FLUENT}{leaf}"
     setting = f"{target}={json.dumps(wanted)}"
     yield Trial(started.seq, f"{started.name} holds", (setting,), world=started.world if joint else "")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 from recorder.plan_lines import syntax_nodes
 from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
 from recorder.tasks import Node, State, Tree
+from replay.errors import NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, FailureCase, objects_in
 from replay.explain.causes.raised import answers
@@ -80,6 +81,7 @@ class PendingTask:
     changed: tuple[int, ...] = ()  # the last steps that set the awaited fluents
     fulfillers: tuple[Fulfiller, ...] = ()  # lines and tasks that could have set the awaited fluents
     holders: tuple[Node, ...] = ()  # the motions that were running, if this motion hadn't begun
+    excluded: str = ""  # limits of the awaited joint that exclude the condition, in words
 
     def __str__(self) -> str:
         if self.task.kind == "wait":
@@ -106,6 +108,7 @@ class PendingTask:
             changed = f"; it was set at steps {steps}" if self.changed else ""
             since = f"since step {self.task.started.seq}{phrases.at(self.line)}"
             yield f"{self.task.name}: {values}{changed}  [{since}]"
+            yield from [self.excluded] if self.excluded else []
             yield from map(str, self.fulfillers)
             if not self.fulfillers:
                 leaves = " or ".join(self.values) or self.task.name
@@ -270,7 +273,8 @@ def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTas
     if node.kind == "wait":
         leaves = {name: value for name, value in node.parameters.items() if name != _NO_LEAF}
         values, changed = _values(case, leaves, node.started.seq, step)
-        return PendingTask(node, True, line, values, changed, tuple(_fulfillers(case, leaves, tree, step)))
+        fulfillers = tuple(_fulfillers(case, leaves, tree, step))
+        return PendingTask(node, True, line, values, changed, fulfillers, excluded=_excluded(case, node.name))
     inner = [child for child in node.children if child.kind == "process-module"]
     if motion.kind != "motion" or inner or node.kind == "process-module":
         return PendingTask(node, node.start is not None, line)
@@ -281,6 +285,30 @@ def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTas
 
     others = (each for _, each in tree.walk() if each.kind == "motion" and each is not motion)
     return PendingTask(node, False, line, holders=tuple(filter(ran, others)))
+
+
+def _excluded(case: FailureCase, condition: str) -> str:
+    """Return the limits of a joint that exclude a condition such as ``joint of ELBOW of pr2 > 4``."""
+    compared = trials.COMPARED.fullmatch(condition)
+    joint = trials.JOINT.fullmatch(compared[1]) if compared else None
+    body = case.world.bodies.get(joint[2]) if joint and case.world is not None else None
+    try:
+        limits = case.state.urdf(body).joints[joint[1]] if joint and body is not None else None
+        wanted = float(compared[3]) if compared else 0.0
+    except (NoSuchName, KeyError, ValueError):
+        return ""
+    if limits is None or compared is None or limits.lower <= wanted <= limits.upper:
+        return ""
+    if (
+        wanted > limits.upper
+        if compared[2].startswith("<")
+        else wanted < limits.lower
+        if compared[2] != "=="
+        else False
+    ):
+        return ""  # each position fulfils it
+    span = f"{phrases.number(limits.lower)} to {phrases.number(limits.upper)}"
+    return f"{joint[1]} of {joint[2]} goes from {span}, so it never becomes true" if joint else ""
 
 
 def _values(

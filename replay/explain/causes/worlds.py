@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -71,7 +72,8 @@ class NoGravity(Cause):
         """Yield an unusual gravity of the failure's world."""
         if case.world is None or case.world.gravity[2] < 0:
             return
-        if case.world.gravity[2] > 0 or _OF_GRAVITY.search(case.failure.message):
+        of_python = hasattr(builtins, case.failure.type)  # "not supported between" has nothing to do with gravity
+        if case.world.gravity[2] > 0 or (not of_python and _OF_GRAVITY.search(case.failure.message)):
             change = _last(case, case.world.name, "set_gravity")
             steps = (change.step, case.step) if change is not None else (case.step,)
             yield NoGravity(steps, tuple(case.world.gravity), change)

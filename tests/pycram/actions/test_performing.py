@@ -461,7 +461,7 @@ def test_an_object_that_can_t_be_taken_is_advised_to_be_turned_or_slid_where_tha
 
 def test_a_failure_that_no_move_mends_and_one_in_a_projection_carry_no_advice(counter: BulletWorld) -> None:
     cup = Object("cup", "cup", "cup.stl", [-0.8, 1.0, 0.9])
-    with pytest.raises(PlanFailure, match=r"the nearest posture stays \d\.\d+ m away$"):
+    with pytest.raises(PlanFailure, match=r"the nearest posture found stays \d\.\d+ m away$"):
         perform(picking_up(object=cup, arm="left"))  # on the island, behind the robot
     milk = Object("milk", "milk", "milk.stl", [1.62, 0.6, 0.95])
     outcome = project(perform, picking_up(object=milk, arm="left"))

@@ -338,7 +338,7 @@ def test_a_hand_is_lifted_where_a_motor_left_a_joint_a_little_beyond_its_limit(s
 def test_a_goal_out_of_reach_is_refused_before_anything_is_searched(
     shared_scene: BulletWorld, sink: MemorySink
 ) -> None:
-    with pytest.raises(Unreachable, match="the nearest posture stays"):
+    with pytest.raises(Unreachable, match="the nearest posture found stays"):
         perform(type="move-tcp", arm="left", target=[3, 3, 1])
     assert not [query for query in sink.of(Query) if query.name == "path"]
     assert not sink.of(Mutation)

@@ -211,6 +211,13 @@ PLANS = {
         """,
         "perhaps target [-2.4, 0.2, 0.1] is milk's position relative to pr2",
     ),
+    "an angle in degrees": (
+        """
+        ANGLE = 60  # here
+        robot.set_joint_position("l_elbow_flex_joint", -ANGLE)
+        """,
+        "perhaps 60 is in degrees (-1.047 rad): l_elbow_flex_joint goes from -2.321 to 0",
+    ),
     "an early return": (
         """
         places, seen = [[0.1, 0, 0]], []

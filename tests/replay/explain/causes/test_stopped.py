@@ -67,6 +67,20 @@ def test_a_deadlock_tells_the_fluent_its_value_and_who_sets_it(explained: Callab
     assert next(cause.lines()) == "in a deadlock, the plan was waiting for held == 1 in leave"
 
 
+def test_a_wait_for_more_than_a_joint_can_do_tells_its_limits(
+    explained: Callable[..., Why], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    explained("""
+        from pycram.fluents.world import joint
+        robot = Object("pr2", "robot", "pr2.urdf")
+        if not (joint(robot, "torso_lift_joint") > 0.9).wait_for(timeout=0.01):
+            raise RuntimeError("it isn't up")
+    """)
+    said = words(tmp_path, capsys)
+    assert "torso_lift_joint of pr2 goes from 0 to 0.31, so it never becomes true" in said
+    assert "gravity" not in said
+
+
 def test_a_timeout_tells_what_took_the_time_in_a_block(explained: Callable[..., Why]) -> None:
     why = explained("""
         import time
