@@ -128,6 +128,16 @@ def angle(a: Numbers, b: Numbers) -> float:
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
 
+def rotation_vector(rotation: Numbers) -> Vector:
+    """Return the axis of a rotation, multiplied by its angle in rad (0 to pi)."""
+    x, y, z, w = rotation
+    sine = math.sqrt(x * x + y * y + z * z)
+    if sine == 0:
+        return 0.0, 0.0, 0.0
+    scale = math.copysign(2 * math.atan2(sine, abs(w)) / sine, w)
+    return x * scale, y * scale, z * scale
+
+
 def lean(a: Numbers, b: Numbers) -> float:
     """Return the angle between the z axes of two rotations in rad, 0..pi."""
     up, other_up = rotate(a, (0.0, 0.0, 1.0)), rotate(b, (0.0, 0.0, 1.0))

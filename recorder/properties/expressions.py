@@ -116,6 +116,7 @@ class Scene:
     def __init__(self, worlds: Mapping[str, FoldedWorld], geometry: Geometry | None = None) -> None:
         self.worlds = worlds
         self.geometry = geometry
+        self.removed: set[str] = set()  # names of the bodies that were removed
 
     def opened(self) -> list[FoldedWorld]:
         """Return the open worlds; the world that was opened last is the first."""
@@ -163,6 +164,8 @@ class Scene:
         for name in (one, other):
             if not _is_pattern(name):
                 self.named(name)
+        if any(fnmatchcase(gone, name) for gone in self.removed for name in (one, other) if _is_pattern(name)):
+            return {}
         raise NoValue(f"no objects are called {one} and {other}")
 
     def matching(self, pattern: str) -> list[BodyQuantities]:

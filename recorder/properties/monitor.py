@@ -11,16 +11,18 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from recorder import geometry
 from recorder.errors import did_you_mean, suggestion
 from recorder.properties.expressions import BadProperty, NoValue, Scene, Truth
 from recorder.properties.language import ALWAYS, AT_END, EVENTUALLY, NEVER
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
-from recorder.records.fold import FoldedWorld, apply
+from recorder.records.fold import FoldedBody, FoldedWorld, apply
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from recorder.properties.expressions import Geometry, PropertyExpression
     from recorder.properties.language import Moments, Property
@@ -86,18 +88,19 @@ class Monitor:
     """A monitor of properties over the records of a run, from the first record or from keyframes of all worlds.
 
     Args:
-        geometry: It measures contacts. None without the executor.
+        contacts: It measures contacts. None without the executor.
     """
 
-    def __init__(self, properties: Sequence[Property], geometry: Geometry | None = None) -> None:
+    def __init__(self, properties: Sequence[Property], contacts: Geometry | None = None) -> None:
         self.worlds: dict[str, FoldedWorld] = {}
-        scene = Scene(self.worlds, geometry)
-        self._watches = [_Watch(each, scene) for each in properties]
+        self._scene = Scene(self.worlds, contacts)
+        self._watches = [_Watch(each, self._scene) for each in properties]
         self._clocks: dict[str, int] = {}
         self._total = 0
         self._names: dict[int, tuple[str, ...]] = {}  # names of the running tasks, outermost first
         self._last = CheckedMoment(0, 0, 0.0)
         self._known: dict[str, None] = {}  # names of all tasks
+        self._measured: dict[FoldedBody, tuple[float, ...]] = {}  # recorded velocities of bodies with a measured one
 
     def feed(self, record: Record) -> list[Violation]:
         """Follow the next record, and return its violations."""
@@ -112,13 +115,41 @@ class Monitor:
         if isinstance(record, Mutation) and record.effect.samples and name in self.worlds:
             for sample in record.effect.samples[:]:
                 found += self._wait(record, sample.sim_step)
-                self.worlds[name].apply_sample(sample)
+                self._apply(name, partial(self.worlds[name].apply_sample, sample))
                 found += self._look(record, sample.sim_step)
         if isinstance(record, Mutation) and record.HasField("open_world"):
             self._clocks[name] = 0
         found += self._wait(record, record.sim_step)
-        apply(self.worlds, record)
+        self._apply(name, partial(apply, self.worlds, record))
+        if isinstance(record, Mutation):
+            self._scene.removed.update(record.effect.removed)
         return found + self._look(record, record.sim_step)
+
+    def _apply(self, name: str, change: Callable[[], None]) -> None:
+        """Change a world, and measure the velocities of driven and carried bodies.
+
+        In a simulation, such a body is set from pose to pose. So its recorded velocity is 0 or nearly 0.
+        """
+        measured = {body: body.velocity for body in self._measured}
+        for body, recorded in self._measured.items():
+            body.velocity = recorded
+        self._measured.clear()
+        world = self.worlds.get(name)
+        before = {} if world is None else {body: (body.position, body.orientation) for body in _moved(world)}
+        began = 0 if world is None else world.sim_step
+        change()
+        world = self.worlds.get(name)
+        seconds = 0.0 if world is None else (world.sim_step - began) / STEPS_PER_SECOND
+        for body, (position, orientation) in before.items():
+            if seconds > 0:
+                turn = geometry.rotation_vector(geometry.product(body.orientation, geometry.conjugate(orientation)))
+                way = (now - then for now, then in zip(body.position, position, strict=True))
+                velocity = tuple(part / seconds for part in (*way, *turn))
+            elif world is not None and world.following and body in measured:  # another change during a motion
+                velocity = measured[body]
+            else:
+                continue
+            self._measured[body], body.velocity = body.velocity, velocity
 
     def finish(self) -> list[Violation]:
         """End the run, and return the violations that were unknown before the end."""
@@ -175,6 +206,13 @@ class Monitor:
             if watch.has_tasks
             for violation in watch.task(record.task, path, moment, started=started)
         ]
+
+
+def _moved(world: FoldedWorld) -> Iterator[FoldedBody]:
+    """Yield the bodies that are attached, or that follow a trajectory."""
+    names = {each.body for each in world.attachments.values()}
+    names.update(each.begin.body for each in world.following.values())
+    return (world.bodies[name] for name in names if name in world.bodies)
 
 
 @dataclass(slots=True)
@@ -320,6 +358,8 @@ class _Watch:
         try:
             value = expression.truth(self._scene)
         except NoValue as error:
+            if self._property.kind == AT_END and error.name in self._scene.removed:
+                return _WORST
             if error.name or self._missing is None:
                 self._missing = error
             self._known.update(dict.fromkeys(error.known))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shlex
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -70,16 +71,28 @@ def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry 
 def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record | None:
     """Return the record of the first violation.
 
-    For "at end", it is the record since which the condition doesn't hold; None if nothing ever changed its value. If
-    another condition never held, it is the end of the last failed task, or None.
+    For "at end", it is the record since which the condition doesn't hold. If a condition never held, it is the end of
+    the last failed task, preferably of a task with an object of the property; None if no task failed.
     """
     first = verdict.violations[0]
-    if first.cause != NEVER_HELD:
-        moment = first.since if verdict.statement.kind == AT_END else first.moment
-        return None if moment is None else log[moment.step]
+    at_end = verdict.statement.kind == AT_END
+    moment = first.since if at_end else first.moment
+    if first.cause != NEVER_HELD and moment is not None:
+        return log[moment.step]
     start = first.since.step if first.since else 0
-    failed = (each for each in log.records(Task) if each.status == Task.FAILED and start <= each.seq)
-    return max(failed, key=lambda each: each.seq, default=None)
+    names = verdict.statement.body.names
+    about: set[int] = set()  # the tasks with an object of the property
+    failed: list[Task] = []
+    for task in log.records(Task):
+        if task.phase == Task.STARTED and any(re.search(rf"\b{re.escape(name)}\b", str(task)) for name in names):
+            about.add(task.task)
+        if task.status == Task.FAILED and start <= task.seq:
+            failed.append(task)
+    return max(
+        (each for each in failed if not at_end or each.task in about),
+        key=lambda each: (each.task in about, each.seq),
+        default=None,
+    )
 
 
 @report.data.register(CheckedProperty)
@@ -95,6 +108,7 @@ def _(checked: CheckedProperty) -> dict[str, object]:
         "values": verdict.values,
         "episodes": verdict.episodes,
         "note": verdict.note,
+        "blamed_step": None if checked.record is None else checked.record.seq,
         "violations": [
             {**_moment_data(each.moment), "margin": each.margin if math.isfinite(each.margin) else None}
             | {"values": each.values, "cause": each.cause}
@@ -124,7 +138,7 @@ def lines(checked: CheckedProperty) -> Iterator[str]:
         by += f" at worst, at {verdict.closest.seconds:.3f} s"
     yield f"  at step {first.moment.step} ({first.moment.seconds:.3f} s){by}{times}{first.cause and f': {first.cause}'}"
     yield from (f"  {text} = {_value(value)}" for text, value in first.values.items())
-    if first.cause and verdict.closest is not None and verdict.closest.step != first.moment.step:
+    if by and first.cause and verdict.closest is not None and verdict.closest.step != first.moment.step:
         yield f"  closest at step {verdict.closest.step}"
     if checked.record is not None and checked.causes is not None:
         yield f"  step {checked.record.seq}: {phrases.record_line(checked.record)}"

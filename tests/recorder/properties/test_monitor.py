@@ -13,6 +13,7 @@ import pytest
 from recorder.properties import BadProperty, Monitor, PropertyVerdict, parse
 from recorder.records import (
     STEPS_PER_SECOND,
+    Attachment,
     BodyState,
     CloseWorld,
     Effect,
@@ -239,3 +240,19 @@ def test_properties_are_decided_between_the_samples_of_a_still_scene(text: str, 
 def test_a_property_of_names_has_no_margin() -> None:
     verdict = check("always x.carrier is None", changes(ROWS))
     assert (verdict.holds, verdict.margin) == (True, math.inf)
+
+
+def test_the_speed_of_a_carried_body_is_measured() -> None:
+    """In a simulation, it is set from pose to pose, so its recorded velocity is 0. Instantaneous changes have no speed."""
+    held, *moves = changes([{"x": 0.0, "arm": 0.0}, {"x": 0.5}, {"x": 0.5}, {"x": 2.5}], (0, 1, 2, 2))[1:]
+    assert isinstance(held, Keyframe)
+    held.attachments.append(Attachment(carrier="arm", body="x", position=(0, 0, 0), orientation=(0, 0, 0, 1)))
+    verdict = check("always x.speed < 0.3 m/s", [held, *moves])
+    assert (steps(verdict), verdict.margin) == ([1], pytest.approx(-0.2))
+
+
+def test_a_removed_body_ends_the_conditions_about_it() -> None:
+    records = [*changes(ROWS[:2]), Mutation(effect=Effect(removed=["x"]), sim_step=SECOND)]
+    verdict = check("at end x.z > 1", records)
+    assert [each.since.step for each in verdict.violations if each.since] == [3]
+    assert check("always x.z > -1", records).holds

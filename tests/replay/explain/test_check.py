@@ -88,19 +88,25 @@ def test_the_end_is_blamed_on_the_step_that_made_the_condition_false(log: Record
     assert [line_of(each) for each in (fallen, moved, turned)] == [FALLING, FALLING + 1, TURNED]
 
 
-def test_a_condition_that_never_held_is_blamed_on_the_last_failed_task(log: Recording, tmp_path: Path) -> None:
+def test_a_condition_that_never_held_is_blamed_on_the_last_failed_task_of_its_object(
+    log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (never,) = log.check("eventually milk.z > 2")
     assert (never.record, never.causes) == (None, None), "no change of the milk is wrong"
     assert never.verdict.closest.step < never.verdict.violations[0].moment.step
     assert f"closest at step {never.verdict.closest.step}" in str(list(check_lines(never)))
     with recorder.record(tmp_path / "failed.mcap"), BulletWorld() as world:
         Object("milk", "milk", "milk.stl", [1, 0, 0.1])
-        with suppress(ValueError), span("motion", "lift"):
+        with suppress(ValueError), span("motion", "lift", {"object": "milk"}):
+            raise ValueError
+        with suppress(ValueError), span("motion", "look"):  # a later failure that isn't about the milk
             raise ValueError
         world.simulate(0.1)
     with replay.open(tmp_path / "failed.mcap") as failed:
         (never,) = failed.check("eventually milk.z > 2")
+        assert main(["check", str(failed.path), "eventually milk.z > 2", "--json"]) == 1
     assert [task.started.name for task in never.causes.tasks] == ["lift"]
+    assert json.loads(capsys.readouterr().out)[0]["blamed_step"] == never.record.seq
 
 
 def test_contacts_are_measured_at_each_moment(log: Recording) -> None:
