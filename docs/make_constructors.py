@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from docs.make_reference import demands
-from pycram.actions import LocationDesignator, ObjectDesignator
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.motions.modules import default_modules
 from pycram.motions.motion_types import TYPES as MOTIONS
@@ -69,25 +68,6 @@ if TYPE_CHECKING:
     from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.world.object import Object
 '''
-_SLOTS: Final = '''\
-"""Types of the slots of object and location designators, for type checkers.
-
-Written by ``make reference`` from the slots of both; don't edit.
-"""
-
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, TypedDict
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from pycram.actions.objects import ObjectDesignator
-    from pycram.models.surfaces import Container, Surface
-    from pycram.reasoning.places import PutDown
-    from pycram.reasoning.places.free import Side
-    from pycram.world.object import Object
-'''
 
 
 def motion_designators() -> str:
@@ -109,16 +89,6 @@ def action_designators() -> str:
     for _, action in sorted(ACTIONS.items()):
         if action.function.__module__.startswith("pycram.actions."):
             parts.append(_designator("ActionDesignator", action, action.text, _parameters(action.slots)))
-    return "\n\n".join(parts)
-
-
-def designator_slots() -> str:
-    """Return the source of ``pycram.actions.designator_slots``."""
-    parts = [_SLOTS]
-    for kind in (ObjectDesignator, LocationDesignator):
-        lines = [f"    {argument}: {python} | None" for argument, python, *_ in _parameters(kind.takes.slots)]
-        head = f"class {kind.__name__.replace('Designator', 'Slots')}(TypedDict, total=False):"
-        parts.append("\n".join([head, f'    """Slots of {kind.takes.designator}."""', "", *lines, ""]))
     return "\n\n".join(parts)
 
 
@@ -187,7 +157,6 @@ def _function(kind: str, name: str, text: str, parameters: Sequence[Parameter], 
 MODULES: Final = {
     "motion_designators.py": motion_designators,
     "action_designators.py": action_designators,
-    "actions/designator_slots.py": designator_slots,
 }
 """Functions that return the sources of modules, by the modules' files in ``pycram``."""
 

@@ -12,7 +12,7 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 PACKAGES = ("pycram", "recorder", "replay")
-GENERATED = ("log_pb2.py", "/action_designators.py", "/motion_designators.py", "/designator_slots.py")
+GENERATED = ("log_pb2.py", "/action_designators.py", "/motion_designators.py")
 SHORT = 6  # lines of a function's definition
 BROAD = {"Exception", "BaseException"}
 

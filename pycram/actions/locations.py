@@ -19,13 +19,15 @@ from recorder.errors import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
-    from typing import Unpack
 
-    from pycram.actions.designator_slots import LocationSlots
-    from pycram.models.surfaces import Surface
+    from pycram.models.surfaces import Container, Surface
     from pycram.motions.designator import Designator, Resolver, Solution
     from pycram.motions.slots import Description
     from pycram.reasoning.places import FoundPlace
+    from pycram.reasoning.places.free import Side
+
+    On: TypeAlias = Surface | Object | str
+    Thing: TypeAlias = Object | ObjectDesignator | str
 
 #: Pairs of furniture and a surface.
 Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
@@ -163,7 +165,21 @@ class LocationDesignator(ResolvedDesignator):
     if TYPE_CHECKING:
 
         def __init__(
-            self, description: Description = (), parent: Designator | None = None, **slots: Unpack[LocationSlots]
+            self,
+            description: Description = (),
+            parent: Designator | None = None,
+            *,
+            position: Sequence[float] | None = None,
+            orientation: Sequence[float] | None = None,
+            on: On | Sequence[On] | None = None,
+            in_: Container | Object | str | None = None,
+            for_: Thing | None = None,
+            near: Thing | Sequence[float] | None = None,
+            side: Side | tuple[Side, Thing] | None = None,
+            reachable_for: Thing | Sequence[float] | PutDown | None = None,
+            visible_for: Thing | None = None,
+            away_from: Thing | Sequence[float] | None = None,
+            arm: str | None = None,
         ) -> None: ...
 
     @staticmethod

@@ -15,9 +15,7 @@ from recorder.errors import suggestion
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
-    from typing import Unpack
 
-    from pycram.actions.designator_slots import ObjectSlots
     from pycram.motions.designator import Designator, Resolver, Solution
     from pycram.motions.slots import Description
 
@@ -41,7 +39,12 @@ class ObjectDesignator(ResolvedDesignator):
     if TYPE_CHECKING:
 
         def __init__(
-            self, description: Description = (), parent: Designator | None = None, **slots: Unpack[ObjectSlots]
+            self,
+            description: Description = (),
+            parent: Designator | None = None,
+            *,
+            type: str | None = None,  # noqa: A002  the slot's name
+            name: str | None = None,
         ) -> None: ...
 
     @staticmethod

@@ -31,14 +31,11 @@ Error = TypeVar("Error", bound=BaseException)
 _RECORDED: Final = "_is_on_record"  # name of an attribute that marks recorded errors; it isn't part of their data
 
 
-def refusing(
-    subject: str = "", kinds: type[BaseException] = UsageError, *, name: str = ""
-) -> Callable[[Callable[P, T]], Callable[P, T]]:
+def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Decorate a function so that its refusals are recorded; calls with wrong arguments are refusals, too.
 
     Args:
         subject: Name of the argument ``self`` in records ("object", "world", ...); by default "self".
-        kinds: Types of errors that are refusals.
         name: Name of the function in records; by default its name in the code.
     """
 
@@ -51,10 +48,10 @@ def refusing(
                     return None  # type: ignore[return-value]  # only calls without a result are skipped
             try:
                 return function(*args, **kwargs)
-            except (kinds, TypeError) as error:
+            except (UsageError, TypeError) as error:
                 # without a next frame, Python raised the error at the call, before the first statement
                 at_call = error.__traceback__ is not None and error.__traceback__.tb_next is None
-                asked_wrongly = isinstance(error, kinds) or at_call
+                asked_wrongly = isinstance(error, UsageError) or at_call
                 if asked_wrongly and not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  like inspect.currentframe()
                     refused(error, name or function.__name__, _arguments(function, subject, args, kwargs))
                 raise

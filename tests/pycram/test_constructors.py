@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import re
 import subprocess
@@ -17,7 +18,13 @@ from pycram import action_designators, motion_designators
 from pycram.actions import action
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.bullet_world import BulletWorld, Object
-from pycram.designator import ActionDesignator, DesignatorError, MotionDesignator
+from pycram.designator import (
+    ActionDesignator,
+    DesignatorError,
+    LocationDesignator,
+    MotionDesignator,
+    ObjectDesignator,
+)
 from pycram.motions.motion_types import TYPES as MOTIONS
 from pycram.motions.slots import slot_name
 from pycram.reasoning.grasping.grasps import GRASPS, GraspSide
@@ -49,6 +56,13 @@ def test_every_motion_and_action_has_a_constructor_with_its_slots() -> None:
                 assert (
                     parameters[slot.name.replace("-", "_").replace("from", "from_")].default is None
                 ) != slot.required
+
+
+@pytest.mark.parametrize("kind", [ObjectDesignator, LocationDesignator])
+def test_type_checkers_know_the_slots_of_a_designator(kind: type[ObjectDesignator | LocationDesignator]) -> None:
+    tree = ast.parse(inspect.getsource(inspect.getmodule(kind)))
+    (declared,) = (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef) and node.name == "__init__")
+    assert [slot_name(each.arg) for each in declared.args.kwonlyargs] == [slot.name for slot in kind.takes.slots]
 
 
 def test_slots_that_are_left_out_stay_open() -> None:
