@@ -70,7 +70,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
     options, unknown = parser.parse_known_args(given)
     if unknown:
         parser.error(f"unrecognized arguments: {' '.join(unknown)}; the plan's own arguments come after --")
-    if options.command in ("describe", "sweep"):
+    if options.command in ("describe", "sweep", "tutorial"):
         checks = _checks(parser, options) if options.command == "sweep" else ()
         return _other_command(options, arguments, checks, again=argv is None)
     plan = demos() / f"{options.name}.py" if options.command == "demo" else Path(options.plan)
@@ -109,7 +109,11 @@ def _run_command(argv: Sequence[str] | None) -> int:
 
 
 def _other_command(options: argparse.Namespace, arguments: Sequence[str], checks: Sequence[str], *, again: bool) -> int:
-    """Run ``sweep`` or ``describe``. If ``again`` is true, ``sweep`` first restarts this process."""
+    """Run ``sweep``, ``describe`` or ``tutorial``. If ``again`` is true, ``sweep`` first restarts this process."""
+    if options.command == "tutorial":
+        from pycram import tutorial  # noqa: PLC0415  only this command needs it
+
+        return tutorial.check(options.chapter)
     if options.command == "sweep" and again:
         restart(options.seed)
     try:
@@ -204,6 +208,10 @@ EXAMPLES: Final = {
         ("my_robot.urdf", "guess the description of a robot"),
         ("kitchen.urdf --picture kitchen.png", "list and draw the surfaces and doors of furniture"),
     ),
+    "tutorial": (
+        ("check 3", "check exercise_3_1.py and exercise_3_2.py in this folder"),
+        ("check 6", "check the exercises of chapter 6"),
+    ),
 }
 
 
@@ -260,6 +268,13 @@ def options_parser() -> Parser:
         type=Path,
         help="also write a picture of the parked robot, or of the furniture with its surfaces",
     )
+    tutorial = add_command(
+        "tutorial",
+        "check exercises of the tutorial",
+        "Runs your solutions of a chapter's exercises, and checks their recordings. Exit code 1: one of them is wrong.",
+    )
+    tutorial.add_argument("action", choices=("check",), help="what to do")
+    tutorial.add_argument("chapter", metavar="CHAPTER", type=int, choices=range(1, 8), help="the chapter, 1 to 7")
     return parser
 
 

@@ -17,9 +17,14 @@ if TYPE_CHECKING:
 
 REPO = Path(__file__).parent.parent
 #: How long a thing takes, and the size of a file, aren't the page's.
-VARIES = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?= (?:ms|s|kB|MB|a second)\b)")
+VARIES = re.compile(r"(?<![\w.])\d+(?:\.\d+)?(?= ?(?:ms|s|kB|MB|a second)\b)")
+#: Nor is the folder in which a reader works, or how often a long command tells its progress.
+FOLDER = re.compile(r"(?<![\w.])/(?:[^\s/\"']+/)+")
+PROGRESS = re.compile(r"pycram: \d+ of \d+ (?:runs|orders)\b.*|\d+/\d+ ━.*")
 NUMBER = re.compile(r"-?(?<!\d)\d+\.\d+(?:e[-+]?\d+)?")
 ESCAPE = re.compile(r"\x1b\[[\d;?]*[a-zA-Z]")
+#: What a terminal shows for a moment only.
+OVERWRITTEN = re.compile(r"[^\n]*\r")
 #: Runs cells of Python in one process; each answer is what the cell printed, or how it failed.
 WORKER = """
 import contextlib, io, json, linecache, sys
@@ -116,14 +121,15 @@ def assert_shown(page: Iterable[Cell], printed: Iterable[str]) -> None:
     for cell, output in zip(page, printed, strict=True):
         if cell.kind not in ("python", "console"):
             continue
-        text = ESCAPE.sub("", output.replace("\r\n", "\n"))
+        text = OVERWRITTEN.sub("", ESCAPE.sub("", output.replace("\r\n", "\n")))
         assert _matches(_lines(cell.shown), _lines(text)), (
             f"--- the page shows, for\n{cell.source}---\n{cell.shown}--- a reader gets\n{text}"
         )
 
 
 def _lines(text: str) -> list[str]:
-    return [VARIES.sub("#", line.rstrip()) for line in text.splitlines()]
+    lines = (FOLDER.sub("", VARIES.sub("#", line.rstrip())) for line in text.splitlines())
+    return [line for line in lines if not PROGRESS.fullmatch(line)]
 
 
 def _matches(shown: list[str], printed: list[str]) -> bool:

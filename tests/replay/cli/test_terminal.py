@@ -265,7 +265,7 @@ def completions(line: str, folder: Path) -> list[str]:
         ("pycram-replay log run.mcap --world ", ["world_1"], []),
         ("pycram-replay blame run.mcap pr2.torso", ["pr2.torso_lift_joint"], []),
         ("pycram-replay state missing.mcap ", [], ["last"]),
-        ("pycram ", ["run", "demo", "sweep", "describe"], []),
+        ("pycram ", ["run", "demo", "sweep", "describe", "tutorial"], []),
         ("pycram run ", ["plan.py", "runs/"], ["run.mcap"]),
         ("pycram run plan.py --mo", ["--motion"], []),
         ("pycram demo --robot p", ["pr2", "panda"], ["ur5"]),
