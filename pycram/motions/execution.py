@@ -52,6 +52,7 @@ _BACK: Final = (-1.0, 0.0, 0.0)  # the hand's backward direction, in the tool fr
 _UP: Final = (0.0, 0.0, 1.0)  # the upward direction, in the world
 _DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # lengths of detours up and back, m
 _SAMPLES: Final = 15  # checks per second for contacts between moving parts of a robot
+_THERE: Final = 0.01  # maximum distance in rad or m of a joint to its goal in an arm that isn't moved out of the way
 _SAME: Final = 1e-4  # maximum difference in rad or m of equal joint positions
 
 
@@ -181,22 +182,29 @@ class ContinuousExecution(Execution):
         return _following(robot, partial(planning.base_motion, robot, position, orientation))
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Move the joints around obstacles; without a path, draw each hand straight back first.
+        """Move the joints around obstacles. Without a path, move one arm after another, or draw each hand back first.
 
         After a cancelled placement, a hand may surround an object. Path searches miss the narrow way out.
         """
-        plan = partial(_upright, robot, partial(planning.joint_motion, robot, positions))
-        try:
-            return _following(robot, plan)
-        except NoPath:
-            arms = robot.description.arms.values() if robot.description else ()
-            lines = (self._line_back(robot, arm) for arm in arms if not positions.keys().isdisjoint(arm.joints))
-            back = [line for line in lines if line is not None]
-            if not back:
-                raise
-            start = {joint: at for line in back for joint, at in line[-1].items()}
-            following = _following(robot, partial(plan, start=start))
-            return _all((*(partial(_along, (robot, line)) for line in back), following))
+        now = robot.get_joint_positions()
+        away = [joint for joint, at in positions.items() if abs(at - now[joint]) > _THERE]
+        arms = robot.description.arms.values() if robot.description else ()
+        moving = [arm for arm in arms if not set(arm.joints).isdisjoint(away)]
+        failure: NoPath | None = None
+        for back in (False, True):
+            lines = [line for arm in moving if back and (line := self._line_back(robot, arm)) is not None]
+            if back and not lines:
+                break
+            start = {joint: at for line in lines for joint, at in line[-1].items()}
+            for order in (None, *(itertools.permutations(moving) if len(moving) > 1 else ())):
+                try:
+                    steps = _in_turn(robot, positions, order, start)
+                except NoPath as no_path:
+                    failure = failure or no_path
+                else:
+                    return _all((*(partial(_along, (robot, line)) for line in lines), *steps))
+        assert failure is not None  # noqa: S101  at least one search has failed
+        raise failure
 
     def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:
         """Move the tool straight to its pose, or through points above and behind its start and its goal."""
@@ -318,6 +326,27 @@ class ContinuousExecution(Execution):
 def level(robot: Object, arm: Arm) -> bool:
     """Return whether an arm holds an object that has to stay upright."""
     return LEVEL.get() and attachment.attached_to(robot, arm.tool_frame) is not None
+
+
+def _in_turn(
+    robot: Object, positions: Mapping[str, float], order: Sequence[Arm] | None, start: Mapping[str, float]
+) -> list[Step]:
+    """Return steps that move joints from a start to positions: all together, or one arm after another in an order.
+
+    Raises:
+        NoPath: No path was found for one of the steps.
+    """
+    parts = [dict(positions)]
+    if order is not None:
+        of_arms = [{name: at for name, at in positions.items() if name in arm.joints} for arm in order]
+        others = {name: at for name, at in positions.items() if not any(name in part for part in of_arms)}
+        parts = [of_arms[0] | others, *of_arms[1:]]
+    steps = []
+    for part in parts:
+        plan = partial(_upright, robot, partial(planning.joint_motion, robot, part), start=start)
+        steps.append(_following(robot, plan))
+        start = {**start, **part}
+    return steps
 
 
 def _upright(

@@ -122,8 +122,10 @@ def _searched(query: Query, clearance: Clearance, space: Space, budget: int, rea
             seed=query.drawn_seed(len(reached)),
             max_checks=budget,
         )
-        reached.append(nearest)
-        if found is None or clearance.free(space.along(found, space.step * _FINE)):
+        rows = None if found is None else space.along(found, space.step * _FINE)
+        is_free = rows is None or clearance.free(rows)
+        reached.append(nearest if rows is None or is_free else clearance.last_free(query.start, rows))
+        if is_free:
             return found
     return None
 

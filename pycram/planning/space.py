@@ -114,6 +114,14 @@ class Clearance:
         starts = (0, *range(_FIRST_BATCH, len(rows), _BATCH), len(rows))
         return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
 
+    def last_free(self, start: Array, rows: Array) -> Array:
+        """Return the configuration (d,) before the first of (n, d) that isn't free."""
+        for row in rows:
+            if not self.free(row[None]):
+                break
+            start = row
+        return start
+
     def first_touch(self, rows: Array) -> CollisionPair | None:
         """Return the touching pair of the first configuration of (n, d) that isn't free; None if all are free."""
         for begin in range(0, len(rows), _BATCH):

@@ -10,10 +10,11 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from operator import itemgetter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from pycram import planning
 from pycram.actions import perform as perform_action
 from pycram.bullet_world import BulletWorld, Object
 from pycram.designator import ActionDesignator, MotionDesignator
@@ -32,7 +33,7 @@ from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Driven, Mutation, Query, Task
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping
     from pathlib import Path
 
     from tests.conftest import MemorySink
@@ -100,6 +101,33 @@ def test_a_drawer_opens_with_the_hand_and_takes_along_what_lies_in_it(shared_sce
     assert lay[0] - spoon.get_position()[0] == pytest.approx(0.2, abs=0.01)
     with pytest.raises(AccessFailed, match="its upper limit is"):
         perform(type="accessing", drawer_joint=DRAWER, drawer_handle=HANDLE, part_of=kitchen, arm="left", distance=2)
+
+
+@pytest.mark.slow
+def test_arms_move_one_after_another_where_no_path_for_both_is_found(
+    shared_scene: BulletWorld, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    robot, find = shared_scene.robot, planning.joint_motion
+    sides: list[str] = []
+
+    def alone(robot: Object, goal: Mapping[str, float], **options: Any) -> planning.PlannedMotion:
+        moving = "".join(sorted({name[0] for name in goal}))
+        sides.append(moving)
+        if len(moving) > 1 or len(sides) == 2:  # the left arm alone has no way, either, before the right one has moved
+            raise NoPath(moving, goal, 1, {}, 0.0, [])
+        return find(robot, goal, **options)
+
+    monkeypatch.setattr(planning, "joint_motion", alone)
+    begun = shared_scene.sim_step
+    perform(type="move-arm-joints", left_arm=park_raised("left"), right_arm=park_raised("right"))
+    assert sides == ["lr", "l", "r", "l"]
+    together = seconds(shared_scene, begun)
+    for arm in ("left", "right"):
+        joints = robot.description.arm(arm).joints
+        assert [robot.get_joint_position(name) for name in joints] == pytest.approx(park_raised(arm), abs=2e-3)
+    begun = shared_scene.sim_step
+    perform(type="move-arm-joints", left_arm="park")
+    assert together > 1.5 * seconds(shared_scene, begun)
 
 
 @pytest.mark.slow

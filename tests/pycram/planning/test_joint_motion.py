@@ -9,11 +9,12 @@ import subprocess
 import sys
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import BadArgument, JointLimitError, NoPath, PostureInCollision, UnknownName
-from pycram.planning import joint_motion, path, through, together
+from pycram.planning import joint_motion, path, rrt_connect, through, together
 from pycram.reasoning.collision import checker
 from pycram.reasoning.kinematics import inverse
 from pycram.scheduling.schedule import seed_order
@@ -67,6 +68,16 @@ def test_the_arm_goes_around_obstacles(pillar: Object, arm: Object, sink: Memory
     evidence = {argument.name: json.loads(argument.json) for argument in query.evidence}
     assert evidence["checks"] == planned.search.checks <= path.MAX_CHECKS
     assert deepest(arm, planned, 240) < 5e-3
+
+
+@pytest.mark.usefixtures("pillar")
+def test_a_search_that_overlooks_an_obstacle_ends_before_it(arm: Object, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps of searches may be too large to find a thin thing; the path is checked in smaller steps."""
+    monkeypatch.setattr(rrt_connect, "search", lambda _, start, goal, *__, **___: (np.array([start, goal]), goal))
+    with pytest.raises(NoPath) as failure:
+        joint_motion(arm, LEFT)
+    assert -1.0 < failure.value.nearest["shoulder_pan_joint"] < 0.0
+    assert 1.0 < failure.value.distance < 2.0
 
 
 @pytest.mark.slow
