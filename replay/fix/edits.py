@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import ast
 import math
+import re
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -37,6 +38,9 @@ _OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
     ast.In: (ast.NotIn,),
     ast.NotIn: (ast.In,),
 }
+_RANGE: Final = re.compile(r"range\(1, (.+) \+ 1\)")
+_FEW: Final = 2  # whole numbers up to this number are counts, not lengths
+_STALE: Final = 0.6  # by how much a move of a line with stale values is likelier
 _FAR: Final = 1.0  # cost of an edit that is larger than a typical mistake
 
 
@@ -97,17 +101,23 @@ class Editor:
         if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
             self._names[ast.unparse(node.value.func)] |= _stored(node)
 
-    def edits(self, line: int, alternatives: Iterable[Iterable[str]] = ()) -> Iterator[Edit]:
-        """Yield the edits of a line; ``alternatives`` are sets of texts that can replace each other, such as arms."""
+    def edits(self, line: int, alternatives: Iterable[Iterable[str]] = (), *, stale: bool = False) -> Iterator[Edit]:
+        """Yield the edits of a line.
+
+        Args:
+            line: its number.
+            alternatives: sets of texts that can replace each other, such as arms.
+            stale: whether the line has values that were true earlier, so that its statement comes too early.
+        """
         sets = [set(each) for each in alternatives]
         for node in ast.walk(self._tree):
             if getattr(node, "lineno", None) != line or node in self._goals:
                 continue
-            for new, what, cost in (*self._values(node, sets), *_structures(node)):
+            for new, what, cost in (*self._values(node, sets), *_structures(node), *_shifts(node)):
                 asks = isinstance(node, ast.List | ast.Tuple | ast.Constant | ast.Name)
                 yield self._edit(node, new, what, cost, asks=asks)
             if isinstance(node, ast.stmt):
-                yield from self._moves(node)
+                yield from (replace(edit, cost=edit.cost - _STALE * stale) for edit in self._moves(node))
 
     def insertions(self, line: int) -> Iterator[Edit]:
         """Yield the plan with a wait before a line."""
@@ -121,7 +131,8 @@ class Editor:
     def _values(self, node: ast.AST, sets: Sequence[set[str]]) -> Iterator[tuple[str, str, float]]:
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
             value = node.value
-            for number, factor in enumerate(_FACTORS if value else ()):
+            is_count = isinstance(value, int) and value <= _FEW and node in self._counts
+            for number, factor in enumerate(_FACTORS if value and not is_count else ()):
                 yield _number(value * factor), f"{value} times {factor:.3g}", 0.3 + 0.1 * number + 0.4 * (number > 2)
             if isinstance(value, float) or node not in self._counts:
                 yield f"{-value!r}", f"the sign of {value}", 0.5
@@ -179,6 +190,13 @@ class Editor:
 
 def _asserts(node: ast.AST) -> bool:
     return isinstance(node, ast.Assert | ast.Raise)
+
+
+def _shifts(node: ast.AST) -> Iterator[tuple[str, str, float]]:
+    """Yield a range that counts from 0 instead of 1."""
+    shifted = _RANGE.fullmatch(ast.unparse(node)) if isinstance(node, ast.Call) else None
+    if shifted:
+        yield f"range({shifted[1]})", f"range({shifted[1]}) instead of {ast.unparse(node)}", 0.4
 
 
 def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:

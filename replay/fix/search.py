@@ -45,7 +45,8 @@ _AWAY: Final = 0.1  # largest final distance of a placed object from its target,
 _MAX_LINES: Final = 12  # largest number of lines that are edited
 _LATER: Final = 0.12  # additional cost of a line for each likelier line
 _ANOTHER: Final = 0.8  # additional cost for each earlier edit of the same kind on the same line
-_MORE: Final = 30  # number of runs that search for another repair after a marked repair
+_MAX_MARKED: Final = 2  # largest number of marked repairs that are shown
+_MORE: Final = 24  # number of runs that search for another repair after a marked repair
 _GOALS: Final = ("place", "transporting", "placing")
 
 
@@ -109,9 +110,33 @@ def search(
             "what it places stays at its target",
         ]
     )
-    candidates = _candidates(trials, log, why, checked)
-    marked = 0  # number of runs until the first marked repair
-    while trials.runs < min(budget, marked + _MORE if marked else budget) and all(each.mark for each in found.repairs):
+    unlikely: list[Repair] = []  # repairs with a mark; they are shown if there is no other
+    try:
+        _try_all(trials, _candidates(trials, log, why, checked), found, unlikely, budget, folder, properties, failed)
+    except KeyboardInterrupt:
+        found.repairs += unlikely[:_MAX_MARKED]
+        raise
+    shown = [] if found.repairs else unlikely[:_MAX_MARKED]
+    for each in unlikely:
+        if each not in shown:
+            each.recording.unlink(missing_ok=True)
+    fitting = [each if each.seeds or each.elsewhere else _checked(trials, each) for each in shown]
+    found.repairs += sorted(fitting, key=lambda each: (each.seeds == 0, each.edit.cost))
+    found.runs = trials.runs
+
+
+def _try_all(
+    trials: Trials,
+    candidates: Iterator[Edit],
+    found: SearchResult,
+    unlikely: list[Repair],
+    budget: int,
+    folder: Path,
+    properties: Sequence[str],
+    failed: Node | None,
+) -> None:
+    """Try candidates until a repair without a mark is found, or the budget is spent."""
+    while trials.runs < budget and not found.repairs:
         wave = [*islice(candidates, usable_cores())]
         if not wave:
             break
@@ -121,18 +146,22 @@ def search(
         found.runs = trials.runs
         for at, ending in ended:
             edit = wave[at]
-            if ending.kind == "succeeded":
-                files = (folder / f"{log.path.stem}.fix-{number}.mcap" for number in count(1))
-                file = next(each for each in files if not each.exists())
-                if alike(trials.one(edit.text, file).ending, ending) and reaches_goal(file, properties):
-                    found.repairs.append(_checked(trials, edit, file, failed))
-                else:
-                    file.unlink(missing_ok=True)
-            elif not alike(ending, trials.reference):
-                found.others[edit.what] = ending.failure
-        found.runs = trials.runs
-        found.repairs.sort(key=lambda each: (bool(each.mark), each.seeds == 0, each.edit.cost))
-        marked = marked or (trials.runs if found.repairs else 0)
+            if ending.kind != "succeeded":
+                if not alike(ending, trials.reference):
+                    found.others[edit.what] = ending.failure
+                continue
+            files = (folder / f"{trials.log.path.stem}.fix-{number}.mcap" for number in count(1))
+            file = next(each for each in files if not each.exists())
+            if not alike(trials.one(edit.text, file).ending, ending) or not reaches_goal(file, properties):
+                file.unlink(missing_ok=True)
+                continue
+            repair = Repair(edit, file, 0, 0, _mark(trials, edit, file, failed))
+            if repair.mark:
+                budget = min(budget, trials.runs + _MORE)
+            else:
+                repair = _checked(trials, repair)
+            (unlikely if repair.mark else found.repairs).append(repair)
+        found.repairs.sort(key=lambda each: each.edit.cost)
 
 
 def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty]) -> Iterator[Edit]:
@@ -142,10 +171,10 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     if why.world is not None:
         alternatives = [[*why.world.bodies], [*hands(why.world.bodies.get(why.world.robot))]]
     edits: list[Edit] = []
-    lines, guessed = _lines(trials, log, why, checked, editor)
+    lines, guessed, stale = _lines(trials, log, why, checked, editor)
     for rank, line in enumerate(lines):
         kinds: Counter[float] = Counter()
-        for edit in editor.edits(line, alternatives):
+        for edit in editor.edits(line, alternatives, stale=line in stale):
             cost = edit.cost + _LATER * rank + _ANOTHER * kinds[edit.cost]
             edits.append(replace(edit, cost=cost, asks=edit.asks and line not in guessed))
             kinds[edit.cost] += 1
@@ -160,22 +189,23 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
 
 def _lines(
     trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty], editor: Editor
-) -> tuple[list[int], set[int]]:
-    """Return lines of the plan's main file, first those that likely contain the mistake, and lines with guesses."""
+) -> tuple[list[int], set[int], set[int]]:
+    """Return lines of the plan's main file, likeliest lines first; those with guesses, and those with stale values."""
     name = trials.program.name
     ranked: list[int] = []
     guessed: set[int] = set()
+    stale: set[int] = set()
     with suppress(CantRetrace):
         found = None if why.failure is None else origins(log, why, recorded_source=True)
-        ranked = [] if found is None else found.lines_of(name)
-        guessed = set() if found is None else {each.line for each in found.guesses}
+        if found is not None:
+            ranked, stale, guessed = found.lines_of(name), found.stale_of(name), {each.line for each in found.guesses}
     source = PlanSource(log)
     stacks = [source.call_stack(each.record) for each in checked if not each and each.record is not None]
     called = [
         line.number for stack in (why.call_stack, *stacks) for line in reversed(stack) if line.file.endswith(name)
     ]
     flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
-    return [*dict.fromkeys((*ranked, *called[:1], *flow))][:_MAX_LINES], guessed
+    return [*dict.fromkeys((*ranked, *called[:1], *flow))][:_MAX_LINES], guessed, stale
 
 
 def _is_python(text: str) -> bool:
@@ -205,21 +235,27 @@ def reaches_goal(file: Path, properties: Sequence[str]) -> bool:
             return False
 
 
-def _checked(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> Repair:
+def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
+    """Return why the author may reject a repair, from its recording."""
+    with Recording(file) as log:
+        mark = "" if failed is None else _changed_goal(log.tree().find(status=State.SUCCEEDED), failed, edit)
+        left = sorted(_commanded(trials.log) - _commanded(log))
+    return mark or (f"it leaves {phrases.names(left)} alone" if left else "")
+
+
+def _checked(trials: Trials, repair: Repair) -> Repair:
     """Run a repair under other seeds, and with loose objects elsewhere."""
-    versions = [Version(edit.text, seed=seed) for seed in range(1, CHECKS[0] + 1)]
-    versions += [Version(edit.text, elsewhere=draw) for draw in range(1, CHECKS[1] + 1)]
+    text = repair.edit.text
+    versions = [Version(text, seed=seed) for seed in range(1, CHECKS[0] + 1)]
+    versions += [Version(text, elsewhere=draw) for draw in range(1, CHECKS[1] + 1)]
     good = [0, 0]
     with closing(trials.all(versions)) as results:
         for index, trial in results:
             good[index >= CHECKS[0]] += trial.ending.kind == "succeeded"
-    with Recording(file) as log:
-        mark = "" if failed is None else _changed_goal(log.tree().find(status=State.SUCCEEDED), failed, edit)
-        if not mark and (left := sorted(_commanded(trials.log) - _commanded(log))):
-            mark = f"it leaves {phrases.names(left)} alone"
+    mark = repair.mark
     if not mark and not all(good):
         mark = "it succeeds with its own seed only" if not good[0] else "it fails with objects 1 cm elsewhere"
-    return Repair(edit, file, good[0], good[1], mark)
+    return replace(repair, seeds=good[0], elsewhere=good[1], mark=mark)
 
 
 def _commanded(log: RecordReader) -> set[str]:

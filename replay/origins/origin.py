@@ -93,6 +93,12 @@ class Origins:
         """Return the numbers of the lines of a file that made the values, the likeliest first."""
         return [line for file, line in self._ranked()[0] if PurePath(file).name == name]
 
+    def stale_of(self, name: str) -> set[int]:
+        """Return the numbers of the lines of a file with values that were true earlier."""
+        facts = [each for call in (self.failed, *self.earlier) if call is not None for _, each in _walk(call, 0.0)]
+        stale = (each for each in facts if each.moved or "since then" in each.remark or _returns_stale(each))
+        return {each.line for each in stale if PurePath(each.file).name == name}
+
     def _ranked(self) -> tuple[list[tuple[str, int]], dict[tuple[str, int], list[Origin]]]:
         """Return the places of lines, the likeliest first, and the facts about each."""
         ranks: dict[tuple[str, int], float] = {}

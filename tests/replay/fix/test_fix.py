@@ -119,6 +119,15 @@ def test_edits_stay_at_one_place_and_leave_no_statement_out() -> None:
         assert all("do(" in each and "go(" in each and "x = " in each for each in texts)
 
 
+def test_counts_are_shifted_not_scaled_and_stale_reads_move_first() -> None:
+    editor = Editor("spots = [at(i / (n - 1)) for i in range(1, n + 1)]\nx = cup.get_position()\ngo(cup)\n")
+    counted = [edit.what for edit in editor.edits(1)]
+    assert "range(n) instead of range(1, n + 1)" in counted
+    assert not any("times" in each for each in counted)
+    likely, unlikely = (min(editor.edits(2, stale=stale)) for stale in (True, False))
+    assert (likely.what, likely.cost < unlikely.cost) == ("line 2 after line 3", True)
+
+
 def test_statements_stay_on_their_side_of_an_assertion() -> None:
     text = "def check(x):\n    assert x\nx = a()\ncheck(x)\nb()\nif x:\n    raise ValueError\nc()\n"
     moves = [edit for line in (3, 5, 8) for edit in Editor(text).edits(line) if edit.what.startswith("line")]
