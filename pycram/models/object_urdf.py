@@ -9,7 +9,6 @@ parts.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -146,13 +145,8 @@ def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
 
 def _properties(file: Path) -> Mapping[str, object]:
     table = _table(file)
-    entry = _parsed(read_text(table), table).get(file.stem) if table.is_file() else None
+    entry = parse_toml(read_text(table), table).get(file.stem) if table.is_file() else None
     return entry if isinstance(entry, dict) else {}
-
-
-@lru_cache(maxsize=8)  # the objects of a folder share a table
-def _parsed(text: str, table: Path) -> Mapping[str, object]:
-    return parse_toml(text, table)
 
 
 def _add_inertia(file: Path, link: ET.Element, shape: trimesh.Trimesh, entry: Mapping[str, object]) -> None:
