@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import posixpath
 import re
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mkdocs.structure.files import File, Files
 
+_REPO = Path(__file__).parent.parent
+sys.path.insert(0, str(_REPO))  # mkdocs loads this file by its path
+from docs.generated import pages  # noqa: E402
+
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
     from mkdocs.structure.pages import Page
 
-_REPO = Path(__file__).parent.parent
 #: Pages of the repository's first folder that the site shows, too.
 _ROOT_PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
 
@@ -23,14 +27,26 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     for name in _ROOT_PAGES:
         text = (_REPO / name).read_text(encoding="utf-8")
         files.append(File.generated(config, name.lower(), content=_linked(text, ".")))
-    pages = sorted(file.src_uri for file in files.documentation_pages())
-    config.nav = _expanded(config.nav, pages)
+    for path, text in pages().items():
+        files.append(File.generated(config, path, content=text))
+    shown = sorted(file.src_uri for file in files.documentation_pages())
+    config.nav = _expanded(config.nav, shown)
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
     """Let links to pages of the repository's first folder lead to those of the site."""
-    return _linked(markdown, posixpath.dirname(page.file.src_uri) or ".")
+    folder = posixpath.dirname(page.file.src_uri) or "."
+    if folder == "tutorial":
+        name = posixpath.basename(page.file.src_uri).replace(".md", ".ipynb")
+        title, _, rest = markdown.partition("\n")
+        markdown = f"{title}\n\n[This chapter as a notebook]({name})\n{rest}"
+    return _linked(markdown, folder)
+
+
+def on_page_content(html: str, **_: object) -> str:
+    """Leave out the roles of reStructuredText, which docstrings have."""
+    return re.sub(r":(?:class|func|mod|meth|attr|exc|data):(?=<code>|`)", "", html)
 
 
 def _linked(text: str, folder: str) -> str:

@@ -89,7 +89,10 @@ def record(
         name: Name of the plan, by default the name of the program or notebook.
         arguments: Arguments of the plan, by default the arguments of the program.
         source: The plan's file, which is attached. By default it is the program's file, if there is one.
-        seed, order, environment, parameters: More inputs of the plan. ``record`` only writes all inputs into the file.
+        seed: The plan's seed. ``record`` only writes it and the following inputs into the file.
+        order: The order of branches.
+        environment: The execution environment.
+        parameters: The plan's parameters.
         output: Record printed and logged lines, too.
         locals: Record the local variables of the plan's functions with failures.
         overwrite: Replace an existing recording.

@@ -1,0 +1,97 @@
+"""Pages of the reference that are made while the site is built: the public names, the records, the commands."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import re
+from pathlib import Path
+from typing import Final
+
+from docs.cells import notebook
+
+_DOCS: Final = Path(__file__).parent
+_DEFINITION: Final = re.compile(r"^((?://[^\n]*\n)*)((?:message|enum) (\w+) \{.*?^\})", re.DOTALL | re.MULTILINE)
+#: Fields that all records have; the page names them once.
+_ENVELOPE: Final = re.compile(
+    r"^  (?:int64 seq|int64 wall_time_ns|int64 sim_step|string world|int64 task|string thread|int64 cause"
+    r"|int64 monotonic_ns|repeated Strike strikes) = (?:[1-8]|64);[^\n]*\n",
+    re.MULTILINE,
+)
+_RECORDS: Final = _DOCS.parent / "recorder" / "records" / "log.proto"
+#: Pages of the public names: the title, and what is on the page.
+_NAMES: Final = {
+    "plans": ("Plans and parameters", ["pycram"]),
+    "worlds": (
+        "Worlds and objects",
+        ["pycram.bullet_world", "pycram.event", "pycram.models.robots.description.RobotDescription"],
+    ),
+    "designators": (
+        "Designators, actions and process modules",
+        ["pycram.designator", "pycram.actions", "pycram.process_module"],
+    ),
+    "language": (
+        "The plan language and fluents",
+        ["pycram.language", "pycram.fluent", "pycram.fluents.world", "pycram.tasks"],
+    ),
+    "reasoning": (
+        "Queries, beliefs and projection",
+        ["pycram.bullet_world_reasoning", "pycram.knowledge", "pycram.projection"],
+    ),
+    "failures": ("Failures", ["pycram.failures"]),
+    "recordings": (
+        "Recording and reading",
+        ["recorder", "replay.recording.Recording", "replay.state.state", "replay.runs.folder.Runs", "replay.testing"],
+    ),
+}
+
+
+def pages() -> dict[str, str]:
+    """Return the pages, and the notebooks of the tutorial, by their paths in the site."""
+    made = {f"reference/names/{name}.md": _names(*entry) for name, entry in _NAMES.items()}
+    made |= {"reference/records.md": _records(), "reference/commands.md": _commands()}
+    for chapter in sorted((_DOCS / "tutorial").glob("[1-9]*.md")):
+        text = json.dumps(notebook(chapter.read_text(encoding="utf-8")), indent=1)
+        made[f"tutorial/{chapter.stem}.ipynb"] = text
+    return made
+
+
+def _names(title: str, names: list[str]) -> str:
+    return "\n".join([f"# {title}\n", *(f"::: {name}\n" for name in names)])
+
+
+def _records() -> str:
+    """Return the page of the records, from their definitions."""
+    text = _RECORDS.read_text(encoding="utf-8")
+    head = text.partition("syntax =")[0]
+    about = "\n".join(line[3:] for line in head.splitlines() if line.startswith("//"))
+    parts = [
+        "# Records\n",
+        "A recording is an MCAP file. Each topic has one type of record, as a message of protobuf. This page is made",
+        "from `recorder/records/log.proto`; [recordings](recordings.md) has the guarantees.\n",
+        f"```text\n{about}\n```\n",
+    ]
+    for comment, body, name in _DEFINITION.findall(text):
+        told = " ".join(line[3:] for line in comment.splitlines())
+        shown = body.rstrip() if name == "Envelope" else _ENVELOPE.sub("", body.rstrip())
+        parts += [f"## {name}\n", f"{told}\n" if told else "", f"```proto\n{shown}\n```\n"]
+    return "\n".join(parts)
+
+
+def _commands() -> str:
+    """Return the help of all commands and verbs."""
+    from pycram.cli import EXAMPLES, main as pycram  # noqa: PLC0415  only this page needs it
+    from replay.cli.main import VERBS, main as replay  # noqa: PLC0415  as above
+
+    parts = [
+        "# Commands\n",
+        "The help of each command. [The command line](command_line.md) says which command answers which question.\n",
+    ]
+    for name, run, verbs in (("pycram", pycram, EXAMPLES), ("pycram-replay", replay, VERBS)):
+        for verb in verbs:
+            printed = io.StringIO()
+            with contextlib.redirect_stdout(printed), contextlib.suppress(SystemExit):
+                run([verb, "--help"])
+            parts += [f"## {name} {verb}\n", f"```text\n{printed.getvalue().rstrip()}\n```\n"]
+    return "\n".join(parts)
