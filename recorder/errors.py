@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing import TextIO
 
 _MAX_SUGGESTED: Final = 3
-_MAX_LISTED: Final = 30  # a hint lists at most this many names, such as the joints of a kitchen
+_MAX_LISTED: Final = 40  # a hint lists at most this many names, such as the joints of a kitchen
 _MAX_FILES: Final = 2000  # a name is compared with at most this many files of a folder
 
 
