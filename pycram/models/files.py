@@ -164,7 +164,8 @@ def mount_gripper(robot: ET.Element, link: str, xyz: str, rpy: str, prefix: str 
     hand = ET.fromstring(text)  # noqa: S314  an installed file
     children = {child.get("link") for child in hand.iter("child")}
     (base,) = (link.get("name", "") for link in hand.findall("link") if link.get("name") not in children)
-    robot.extend(hand)
+    known = {material.get("name") for material in robot.findall("material")}  # the engine warns of duplicates
+    robot.extend([part for part in hand if part.tag != "material" or part.get("name") not in known])
     mount = ET.SubElement(robot, "joint", name=f"{prefix}gripper_mount", type="fixed")
     ET.SubElement(mount, "parent", link=link)
     ET.SubElement(mount, "child", link=base)

@@ -6,6 +6,7 @@ import math
 import re
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 from contextlib import chdir
 from importlib import metadata
 from itertools import pairwise
@@ -21,6 +22,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.describing.guess import guess
 from pycram.designator import MotionDesignator
 from pycram.models import load
+from pycram.models.files import mount_gripper
 from pycram.models.robots.description import RobotDescription
 from pycram.process_module import ProcessModule
 from recorder import geometry
@@ -440,6 +442,15 @@ def test_an_arm_without_a_gripper_gets_two_fingers_in_a_urdf_of_its_own(
     assert (again.returncode, again.stdout) == (2, ""), "the file exists"
     both = describe("gantry_with_gripper.urdf", "--gripper", "two-finger")
     assert "no arm is without a gripper" in both.stderr
+
+
+def test_grippers_of_two_arms_have_names_of_their_own() -> None:
+    robot = ET.fromstring("<robot name='r'><link name='a'/></robot>")
+    for side in ("left_", "right_"):
+        mount_gripper(robot, "a", "0 0 0", "0 0 0", side)
+    names = [(part.tag, part.get("name")) for part in robot]
+    assert len(set(names)) == len(names)
+    assert {("link", "left_gripper_palm"), ("joint", "right_gripper_mount")} <= set(names)
 
 
 def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(
