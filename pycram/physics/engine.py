@@ -423,6 +423,15 @@ class Engine:
             bullet.stepSimulation(physicsClientId=client)
         self._known = {}
 
+    def sleep(self, body: LoadedBody, *, asleep: bool) -> None:
+        """Put a body to sleep until an awake body comes near, or wake it and keep it awake."""
+        state = (
+            bullet.ACTIVATION_STATE_ENABLE_SLEEPING | bullet.ACTIVATION_STATE_SLEEP
+            if asleep
+            else bullet.ACTIVATION_STATE_DISABLE_SLEEPING | bullet.ACTIVATION_STATE_WAKE_UP
+        )
+        bullet.changeDynamics(body.id, -1, activationState=state, physicsClientId=self._client)
+
     def dragged(self, bodies: Iterable[LoadedBody]) -> list[tuple[LoadedBody, str]]:
         """Return the bodies and links that the mouse has dragged since the last call.
 

@@ -12,6 +12,9 @@ A clone is simulated, because PyBullet can't restore a world exactly. The clone 
 piles, one answer in 25 depends on contacts that the engine has kept. All bodies are simulated that could reach the
 object in time. Robots are slow to simulate, so a robot is simulated only if a free body leans on it or if it is
 attached to the object.
+
+If there are many bodies, those that are at rest and stand firmly sleep until another body comes near. So one falling
+body among hundreds costs little more than its own fall.
 """
 
 from __future__ import annotations
@@ -31,7 +34,7 @@ from recorder import geometry
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -57,6 +60,7 @@ _CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact 
 _FLAT: Final = 0.002  # largest difference in m of heights between corners of one level
 _FRICTION: Final = 0.8  # largest slope of a contact as a share of the friction angle
 _TILT: Final = math.radians(3)  # angle in rad by which a firm body can be tilted before it falls
+_MANY: Final = 24  # number of bodies without attachments above which bodies at rest sleep
 
 
 @query
@@ -91,12 +95,19 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
             return SolidPart(*parts[number])
         return Solid(clone.engine, copies[of[number].name], of[number].model.path)
 
-    def firm() -> bool:
-        return not attached and stand_firmly(clone.engine, solid, standing, world.gravity)
+    def steady(some: Sequence[LoadedBody]) -> Iterator[bool]:
+        return stand_firmly(clone.engine, solid, some, world.gravity) if not attached else iter([False])
 
+    sleepers = None
+    if len(standing) > _MANY and not attached and not any(copies[body.name].joints for body in on_their_own):
+        fixed = [placed.body for each in furniture.values() for placed in each]
+        sleepers = _Sleepers(clone.engine, standing, fixed, steady)
     try:
-        return _simulate(clone.engine, copies[object.name], [copies[body.name] for body in free], firm)
+        movable = [copies[body.name] for body in free]
+        return _simulate(clone.engine, copies[object.name], movable, lambda some: all(steady(some)), standing, sleepers)
     finally:
+        if sleepers is not None:
+            sleepers.wake()
         clone.invalidate(*copies)
 
 
@@ -152,8 +163,19 @@ def _gap(a: Box, b: Box) -> float:
     )
 
 
-def _simulate(engine: Engine, body: LoadedBody, movable: Sequence[LoadedBody], firm: Callable[[], bool]) -> Verdict:
-    """Simulate until the answer is certain; ``firm`` returns whether all bodies stand firmly if they are at rest."""
+def _simulate(
+    engine: Engine,
+    body: LoadedBody,
+    movable: Sequence[LoadedBody],
+    firm: Callable[[Sequence[LoadedBody]], bool],
+    standing: Sequence[LoadedBody],
+    sleepers: _Sleepers | None = None,
+) -> Verdict:
+    """Simulate until the answer is certain.
+
+    The speeds of ``movable`` bodies decide whether all is at rest; ``standing`` bodies must then stand firmly, as
+    ``firm`` returns. Without ``sleepers``, all bodies stay awake.
+    """
     start = engine.pose(body)
     speeds: list[list[float]] = []  # speeds of all bodies in each sample, as multiples of the speed of rest
     steps = 0
@@ -168,10 +190,61 @@ def _simulate(engine: Engine, body: LoadedBody, movable: Sequence[LoadedBody], f
             return Verdict(False, evidence)
         speeds.append(
             [max(linear / SLOW, turn / SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
+            if sleepers is None or any(0 <= decision - 1 - len(speeds) < INTERVALS for decision in _DECISIONS)
+            else []
         )
-        if len(speeds) in _DECISIONS and all(map(at_rest, zip(*speeds[-INTERVALS:], strict=True))) and firm():
+        if len(speeds) not in _DECISIONS:
+            continue
+        resting = [at_rest(each) for each in zip(*speeds[-INTERVALS:], strict=True)]
+        if sleepers is not None:
+            sleepers.update([other for other, rests in zip(movable, resting, strict=True) if not rests])
+            if all(resting) and len(sleepers.asleep) == len(standing):
+                break
+        elif all(resting) and firm(standing):
             break
     return Verdict(True, {"moved": moved, "turned": turned, "simulated_steps": steps})
+
+
+class _Sleepers:
+    """The sleeping bodies of a clone, which are at rest and stand firmly.
+
+    Args:
+        standing: bodies that may sleep; they have no joints and no attachments.
+        fixed: furniture on which the bodies may stand.
+        steady: yields whether each of the given bodies stands firmly.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        standing: Sequence[LoadedBody],
+        fixed: Sequence[LoadedBody],
+        steady: Callable[[Sequence[LoadedBody]], Iterable[bool]],
+    ) -> None:
+        self._engine, self._steady = engine, steady
+        self._standing = {body.id: body for body in standing}
+        self._fixed = fixed
+        self.asleep: set[int] = set()  # ids of the sleeping bodies
+
+    def update(self, moving: Iterable[LoadedBody]) -> None:
+        """Put each group of touching bodies to sleep if no body of the group is moving or unsteady."""
+        engine = self._engine
+        self.asleep = {number for number in self.asleep if not any(engine.velocity(self._standing[number]))}
+        awake = {number: body for number, body in self._standing.items() if number not in self.asleep}
+        touching = {number: {contact.other for contact in engine.contacts(body)} for number, body in awake.items()}
+        kept = _above((body.id for body in moving), touching)
+        tried = [body for number, body in awake.items() if number not in kept]
+        kept |= _above((body.id for body, firm in zip(tried, self._steady(tried), strict=True) if not firm), touching)
+        rested = [body for body in tried if body.id not in kept]
+        for body in [*rested, *(self._fixed if rested and not self.asleep else ())]:
+            engine.sleep(body, asleep=True)
+        self.asleep.update(body.id for body in rested)
+
+    def wake(self) -> None:
+        """Wake all bodies. They wake in the engine's next step, so this step is made here, before later queries."""
+        for body in (*self._standing.values(), *self._fixed):
+            self._engine.sleep(body, asleep=False)
+        self._engine.step(1)
 
 
 def _speeds(engine: Engine, body: LoadedBody) -> tuple[float, float]:
@@ -228,33 +301,31 @@ class SolidPart(Solid):
 
 def stand_firmly(
     engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[LoadedBody], gravity: Vector
-) -> bool:
-    """Return whether all bodies stand firmly; False also if it isn't certain.
+) -> Iterator[bool]:
+    """Yield whether each body stands firmly; False also if it isn't certain.
 
     The engine has just simulated the bodies. Bodies that aren't in ``standing`` are immovable supports.
     """
     strength = math.hypot(*gravity)
     if not strength:
-        return True
+        yield from (True for _ in standing)
+        return
     up = np.array(gravity) / -strength
     level = geometry.to_matrix(geometry.look_at((0.0, 0.0, 0.0), up))  # the z axis of this frame points up
     below = {body.id: _carriers(engine, body, solid_of, up) for body in standing}
-    loads = {
-        number: [other for other, carriers in below.items() if number in {carrier for carrier, _ in carriers}]
-        for number in below
-    }
+    loads: dict[int, list[int]] = {number: [] for number in below}
+    for other, carriers in below.items():
+        for number in {carrier for carrier, _ in carriers} & loads.keys():
+            loads[number].append(other)
     masses = {body.id: engine.center_of_mass(body) for body in standing}
     for body in standing:
-        centers, weights = zip(*(masses[other] for other in _above(body.id, loads)), strict=True)
+        centers, weights = zip(*(masses[other] for other in _above([body.id], loads)), strict=True)
         center = np.average(np.array(centers), axis=0, weights=weights) @ level
         tops = [(solid_of(other).corners(link) @ level, contacts) for (other, link), contacts in below[body.id].items()]
         support = _support(engine, body, solid_of(body.id).corners() @ level, tops, level)
-        if not len(support):
-            return False
-        margin = geometry.margin_in_polygon(geometry.convex_hull(support[:, :2]), center[:2].tolist())
-        if margin < math.tan(_TILT) * (center[2] - support[:, 2].min()):
-            return False
-    return True
+        yield len(support) > 0 and geometry.margin_in_polygon(
+            geometry.convex_hull(support[:, :2]), center[:2].tolist()
+        ) >= math.tan(_TILT) * (center[2] - support[:, 2].min())
 
 
 def _carriers(
@@ -268,11 +339,12 @@ def _carriers(
     return found
 
 
-def _above(number: int, loads: Mapping[int, Iterable[int]]) -> set[int]:
-    """Return a body and all bodies on it, also indirectly."""
-    found, queue = {number}, [number]
+def _above(numbers: Iterable[int], loads: Mapping[int, Iterable[int]]) -> set[int]:
+    """Return bodies and all bodies on them, also indirectly."""
+    queue = list(numbers)
+    found = set(queue)
     while queue:
-        for other in loads[queue.pop()]:
+        for other in loads.get(queue.pop(), ()):
             if other not in found:
                 found.add(other)
                 queue.append(other)

@@ -153,7 +153,7 @@ def test_a_fixed_base_does_not_drive() -> None:
 
 
 def test_fingers_close_around_the_tool_frames_x_axis() -> None:
-    urdf = Object("any", "thing", "pr2.urdf").urdf
+    urdf = Object("any", "robot", "pr2.urdf").urdf
     frame = 'tool_frame = "l_gripper_tool_frame"'
     for rpy, axis in (("[0, 0, 1.5708]", "x"), ("[1.5708, 0, 0]", "z")):
         turned = PR2.replace(frame, f"{frame}\ntool_offset = {{ rpy = {rpy} }}")

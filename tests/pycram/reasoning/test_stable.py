@@ -10,12 +10,14 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
+from pycram.reasoning.queries import stability
 from recorder import geometry
 from tests.measures import seeded
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from pycram.physics.body import LoadedBody
 
 LYING = geometry.from_rpy(0, math.pi / 2, 0)
 CEREAL = 0.112  # m from the middle of the cereal to its underside
@@ -278,6 +280,42 @@ def test_a_spoon_that_leans_on_a_bowl_is_stable_after_a_few_steps(floor: Object)
     spoon, _ = spoon_in_a_bowl()
     assert btr.stable(spoon).evidence["simulated_steps"] <= 48
     assert btr.stable(spoon.world.get_object("bowl")).evidence["simulated_steps"] <= 48
+
+
+def crowd(count: int) -> list[Object]:
+    """Cartons at rest, far apart from each other and from the middle."""
+    places = [(1.0 + row * 0.4, column * 0.4) for row in range(5) for column in range(count // 5)]
+    return [Object(f"milk_{x:.1f}_{y:.1f}", "milk", "milk.stl", [x, y, MILK + 0.001]) for x, y in places]
+
+
+def simulated(query: Callable[[], object], monkeypatch: pytest.MonkeyPatch) -> tuple[object, list[int]]:
+    """The answer of a query, and how many bodies are awake after each period that the clone simulates."""
+    awake = []
+    update = stability._Sleepers.update
+
+    def counted(self: stability._Sleepers, moving: list[LoadedBody]) -> None:
+        update(self, moving)
+        awake.append(len(self._standing) - len(self.asleep))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(stability._Sleepers, "update", counted)
+        return query(), awake
+
+
+@pytest.mark.parametrize("scene", [hit_by_what_slides, hit_by_what_falls])
+def test_of_many_bodies_those_at_rest_sleep_until_something_comes_near(
+    floor: Object, scene: Callable[[], tuple[Object, bool]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others = crowd(30)
+    body, truth = scene()
+    answer, awake = simulated(lambda: btr.stable(body), monkeypatch)
+    assert bool(answer) == truth
+    assert min(awake) <= 2  # the target, and what falls or slides
+    again, _ = simulated(lambda: btr.stable(others[0]), monkeypatch)
+    assert again
+    with monkeypatch.context() as patch:
+        patch.setattr(stability, "_MANY", math.inf)
+        assert bool(btr.stable(body)) == truth  # all bodies of the clone are awake again
 
 
 @seeded("stable: verdicts in piles of the whole scene", range(12), 1, always=4)
