@@ -293,6 +293,11 @@ def compare_recordings(first: RecordReader, second: RecordReader, tolerance: flo
     return Comparison(equal, divergence, difference(*ends, names.worlds), (summary(first), summary(second)))
 
 
+def divergence(first: RecordReader, second: RecordReader) -> Divergence | None:
+    """Return the first record that differs between two recordings; None without a difference."""
+    return _divergence(first, second, 0.0, PairedNames(first, second))[1]
+
+
 def _divergence(
     first: RecordReader, second: RecordReader, tolerance: float, names: PairedNames
 ) -> tuple[int, Divergence | None]:

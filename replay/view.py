@@ -15,20 +15,23 @@ import tempfile
 import threading
 import time
 from hashlib import file_digest, sha256
+from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import rerun as rr
 from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.errors import RecordingError
+from recorder.records import Check
 from recorder.records.values import AssetFile
 from recorder.system import user
 from recorder.user_folders import cache_folder, is_own
 from recorder.viewer.connection import END_TIMEOUT, PORT, Target, ViewerGone, ViewerKind, ViewerWindow, address, answers
-from recorder.viewer.rerun_stream import stream_to_file
-from recorder.viewer.translator import ORIGIN, Translator, acts, blueprint, side_by_side
+from recorder.viewer.rerun_stream import STEP, stream_to_file
+from recorder.viewer.translator import ORIGIN, Layout, Translator, acts, blueprint, side_by_side
+from replay.compare import divergence
 from replay.errors import NONSENSE, Damaged, ReplayError, nonsense
 
 if TYPE_CHECKING:
@@ -37,15 +40,19 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
     from replay.file.record_reader import RecordReader
 
+    Eye: TypeAlias = tuple[Vector, Vector] | None  # a viewpoint and the middle of its picture, m; None for an overview
+
 
 _LOAD_TIMEOUT: Final = 20.0  # the viewer must load a file in this time, s
 _POLL_PERIOD: Final = 0.1  # seconds between checks
 
 
-def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> None:
+def convert(
+    logs: Sequence[RecordReader], path: Path, at: int | None = None, eyes: Sequence[Eye] = (), *, opens: bool = False
+) -> None:
     """Write recordings side by side into an ``.rrd`` file, which replaces an existing file at the end.
 
-    The viewer opens at the step ``at``, by default at the beginning.
+    See :func:`translate` for the arguments.
 
     Raises:
         ReplayError: The file can't be written.
@@ -58,7 +65,7 @@ def convert(logs: Sequence[RecordReader], path: Path, at: int | None = None) -> 
     os.close(handle)
     try:
         with stream_to_file(Path(name)) as stream, _without_garbage_collection():
-            translate(logs, stream, at)
+            translate(logs, stream, at, eyes, opens=opens)
         Path(name).chmod(0o644)
         Path(name).replace(path)
     except OSError as error:
@@ -79,7 +86,7 @@ def _without_garbage_collection() -> Iterator[None]:
             gc.enable()
 
 
-def cached(log: RecordReader, at: int | None = None) -> Path:
+def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:
     """Return the viewer's file of a recording, which is cached next to the recording as ``NAME.mcap.rrd``.
 
     If the folder isn't writable, or step ``at`` has another world than the beginning, the file is temporary.
@@ -90,10 +97,10 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
     """
     if at is not None and front_world(log, at) != front_world(log):
         file = temporary_file(f"{log.path.name}.rrd")
-        convert([log], file, at)
+        convert([log], file, at, [eye])
         return file
     beside = log.path.with_name(f"{log.path.name}.rrd")
-    note = _note(log)
+    note = _note(log, eye)
     if note is not None:
         with contextlib.suppress(OSError, ValueError):  # there is no file, or no note
             if note.read_text(encoding="ascii") == _hash(beside):
@@ -101,7 +108,7 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
     if not os.access(log.path.parent, os.W_OK):
         beside = temporary_file(beside.name)
     problems = log.problems
-    convert([log], beside)
+    convert([log], beside, eyes=[eye])
     unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan still writes the recording
     if note is not None and unchanged and log.problems == problems:  # every call must report damage
         with contextlib.suppress(OSError):
@@ -110,12 +117,12 @@ def cached(log: RecordReader, at: int | None = None) -> Path:
     return beside
 
 
-def _note(log: RecordReader) -> Path | None:
+def _note(log: RecordReader, eye: Eye) -> Path | None:
     """Return the file with the hash of a recording's ``.rrd`` file by this software; None without a cache folder."""
     folder = cache_folder()
     if folder is None:
         return None
-    made_of = sha256(f"{rr.__version__} {_hash(log.path)}".encode())
+    made_of = sha256(f"{rr.__version__} {_hash(log.path)} {eye}".encode())
     for source in sorted(Path(recorder.viewer.__file__).parent.glob("*.py")):
         made_of.update(source.read_bytes())
     return folder / "rrd" / made_of.hexdigest()
@@ -165,7 +172,7 @@ def _go_to(client: ViewerClient, step: int) -> None:
     pause, until = threading.Event(), time.monotonic() + _LOAD_TIMEOUT
     while True:
         try:
-            client.set_time("step", sequence=step, play_state="paused")
+            client.set_time(STEP, sequence=step, play_state="paused")
         except (RuntimeError, OSError):
             if time.monotonic() > until:
                 raise
@@ -187,7 +194,7 @@ def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, C
 
     def go(to: int) -> None:
         with contextlib.suppress(RuntimeError, OSError):
-            client.set_time("step", sequence=to, play_state="paused")
+            client.set_time(STEP, sequence=to, play_state="paused")
 
     return viewer, go
 
@@ -221,8 +228,19 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
 _NO_ROOT: Final = ""  # root entity of a single recording
 
 
-def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int | None = None) -> None:
-    """Send recordings to a viewer, which shows them side by side, and opens at the step ``at``.
+def translate(
+    logs: Sequence[RecordReader],
+    stream: rr.RecordingStream,
+    at: int | None = None,
+    eyes: Sequence[Eye] = (),
+    *,
+    opens: bool = False,
+) -> None:
+    """Send recordings to a viewer, which shows them side by side, with the world of the step ``at`` in front.
+
+    Args:
+        eyes: The first viewpoint of each recording; None for an overview.
+        opens: Whether the viewer opens at the step ``at``. It then shows a time line that ends at this step.
 
     Raises:
         Damaged: a record makes no sense.
@@ -233,8 +251,28 @@ def translate(logs: Sequence[RecordReader], stream: rr.RecordingStream, at: int 
         stream.send_recording_name(" and ".join(log.path.name for log in logs))
     roots = dict(zip(_roots(logs), logs, strict=True))
     fronts = {root: front_world(log, at) for root, log in roots.items()}
-    _lay_out(stream, {root: {front: ORIGIN} if front else {} for root, front in fronts.items()}, fronts)
-    _lay_out(stream, {root: _translated(log, stream, root) for root, log in roots.items()}, fronts)
+    until = at if opens else None
+    _lay_out(stream, {root: Layout({front: ORIGIN} if front else {}, front) for root, front in fronts.items()}, until)
+    views, partings = dict(zip_longest(roots, eyes)), _partings(roots)
+    layouts = {}
+    for root, log in roots.items():
+        folds = any(life.looks for life in log.lifetimes) or next(log.records(Check), None) is not None
+        translator = Translator(stream, root, folds=folds, until=until, partings=partings[root])
+        _translate(log, translator)
+        layouts[root] = translator.layout(fronts[root], views[root])
+    _lay_out(stream, layouts, until)
+
+
+def _partings(roots: Mapping[str, RecordReader]) -> dict[str, dict[int, list[str]]]:
+    """Return the steps at which the first recording and each other recording begin to differ, by root entity."""
+    partings: dict[str, dict[int, list[str]]] = {root: {} for root in roots}
+    (one, first), *others = roots.items()
+    for other, second in others:
+        if (found := divergence(first, second)) is not None:
+            sides = (one, first, found.first, other), (other, second, found.second, one)
+            for root, log, record, name in sides:  # a run that has ended differs from its end on
+                partings[root].setdefault(record.seq if record is not None else len(log) - 1, []).append(name)
+    return partings
 
 
 def front_world(log: RecordReader, at: int | None = None) -> str:
@@ -254,18 +292,13 @@ def _roots(logs: Sequence[RecordReader]) -> list[str]:
     return names if len(set(names)) == len(names) else [f"{number}_{name}" for number, name in enumerate(names, 1)]
 
 
-def _lay_out(
-    stream: rr.RecordingStream, recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]
-) -> None:
-    if _NO_ROOT in recordings:
-        stream.send_blueprint(blueprint(recordings[_NO_ROOT], fronts[_NO_ROOT]))
-    else:
-        stream.send_blueprint(side_by_side(recordings, fronts))
+def _lay_out(stream: rr.RecordingStream, layouts: Mapping[str, Layout], until: int | None) -> None:
+    single = layouts.get(_NO_ROOT)
+    stream.send_blueprint(blueprint(single, until) if single is not None else side_by_side(layouts, until))
 
 
-def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Mapping[str, Vector]:
-    """Send a recording, and return the centres of its worlds in m."""
-    translator = Translator(stream, root)
+def _translate(log: RecordReader, translator: Translator) -> None:
+    """Send a recording."""
     for name in log.assets:
         with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording notes damage
             translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
@@ -278,7 +311,6 @@ def _translated(log: RecordReader, stream: rr.RecordingStream, root: str) -> Map
         translator.finish()
     for name in translator.scene.absent:  # filters of other tools may remove attachments
         log.assets.damaged.setdefault(name, "it isn't there")
-    return translator.worlds.centres
 
 
 @contextlib.contextmanager

@@ -99,14 +99,19 @@ def _task(record: Task) -> Line:
     if phase == _LEFT:
         return f"{name} still runs when the recording ends", _INFO
     took, status = f"{record.duration_ns / 1e6:.1f} ms", record.status
-    if status == _CANCELLED:
-        return f"{name} was cancelled after {took}", _WARNING
+    if status == _CANCELLED or is_timed_out(record):
+        return f"{name} {'was cancelled' if status == _CANCELLED else 'timed out'} after {took}", _WARNING
     decided = ""
     if record.kind == "motion" and record.HasField("decision") and (text := decision_text(record.decision)):
         decided = f", {text}"  # the process module's record has the same decision
     if status == _SUCCEEDED:
         return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
     return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
+
+
+def is_timed_out(record: Task) -> bool:
+    """Return whether a record is the end of a wait that timed out, which has the status succeeded."""
+    return record.kind == "wait" and record.phase == Task.FINISHED and record.result_json == "false"
 
 
 def _query(record: Query) -> Line:

@@ -16,7 +16,16 @@ from operator import attrgetter
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Task, format_failure
-from recorder.records.text import chosen_name, decision_text, foreseen, rejection_lines, text_of, timeout_text, values
+from recorder.records.text import (
+    chosen_name,
+    decision_text,
+    foreseen,
+    is_timed_out,
+    rejection_lines,
+    text_of,
+    timeout_text,
+    values,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -105,8 +114,10 @@ def label(node: Node) -> str:
     shown = f"({parameters})" if parameters and node.kind in _WITH_PARAMETERS else ""
     if node.kind == "process-module" and node.decision is not None and (decided := decision_text(node.decision)):
         shown = f" ({decided})"
-    foreseen_text = f": {text}" if node.finished is not None and (text := foreseen(node.finished)) else ""
-    return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}{foreseen_text}"
+    outcome = ""
+    if node.finished is not None and (text := "timed out" if is_timed_out(node.finished) else foreseen(node.finished)):
+        outcome = f": {text}"
+    return f"{node.name}{shown}{'' if node.kind in _WITHOUT_KIND else ' ' + node.kind}{outcome}"
 
 
 def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object]]:

@@ -443,7 +443,7 @@ class _Display:
         worlds = self._translator.worlds
         if len(worlds.centres) > self._laid_out:
             self._laid_out = len(worlds.centres)
-            self._stream.send_blueprint(blueprint(worlds.centres, worlds.front))
+            self._stream.send_blueprint(blueprint(self._translator.layout(worlds.front)))
 
     def show(self, batch: list[Item]) -> int:
         """Translate a batch, and return the number of shown records."""

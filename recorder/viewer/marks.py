@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from textwrap import shorten
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import rerun as rr
 
 from recorder import geometry
-from recorder.records import Following, Keyframe, Task, argument_values
+from recorder.records import Following, Keyframe, Run, Task, argument_values
 from recorder.records.motion import BASE_COORDINATES
 from recorder.records.values import first_position, position, vector
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW
 from recorder.viewer.scene import offset, table
-from recorder.viewer.tables_and_plots import numbered
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -42,7 +42,8 @@ _ARROW: Final = 0.35
 _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
 _PIN: Final = 0.3  # height of a failure's label above the target, in m, so that the target's label stays visible
-_ABOVE_ROBOT: Final = 1.8  # height of the label of a failure without a position
+_ABOVE_ROBOT: Final = 1.1  # height of the label of a failure without a position
+_MAX_LETTERS: Final = 60  # a label shows at most this many characters
 _MAX_PAIRS: Final = 5  # at most this many pairs of colliding links are shown
 
 
@@ -95,7 +96,12 @@ class TaskMarks:
                 self._running.pop(record.task)[1].clear(now)
             target = self._targets.pop(record.task, None)
             if record.status == Task.FAILED:
-                self._show_failure(record, target, now)
+                self._show_failure(record, record.world, target, now)
+
+    def show_end(self, record: Run, world: str, now: TimePoint) -> None:
+        """Mark the failure of the plan in its world, unless the mark of its failed task is shown."""
+        if record.phase == Run.FINISHED and not record.succeeded:
+            self._show_failure(record, world, None, now)
 
     def _show_target(self, record: Task, values: Values, target: Vector, now: TimePoint) -> None:
         shapes = [points_at([target], BLUE, [record.name])]
@@ -114,30 +120,34 @@ class TaskMarks:
         self._running[record.task] = name, marks
         marks.add(record.world, (_TARGETS, name), now, *shapes)
 
-    def _show_failure(self, record: Task, target: Vector | None, now: TimePoint) -> None:
+    def _show_failure(self, record: Task | Run, world: str, target: Vector | None, now: TimePoint) -> None:
         failure = kind, message = record.failure.type, record.failure.message
         if failure == self._failure:
             return
         self._failure = failure
-        shapes: list[rr.AsComponents] = [
-            rr.TextLog(numbered(f"{record.name}: {kind}: {message}", now), level="ERROR", color=RED)
-        ]
+        shapes: list[rr.AsComponents] = [rr.TextLog(f"{record.name}: {kind}: {message}", level="ERROR", color=RED)]
         position_failed = (
-            target_position(self._scene, record.world, argument_values(record.failure.data, strict=True)) or target
+            target_position(self._scene, world, argument_values(record.failure.data, strict=True)) or target
         )
-        if position_failed is None and (robot := self._scene.robot(record.world)) is not None:
+        if position_failed is None and (robot := self._scene.robot(world)) is not None:
             position_failed = geometry.transform(robot[1].pose, (0.0, 0.0, _ABOVE_ROBOT))
         if position_failed is not None:
             x, y, z = position_failed
             top = (x, y, z + _PIN)
+            label = shorten(f"{record.name}: {message or kind}", _MAX_LETTERS, placeholder=" \u2026")
             shapes += [
-                points_at([top], RED, [f"{record.name} failed: {kind}"], _FAILURE),
+                points_at(
+                    [top],
+                    RED,
+                    [label],
+                    _FAILURE,
+                ),
                 line_through([position_failed, top], RED),
             ]
-        self._failures.add(record.world, (FAILURES,), now, *shapes)
-        self._show_pairs(record, now)
+        self._failures.add(world, (FAILURES,), now, *shapes)
+        self._show_pairs(record, world, now)
 
-    def _show_pairs(self, record: Task, now: TimePoint) -> None:
+    def _show_pairs(self, record: Task | Run, world: str, now: TimePoint) -> None:
         """Mark the links that would have collided, at their current positions."""
         found = argument_values(record.failure.data, strict=True).get("pairs")
         pairs = [pair for pair in found if isinstance(pair, dict)] if isinstance(found, list) else []
@@ -145,20 +155,26 @@ class TaskMarks:
             ends = []
             for body, link in (("mover", "link"), ("body", "body_link")):
                 names = str(pair.get(body, "")), str(pair.get(link, ""))
-                pose = self._scene.pose(record.world, *names)
+                pose = self._scene.pose(world, *names)
                 if pose is not None:
                     ends.append((pose[0], names[1] or names[0]))
             if len(ends) == 2:
                 points, labels = zip(*ends, strict=True)
                 line = line_through(points, RED, LINK)
-                self._failures.add(record.world, (_PAIRS, str(number)), now, points_at(points, RED, labels), line)
+                ends_at = points_at(points, RED, labels, show_labels=False)  # the label of the failure names them
+                self._failures.add(world, (_PAIRS, str(number)), now, ends_at, line)
 
 
 def points_at(
-    positions: Sequence[Vector], color: Color, labels: Sequence[str] = (), radius: float = _POINT
+    positions: Sequence[Vector],
+    color: Color,
+    labels: Sequence[str] = (),
+    radius: float = _POINT,
+    *,
+    show_labels: bool | None = None,
 ) -> rr.AsComponents:
-    """Return points of a colour. The radius is in m."""
-    return rr.Points3D(positions, colors=[color], radii=[radius], labels=labels or None)
+    """Return points of a colour. The radius is in m. Hidden labels appear when the mouse is over a point."""
+    return rr.Points3D(positions, colors=[color], radii=[radius], labels=labels or None, show_labels=show_labels)
 
 
 def line_through(positions: Sequence[Vector], color: Color, radius: float = _LINE, label: str = "") -> rr.AsComponents:

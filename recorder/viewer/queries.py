@@ -8,7 +8,6 @@ strangers.
 
 from __future__ import annotations
 
-import colorsys
 import math
 import re
 import zlib
@@ -40,6 +39,7 @@ if TYPE_CHECKING:
     from recorder.records.log_pb2 import Grid
     from recorder.viewer.marks import Values
     from recorder.viewer.rerun_stream import Color, Columns, TimePoint
+    from recorder.viewer.scene import ViewerScene
 
 
 QUERIES: Final = "queries"
@@ -91,39 +91,48 @@ def _text(line: str) -> str:
 PICTURE: Final = "picture"
 _MAX_CLASSES: Final = 60_000  # largest number of classes, because the viewer stores a class in 16 bits
 MAX_PIXELS: Final = 1 << 24  # largest number of pixels; pictures of robot cameras have a tenth
-_GOLDEN_RATIO: Final = 0.618034  # hue between consecutive colours, so that they differ
 
 
 class QueryPicture:
     """The picture of the last query with a picture."""
 
-    def __init__(self, columns: Columns) -> None:
+    def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
-        self._path = columns.path(QUERIES, PICTURE)
+        self._scene = scene
+        self._path, self._legend = columns.path(QUERIES, PICTURE), columns.path(QUERIES, PICTURE, "legend")
+        self._names = columns.path(QUERIES, PICTURE, "names")
         self._classes: dict[str, int] = {}  # the number of each body's class in the picture, by the body's name
+        self._colors: dict[str, Color] = {}  # the colour of each body
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show the picture of a query, if there is a picture."""
         if not record.HasField("picture"):
             return
         picture = record.picture
-        classes = [0, *(self._class(body) for body in picture.bodies)]
+        classes = [0, *(self._class(record.world, body) for body in picture.bodies)]
         size = picture.width * picture.height
         if not 0 < size <= MAX_PIXELS:
             raise ValueError(f"invalid picture: {picture.width} x {picture.height} pixels")
         pixels = np.frombuffer(zlib.decompressobj().decompress(picture.pixels, size), dtype=np.uint8)
         image = np.array(classes, dtype=np.uint16)[pixels].reshape(picture.height, picture.width)
         self._columns.send(self._path, now, rr.SegmentationImage(image))
+        seen = [body for number, body in enumerate(picture.bodies, 1) if (pixels == number).any()]
+        row = picture.height / (len(seen) + 1)
+        places = [(picture.width * 1.1, row * (number + 0.6)) for number in range(len(seen))]
+        swatches = rr.Points2D(places, colors=[self._colors[body] for body in seen], radii=[row / 6])
+        self._columns.send(self._legend, now, swatches)
+        names = [(x, y + row / 4) for x, y in places]
+        # an own colour, because names in the colours of bodies would be invisible on some backgrounds
+        self._columns.send(self._names, now, rr.Points2D(names, labels=seen, colors=[GREY], radii=[0.0]))
 
-    def _class(self, body: str) -> int:
+    def _class(self, world: str, body: str) -> int:
         number = self._classes.get(body)
         if number is None:
             number = self._classes[body] = min(len(self._classes) + 1, _MAX_CLASSES)
-            classes = []
-            for name, id_ in self._classes.items():
-                channels = colorsys.hsv_to_rgb(id_ * _GOLDEN_RATIO % 1.0, 0.65, 0.95)
-                color = [round(channel * 255) for channel in channels]
-                classes.append(rr.AnnotationInfo(id=id_, label=name, color=color))
+            self._colors[body] = self._scene.color(world, body)
+            classes = [
+                rr.AnnotationInfo(id=id_, label=name, color=self._colors[name]) for name, id_ in self._classes.items()
+            ]
             context = rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *classes])
             self._columns.send_static(self._path, context)
         return number
@@ -248,6 +257,12 @@ _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}
 
 class QueryMarks(Marks):
     """Target, posture, contacts and obstacles of the last query, until the next task begins."""
+
+    def hide_label(self, now: TimePoint) -> None:
+        """Hide the label of the target, which would be next to the label of a failure."""
+        for path in self._paths:
+            if path.endswith("/target"):
+                self._columns.send(path, now, rr.Points3D.from_fields(show_labels=False))
 
     def show(self, record: Query, now: TimePoint) -> None:
         """Show a query."""

@@ -1,6 +1,6 @@
 """Rerun streams, to a viewer or into an ``.rrd`` file: they buffer rows of components, and send them as columns.
 
-Every row is on three time lines: ``step`` (the record's number), ``sim`` (simulated time) and ``wall`` (the clock).
+Every row is on three time lines: ``step number`` (of the record), ``sim`` (simulated time) and ``wall`` (the clock).
 Later rows of a time point replace earlier rows. All colours are readable on the viewer's dark and light backgrounds.
 """
 
@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     ColumnMaker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
 
+STEP: Final = "step number"
+"""Time line of the records' numbers. The log's column is as wide as this name, so it fits numbers with 6 digits."""
 APPLICATION: Final = "pycram"  # viewers remember a layout for this name
 _WRITE_TIMEOUT: Final = 60.0  # the rows of a file must be written in this time, s
 _SWITCH: Final = "RERUN"  # this environment variable turns viewers off
@@ -70,6 +72,11 @@ class TimePoint(NamedTuple):
     wall: int  # ns since the Unix epoch
 
 
+def up_to(step: int) -> str:
+    """Return the name of the time line that ends at a step."""
+    return f"up to step {step}"
+
+
 def sim_ns(sim_step: int) -> int:
     """Return the simulated time in ns."""
     return round(sim_step * 1e9 / STEPS_PER_SECOND)
@@ -92,10 +99,14 @@ class Series:
 
 
 class Columns:
-    """Buffers of all entities of a stream, below an optional root entity. This class isn't thread-safe."""
+    """Buffers of all entities of a stream, below an optional root entity. This class isn't thread-safe.
 
-    def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
+    Rows up to the step ``until`` are on a fourth time line, which ends there (:func:`up_to`).
+    """
+
+    def __init__(self, stream: rr.RecordingStream, root: str = "", until: int | None = None) -> None:
         self._stream = stream
+        self._until = until
         self._root = [root] if root else []
         self._series: dict[str, dict[ColumnMaker, Series]] = {}
         self._in_frames: set[str] = set()
@@ -145,15 +156,20 @@ class Columns:
             if series.rows:
                 times, rows = series.times, series.rows
                 series.times, series.rows = [], []
-                self._send(path, times, series.maker(rows))
+                late = [self._until is not None and time.step > self._until for time in times]
+                for part in sorted({*late}):  # a call sends all of its rows to the same time lines
+                    chosen = [number for number, is_late in enumerate(late) if is_late == part]
+                    self._send(path, [times[each] for each in chosen], series.maker([rows[each] for each in chosen]))
 
     def _send(self, path: str, times: Sequence[TimePoint], columns: Iterable[rr.ComponentColumn]) -> None:
         indexes = np.fromiter(chain.from_iterable(times), np.int64, 3 * len(times)).reshape(-1, 3)
-        time_columns = (
-            rr.TimeColumn("step", sequence=indexes[:, 0]),
+        time_columns = [
+            rr.TimeColumn(STEP, sequence=indexes[:, 0]),
             rr.TimeColumn("sim", duration=indexes[:, 1].astype("timedelta64[ns]")),
             rr.TimeColumn("wall", timestamp=indexes[:, 2].astype("datetime64[ns]")),
-        )
+        ]
+        if self._until is not None and times[0].step <= self._until:
+            time_columns.append(rr.TimeColumn(up_to(self._until), sequence=indexes[:, 0]))
         self._stream.send_columns(path, time_columns, columns)
 
 
@@ -164,4 +180,5 @@ BLUE: Final[Color] = (75, 145, 245)
 GREEN: Final[Color] = (45, 165, 95)
 RED: Final[Color] = (242, 82, 72)
 YELLOW: Final[Color] = (205, 150, 0)
+VIOLET: Final[Color] = (160, 105, 235)
 GREY: Final[Color] = (140, 140, 140)

@@ -7,7 +7,7 @@ A removed body has no shapes, but its frames stay, because the viewer needs a pa
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
 from pathlib import PurePath
@@ -20,7 +20,7 @@ import rerun as rr
 from recorder import geometry
 from recorder.records import Keyframe
 from recorder.records.motion import ROOT, FrameTree, changed_bodies, frame_name
-from recorder.urdf import read_shapes
+from recorder.urdf import GREY, read_shapes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -53,6 +53,7 @@ class SceneBody:
 
     loaded: LoadBody
     joints: dict[str, float] = field(default_factory=dict)  # positions in rad or m by name
+    color: tuple[float, ...] = ()  # RGBA 0..1; none: the model's colours
     pose: Pose = geometry.IDENTITY  # pose of the base in the world
     shapes: set[str] = field(default_factory=set)  # paths of the shapes' entities
     links: dict[str, _Link] = field(default_factory=dict)  # links with recorded poses by name; "" is the base
@@ -223,17 +224,44 @@ class ViewerScene:
         self._draw(world, body, tuple(loaded.color), now)
         return body
 
+    def _mesh(self, name: str) -> bytes | None:
+        """Return the content of a mesh. Models in recordings name a mesh ``<sha256>/<file>``."""
+        return self._files.get(name.partition("/")[0])
+
+    def shapes(self, world: str, body: str) -> list[Shape]:
+        """Return the visual shapes of a body in the frame of its base; none without a model."""
+        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
+        content = self._files.get(scene_body.loaded.assets[0].sha256) if scene_body is not None and model else None
+        if scene_body is None or model is None or content is None:
+            return []
+        poses, links = model.link_poses(scene_body.joints), read_shapes(content, "visual")
+        return [
+            replace(shape, pose=geometry.multiply(poses[link], shape.pose)) for link in links for shape in links[link]
+        ]
+
+    def color(self, world: str, body: str) -> tuple[int, int, int]:
+        """Return the colour of a body, or the mean colour of its shapes; grey if unknown."""
+        own = self.bodies[world][body].color if body in self.bodies.get(world, {}) else ()
+        colors = [own] if own else [shape.color for shape in self.shapes(world, body)] or [GREY]
+        red, green, blue = (round(255 * sum(color[at] for color in colors) / len(colors)) for at in range(3))
+        return red, green, blue
+
+    def ghost(self, world: str, body: str, pose: Pose, color: Color) -> Iterator[tuple[str, list[rr.AsComponents]]]:
+        """Yield the entities of a body's shapes at a pose in the world, as :func:`draw` does."""
+        shapes = [replace(shape, pose=geometry.multiply(pose, shape.pose)) for shape in self.shapes(world, body)]
+        return draw(shapes, self._mesh, color)
+
     def _draw(self, world: str, body: SceneBody, color: tuple[float, ...], now: TimePoint) -> None:
         loaded = body.loaded
         model = self._files.get(loaded.assets[0].sha256) if loaded.assets else None
         if model is None:
             return
+        body.color = color
         for entity, role in _ROLES.items():
             paint: Any = _COLLISION_COLOR if entity == COLLISION else (color or None)
             for link, shapes in read_shapes(model, role).items():
                 frame = self.frame(world, loaded.body, link)
-                # models in recordings name a mesh <sha256>/<file>
-                for name, archetypes in draw(shapes, lambda mesh: self._files.get(mesh.partition("/")[0]), paint):
+                for name, archetypes in draw(shapes, self._mesh, paint):
                     path = self._columns.path(world, entity, loaded.body, link, name)
                     self._columns.set_frame(path, frame)
                     self._columns.send(path, now, *archetypes)

@@ -1,8 +1,9 @@
 """The log, the tables of records, and curves over time.
 
-The log has a line for each record. Each kind of record has an entity, so that users can hide kinds. Lines begin with
-the step, because the viewer's column of times is too narrow. Each type of record has a table, whose columns are fields.
-Curves are the heights of bodies, and the joints of robots and furniture.
+The log has a line for each record. Each kind of record has an entity, so that users can hide kinds.
+Each type of record has a table, whose columns are fields.
+Curves are the heights of bodies, the joints of robots and furniture, fluents with numbers or truth values, and the
+margins of properties.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from recorder.records import (
     Subscription,
     Task,
     format_failure,
+    from_json,
 )
 from recorder.records.text import by_name, has_line, values
 from recorder.viewer.rerun_stream import RED, YELLOW
@@ -50,21 +52,22 @@ _COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # the viewer's own colours 
 _LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}
 
 
-def numbered(text: str, now: TimePoint) -> str:
-    """Return a step number and a text."""
-    return f"#{now.step} {text}"
-
-
 class LogLines:
     """The lines of all records."""
 
     def __init__(self, columns: Columns) -> None:
+        self._columns = columns
         self._lines = {kind: columns.series(columns.path(LOG, topic[1:]), _lines) for kind, topic in TOPICS.items()}
 
     def show(self, record: Record, text: str, level: Log.Level.ValueType, now: TimePoint) -> None:
         """Add the line of a record, if there is a line."""
         if has_line(record):
-            self._lines[type(record)].add(now, (numbered(text, now), _LEVELS[level]))
+            self._lines[type(record)].add(now, (text, _LEVELS[level]))
+
+    def show_parting(self, other: str, now: TimePoint) -> None:
+        """Add a line where the run begins to differ from another run."""
+        line = rr.TextLog(f"the first difference from {other}", level="WARN", color=YELLOW)
+        self._columns.send(self._columns.path(LOG, "difference"), now, line)
 
 
 def _lines(rows: Sequence[tuple[Any, ...]]) -> list[rr.ComponentColumn]:
@@ -173,25 +176,39 @@ def _rows(kind: type[Record], rows: Sequence[tuple[Any, ...]]) -> rr.ComponentCo
 
 HEIGHTS: Final = "heights"
 JOINTS: Final = "joints"
+FLUENTS: Final = "fluents"
+PROPERTIES: Final = "properties"
 _STEPS: Final = rr.components.InterpolationMode.StepAfter  # a value holds until the next record
 
 
 class Plots:
-    """A curve for each changing height of a body in m, and for each moving joint in rad or m."""
+    """A curve for each changing height of a body in m, moving joint in rad or m, fluent and property."""
 
     def __init__(self, columns: Columns) -> None:
         self._columns = columns
-        self._last: dict[tuple[str, str, str], tuple[TimePoint, float]] = {}
-        self._series: dict[tuple[str, str, str], Series] = {}
+        self._last: dict[tuple[str, ...], tuple[TimePoint, float]] = {}
+        self._series: dict[tuple[str, ...], Series] = {}
 
     def show(self, world: str, body: SceneBody, motion: BodyMotion, now: TimePoint) -> None:
         """Add the changed values of a motion. The body must already have moved."""
         for joint, value in motion.joints.items():
-            self._add((world, motion.body, joint), value, now)
+            self._add((JOINTS, world, motion.body, joint), value, now)
         if not body.loaded.fixed_base:
-            self._add((world, motion.body, ""), body.pose[0][2], now)
+            self._add((HEIGHTS, world, motion.body), body.pose[0][2], now)
 
-    def _add(self, key: tuple[str, str, str], value: float, now: TimePoint) -> None:
+    def show_fluent(self, record: Fluent, now: TimePoint) -> None:
+        """Add an assignment. Values other than numbers and truth values have no curve."""
+        before = now._replace(step=max(now.step - 1, 0))
+        for value, time in ((record.before_json, before), (record.after_json, now)):
+            number = from_json(value) if value else None
+            if isinstance(number, int | float):
+                self._add((FLUENTS, record.name), float(number), time)
+
+    def show_property(self, text: str, margin: float, now: TimePoint) -> None:
+        """Add the margin of a property's expression."""
+        self._add((PROPERTIES, text), margin, now)
+
+    def _add(self, key: tuple[str, ...], value: float, now: TimePoint) -> None:
         last = self._last.get(key)
         if last is not None and last[1] == value:
             return
@@ -200,9 +217,9 @@ class Plots:
             return
         series = self._series.get(key)
         if series is None:
-            world, body, joint = key
-            path = self._columns.path("plots", *((JOINTS, world, body, joint) if joint else (HEIGHTS, world, body)))
-            self._columns.send_static(path, rr.SeriesLines(interpolation_mode=_STEPS))
+            path = self._columns.path("plots", *key)
+            names = key[-1] if key[0] == PROPERTIES else None  # the viewer would escape the characters of a path
+            self._columns.send_static(path, rr.SeriesLines(interpolation_mode=_STEPS, names=names))
             series = self._series[key] = self._columns.series(
                 path, lambda rows: rr.Scalars.columns(scalars=[each for (each,) in rows])
             )

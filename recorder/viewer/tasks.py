@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import rerun as rr
 
 from recorder.records import Task
+from recorder.records.text import is_timed_out
 from recorder.tasks import State, Tree
 from recorder.tasks.lanes import Lane, Lanes
 from recorder.tasks.rendering import COLORS
@@ -23,11 +24,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from recorder.tasks import Node
-    from recorder.viewer.rerun_stream import Columns, Series, TimePoint
+    from recorder.viewer.rerun_stream import Color, Columns, Series, TimePoint
 
 
 LANES: Final = "level"  # titles of lanes contain this name
-STATUS_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013"}
+_MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013", State.SUCCEEDED: " \u2713"}
+_TIMED_OUT: Final = " timed out"
 _MAX_NAMES: Final = 300  # this many names of tasks have colours in a lane; further tasks are named by kind
 
 
@@ -35,7 +37,7 @@ _MAX_NAMES: Final = 300  # this many names of tasks have colours in a lane; furt
 class _Lane:
     path: str
     states: Series
-    labels: dict[str, tuple[str, State]] = field(default_factory=dict)  # labels and statuses by the viewer's state
+    labels: dict[str, tuple[str, Color]] = field(default_factory=dict)  # labels and colours by the viewer's state
 
 
 class TaskTimeline:
@@ -47,6 +49,11 @@ class TaskTimeline:
         self._tasks = Lanes()
         self._lanes: dict[Lane, _Lane] = {}
 
+    @property
+    def count(self) -> int:
+        """The number of lanes."""
+        return len(self._lanes)
+
     def show(self, record: Task, now: TimePoint) -> None:
         """Show a task's start or end."""
         place = self._tasks.follow(record)
@@ -57,16 +64,26 @@ class TaskTimeline:
             self._started[record.task] = record, now
             self._label(lane, record, now, State.RUNNING)
         else:
-            self._label(lane, *self._started.pop(record.task), State(record.status))
+            started = self._started.pop(record.task)
+            self._label(lane, *started, State(record.status), timed_out=is_timed_out(record))
             lane.states.add(now, ("",))
 
-    def _label(self, lane: _Lane, record: Task, since: TimePoint, status: State) -> None:
+    def show_parting(self, other: str, first: TimePoint, now: TimePoint) -> None:
+        """Show in an own lane where the run begins to differ from another run."""
+        path = self._columns.path(LANES, f"0 {other}")
+        labels = [f"as in {other}", f"differs from {other}"]
+        self._columns.send_static(path, rr.StateConfiguration(values=labels, labels=labels, colors=[GREY, YELLOW]))
+        for label, time in zip(labels, (first, now), strict=True):
+            self._columns.send(path, time, rr.StateChange(state=label))
+
+    def _label(self, lane: _Lane, record: Task, since: TimePoint, status: State, *, timed_out: bool = False) -> None:
         name = record.name if len(lane.labels) < _MAX_NAMES else record.kind
-        state = f"{name} {status.word}"
+        state = f"{name}{_TIMED_OUT if timed_out else ' ' + status.word}"
         if state not in lane.labels:
-            lane.labels[state] = (name + STATUS_MARKS.get(status, ""), status)
-            labels, statuses = zip(*lane.labels.values(), strict=True)
-            colors = [[*bytes.fromhex(COLORS[status].removeprefix("#"))] for status in statuses]
+            red, green, blue = bytes.fromhex(COLORS[status].removeprefix("#"))
+            mark = "" if status == State.SUCCEEDED else _MARKS.get(status, "")
+            lane.labels[state] = (state, YELLOW) if timed_out else (name + mark, (red, green, blue))
+            labels, colors = zip(*lane.labels.values(), strict=True)
             configuration = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
             self._columns.send_static(lane.path, configuration)
         lane.states.add(since, (state,))
@@ -81,7 +98,6 @@ class TaskTimeline:
 
 
 GRAPH: Final = "graph"
-_MARKS: Final = STATUS_MARKS | {State.SUCCEEDED: " \u2713"}
 _COLORS: Final = {
     State.SUCCEEDED: GREEN,
     State.FAILED: RED,
@@ -121,8 +137,9 @@ class TaskGraph:
         for row, (depth, node) in enumerate(_shown(self._tree), 1):
             ids.append(str(node.id))
             name = node.name if len(node.name) <= _MAX_LETTERS else f"{node.name[: _MAX_LETTERS - 1]}\u2026"
-            labels.append(name + _MARKS.get(node.status, ""))
-            colors.append(_COLORS.get(node.status, _COLORS[State.CREATED]))
+            timed_out = node.finished is not None and is_timed_out(node.finished)
+            labels.append(name + (_TIMED_OUT if timed_out else _MARKS.get(node.status, "")))
+            colors.append(YELLOW if timed_out else _COLORS.get(node.status, _COLORS[State.CREATED]))
             positions.append(((depth + 1) * _ACROSS, row * _DOWN))
             edges.append((str(node.parent.id) if node.parent is not None else _PLAN, ids[-1]))
         nodes = rr.GraphNodes(node_ids=ids, labels=labels, colors=colors, positions=positions)

@@ -2,23 +2,39 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Final
 
 import rerun.blueprint as rrb
 from rerun import new_entity_path
+from rerun.blueprint.components import PlayState
 
-from recorder.records import Keyframe, Mutation, Output, Query, Run, Task
+from recorder.records import Check, Fluent, Keyframe, Mutation, Output, Query, Run, Task
+from recorder.records.beliefs import is_look
 from recorder.records.motion import ROOT
 from recorder.records.text import text_of
+from recorder.viewer.beliefs_and_properties import FoldedWorlds
 from recorder.viewer.marks import FAILURES, Attachments, CameraFrustums, TaskMarks, TrajectoryPaths
 from recorder.viewer.queries import PAGE, PICTURE, QUERIES, QueryMarks, QueryPage, QueryPicture, QueryPlaces
-from recorder.viewer.rerun_stream import Columns, TimePoint, sim_ns
+from recorder.viewer.rerun_stream import STEP, Columns, TimePoint, sim_ns, up_to
 from recorder.viewer.scene import COLLISION, ViewerScene
-from recorder.viewer.tables_and_plots import HEIGHTS, JOINTS, KINDS, LOG, RECORDS, LogLines, Plots, RecordTables
+from recorder.viewer.tables_and_plots import (
+    FLUENTS,
+    HEIGHTS,
+    JOINTS,
+    KINDS,
+    LOG,
+    PROPERTIES,
+    RECORDS,
+    LogLines,
+    Plots,
+    RecordTables,
+)
 from recorder.viewer.tasks import GRAPH, LANES, TaskGraph, TaskTimeline
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     import rerun as rr
 
@@ -34,23 +50,48 @@ _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neit
 class Translator:
     """A translator that shows records in a viewer; not thread-safe.
 
-    ``root`` is the root entity and the prefix of frames.
+    ``root`` is the root entity and the prefix of frames. ``folds`` is whether beliefs and properties are shown, which
+    takes time for each record. ``partings`` has the names of other runs by the step at which this run first differs.
     """
 
-    def __init__(self, stream: rr.RecordingStream, root: str = "") -> None:
-        columns = self._columns = Columns(stream, root)
+    def __init__(
+        self,
+        stream: rr.RecordingStream,
+        root: str = "",
+        *,
+        folds: bool = True,
+        until: int | None = None,
+        partings: Mapping[int, Sequence[str]] = MappingProxyType({}),
+    ) -> None:
+        columns = self._columns = Columns(stream, root, until)
+        self._partings = partings
+        self._first: TimePoint | None = None
         self._lines, self._tables = LogLines(columns), RecordTables(columns)
         self._timeline, self._graph = TaskTimeline(columns), TaskGraph(columns)
-        self._page, self._picture = QueryPage(columns), QueryPicture(columns)
+        self._page = QueryPage(columns)
         scene = self.scene = ViewerScene(columns, f"{root}/" if root else "")
         self._plots, self.worlds = Plots(columns), ActiveWorlds(scene)
+        self._folded = FoldedWorlds(columns, scene, self._plots) if folds else None
         self._attachments, self._cameras = Attachments(columns, scene), CameraFrustums(columns, scene)
         self._paths = TrajectoryPaths(columns, scene)
         self._task_marks, self._query_marks = TaskMarks(columns, scene), QueryMarks(columns, scene)
-        self._places = QueryPlaces(columns, scene)
+        self._picture, self._places = QueryPicture(columns, scene), QueryPlaces(columns, scene)
         self._sim_ns = 0  # simulated time of the latest record with a world
         self._previous_ns = 0  # wall time of the previous record
         self._waiting = 0  # number of records in the buffers
+        self._shown: dict[type[Record], Callable[[Any, TimePoint], None]] = {
+            Task: self._show_task,
+            Mutation: self._show_change,
+            Keyframe: self._show_change,
+            Query: self._show_query,
+            Run: self._show_run,
+            Fluent: self._plots.show_fluent,
+            Check: self._show_check,
+        }
+
+    def layout(self, front: str, eye: tuple[Vector, Vector] | None = None) -> Layout:
+        """Return the layout of the views so far."""
+        return Layout(self.worlds.centres, front, self._timeline.count, eye)
 
     def attach(self, asset: AssetFile) -> None:
         """Take an attached file; models and meshes must come before the records that use them."""
@@ -61,20 +102,16 @@ class Translator:
         if record.world:
             self._sim_ns = sim_ns(record.sim_step)
         now = TimePoint(record.seq, self._sim_ns, record.wall_time_ns)
+        self._first = self._first or now
+        for other in self._partings.get(record.seq, ()):
+            self._timeline.show_parting(other, self._first, now)
+            self._lines.show_parting(other, now)
         text, level = text_of(record)
         self._lines.show(record, text, level, now)
         self._tables.show(record, text, now)
-        if type(record) is Task:  # isinstance takes five times as long for other types
-            self._show_task(record, now)
-        elif type(record) is Mutation or type(record) is Keyframe:
-            self._show_change(record, now)
-        elif type(record) is Query:
-            self._page.show(record, now)
-            self._picture.show(record, now)
-            self._query_marks.show(record, now)
-            self._places.show(record, now)
-        elif type(record) is Run and record.phase == Run.STARTED:
-            self._graph.plan = record.name
+        shown = self._shown.get(type(record))
+        if shown is not None:
+            shown(record, now)
         if record.world and type(record) is not Output:  # a plan may print before it acts
             self.worlds.follow(record)
         self._previous_ns = now.wall
@@ -92,10 +129,29 @@ class Translator:
         self.worlds.add_others()
         self.flush()
 
+    def _show_query(self, record: Query, now: TimePoint) -> None:
+        self._page.show(record, now)
+        self._picture.show(record, now)
+        self._query_marks.show(record, now)
+        self._places.show(record, now)
+        if self._folded is not None and is_look(record):
+            self._folded.show(record, now, lambda _: now)
+
+    def _show_run(self, record: Run, now: TimePoint) -> None:
+        if record.phase == Run.STARTED:
+            self._graph.plan = record.name
+        self._task_marks.show_end(record, self.worlds.front, now)
+
+    def _show_check(self, record: Check, _: TimePoint) -> None:
+        if self._folded is not None:
+            self._folded.watch(record)
+
     def _show_task(self, record: Task, now: TimePoint) -> None:
         self._timeline.show(record, now)
         self._graph.show(record, now)
         self._task_marks.show(record, now)
+        if record.status == Task.FAILED:
+            self._query_marks.hide_label(now)
         if record.phase == Task.STARTED:
             self._query_marks.clear(now)
             if record.kind == "motion":  # the motion uses the taken place
@@ -108,15 +164,20 @@ class Translator:
         motions = self.scene.motions(record)
         if not only_moves or world not in self.scene.bodies:
             self.scene.begin(record, now)
+        steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
+        previous = self._previous_ns
+
+        def time_of(step: int) -> TimePoint:
+            # fraction of the wall time since the previous record
+            share = min(max((step - end + steps) / steps, 0.0), 1.0)
+            wall = previous + round((now.wall - previous) * share)
+            return now if step == end else TimePoint(now.step, sim_ns(step), wall)
+
         step, time = end, now
         for motion in motions:
             if motion.sim_step != step:
                 step = motion.sim_step
-                steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1
-                # fraction of the wall time since the previous record
-                share = min(max((step - end + steps) / steps, 0.0), 1.0)
-                wall = self._previous_ns + round((now.wall - self._previous_ns) * share)
-                time = now if step == end else TimePoint(now.step, sim_ns(step), wall)
+                time = time_of(step)
             body = self.scene.move(world, motion, time)
             if body is not None:
                 self._plots.show(world, body, motion, time)
@@ -125,6 +186,8 @@ class Translator:
         if not only_moves or effect is None or effect.attached or effect.detached:
             self._attachments.show(record, now)
             self._cameras.show(world, now)
+        if self._folded is not None:
+            self._folded.show(record, now, time_of)
 
 
 _SETUP: Final = ("open_world", "load_body", "set_gravity", "set_realtime", "set_robot", "set_color")
@@ -179,38 +242,54 @@ def _action(record: Record) -> str:
 ORIGIN: Final = (0.0, 0.0, 0.0)
 _WORLD: Final = "world_1"  # default name of the first world
 _EYE: Final = (-2.6, -2.6, 2.3)  # position relative to a world's centre in m
+#: Heights of the view of tasks as shares of a window with 1080 pixels: its title, a lane, least and largest height.
+_TITLE, _LANE, _MIN_LANES, _MAX_LANES = 0.05, 0.04, 0.28, 0.5
 
 
-def blueprint(worlds: Mapping[str, Vector], front: str = "") -> rrb.Blueprint:
-    """Return the layout for a recording. ``worlds`` has the known centres in m. The tab of ``front`` is open."""
-    left, right = _scenes("", worlds, front), _details("", worlds)
-    return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]))
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """The data that determine the views of a recording."""
+
+    worlds: Mapping[str, Vector] = field(default_factory=dict)  # known centres of worlds in m
+    front: str = ""  # the world with the open tab
+    lanes: int = 0  # number of lanes of tasks
+    eye: tuple[Vector, Vector] | None = None  # viewpoint in the world in front, and the middle of its picture, m
 
 
-def side_by_side(recordings: Mapping[str, Mapping[str, Vector]], fronts: Mapping[str, str]) -> rrb.Blueprint:
-    """Return the layout for compared recordings. ``recordings`` has the known centres of worlds in m by root entity."""
+def blueprint(layout: Layout, until: int | None = None) -> rrb.Blueprint:
+    """Return the views of a recording. The viewer opens at the step ``until`` of the stream, by default at the end."""
+    left, right = _scenes("", layout), _details("", layout.worlds)
+    return _whole(rrb.Horizontal(left, right, column_shares=[3, 2]), until)
+
+
+def side_by_side(layouts: Mapping[str, Layout], until: int | None = None) -> rrb.Blueprint:
+    """Return the views of compared recordings by root entity, as :func:`blueprint` does."""
     columns = [
-        rrb.Vertical(_scenes(root, worlds, fronts[root]), _details(root, worlds), row_shares=[3, 2], name=root)
-        for root, worlds in recordings.items()
+        rrb.Vertical(_scenes(root, layout), _details(root, layout.worlds), row_shares=[3, 2], name=root)
+        for root, layout in layouts.items()
     ]
-    return _whole(rrb.Horizontal(*columns))
+    return _whole(rrb.Horizontal(*columns), until)
 
 
-def _whole(views: rrb.Container) -> rrb.Blueprint:
+def _whole(views: rrb.Container, until: int | None) -> rrb.Blueprint:
+    # a viewer can't be told the first step, but it can follow the end of a time line, which is this step
+    timeline = STEP if until is None else up_to(until)
+    state = None if until is None else PlayState.Following
     return rrb.Blueprint(
         views,
-        rrb.TimePanel(timeline="step", state="collapsed"),
+        rrb.TimePanel(timeline=timeline, play_state=state, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )
 
 
-def _scenes(root: str, worlds: Mapping[str, Vector], front: str) -> rrb.Container:
+def _scenes(root: str, layout: Layout) -> rrb.Container:
     """Return the views of the scenes and of the tasks over time."""
-    named = sorted((worlds or {_WORLD: ORIGIN}).items(), key=lambda world: world[0] != front)
-    scenes = [_scene(root, world, centre) for world, centre in named]
+    named = sorted((layout.worlds or {_WORLD: ORIGIN}).items(), key=lambda world: world[0] != layout.front)
+    scenes = [_scene(root, world, centre, layout.eye if world == layout.front else None) for world, centre in named]
     timeline = rrb.StateTimelineView(origin=f"{_path(root)}/{LANES}", name="Tasks over time")
-    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=0), timeline, row_shares=[5, 2])
+    share = min(max(_TITLE + _LANE * layout.lanes, _MIN_LANES), _MAX_LANES)
+    return rrb.Vertical(rrb.Tabs(*scenes, active_tab=0), timeline, row_shares=[1.0 - share, share])
 
 
 def _details(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
@@ -224,11 +303,13 @@ def _details(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
             rrb.Spatial2DView(origin=f"{top}/{QUERIES}/{PICTURE}", name="What it saw"),
         ),
         rrb.Tabs(
-            rrb.TextLogView(origin="/", contents=log, name="Log"),
+            rrb.TextLogView(origin="/", contents=log, name="Log", columns=rrb.TextLogColumns(timeline_columns=[STEP])),
             rrb.TimeSeriesView(origin=f"{top}/plots/{HEIGHTS}", name="Heights"),
             rrb.TimeSeriesView(
                 origin=f"{top}/plots/{JOINTS}", name="Joints", plot_legend=rrb.PlotLegend(visible=False)
             ),
+            rrb.TimeSeriesView(origin=f"{top}/plots/{FLUENTS}", name="Fluents"),
+            rrb.TimeSeriesView(origin=f"{top}/plots/{PROPERTIES}", name="Properties (violated below 0)"),
             rrb.Tabs(
                 *(rrb.DataframeView(origin=f"{top}/{RECORDS}/{kind}", name=kind) for kind in KINDS), name="Records"
             ),
@@ -236,14 +317,15 @@ def _details(root: str, worlds: Mapping[str, Vector]) -> rrb.Container:
     )
 
 
-def _scene(root: str, world: str, centre: Vector) -> rrb.Spatial3DView:
+def _scene(root: str, world: str, centre: Vector, eye: tuple[Vector, Vector] | None) -> rrb.Spatial3DView:
     path = _path(root, world)
-    x, y, z = (middle + offset for middle, offset in zip(centre, _EYE, strict=True))
+    x, y, z = centre
+    viewpoint, middle = eye or ((x + _EYE[0], y + _EYE[1], z + _EYE[2]), centre)
     return rrb.Spatial3DView(
         origin="/",
         contents=[f"{path}/**"],
         name=f"{root} {world}".strip(),
-        eye_controls=rrb.EyeControls3D(position=(x, y, z), look_target=centre),
+        eye_controls=rrb.EyeControls3D(position=viewpoint, look_target=middle),
         spatial_information=rrb.SpatialInformation(target_frame=f"{root}/{ROOT}" if root else ROOT),
         overrides={f"{path}/{COLLISION}": rrb.EntityBehavior(visible=False)},
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import webbrowser
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
+    from recorder.geometry import Vector
     from replay.runs.folder import Runs
 
 _MAX_BESIDE: Final = 3  # five or more recordings side by side would be too small
@@ -95,21 +96,31 @@ def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespa
     from replay.view import cached, check, convert, show, temporary_file  # noqa: PLC0415  slow to import
 
     check(options.connect)
+    eyes = [_eye(log, step if log is logs[0] else None) for log in logs]
     if options.save is not None:
         file = Path(options.save)
         if file.suffix != ".rrd":
             raise ReplayError(f"{file}: the viewer opens .rrd files only; choose a name that ends in .rrd")
-        convert(logs, file, step)
+        convert(logs, file, step, eyes, opens=step is not None)
     elif len(logs) == 1:
-        file = cached(logs[0], step)
+        file = cached(logs[0], step, eyes[0])
     else:
         names = "_".join(log.path.stem for log in logs)
         file = temporary_file(f"{names}.rrd")
-        convert(logs, file, step)
+        convert(logs, file, step, eyes)
     result: dict[str, object] = {"file": str(file)}
     if options.open or options.save is None:
         result["viewer"] = show(file, step, options.connect)
     return result
+
+
+def _eye(log: Recording, step: int | None) -> tuple[Vector, Vector] | None:
+    """Return a viewpoint and the middle of its picture; None for an overview, or without the renderer."""
+    with suppress(ReplayError, ModuleNotFoundError):
+        from replay.restore.render import failure_view  # noqa: PLC0415  needs an extra
+
+        return failure_view(log, step)
+    return None
 
 
 def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
@@ -119,7 +130,8 @@ def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
 
     with stream_to_viewer() as stream:
         page = WebPage(stream)
-        translate(logs, stream, max(len(each) for each in logs) - 1)  # pages show all rows
+        # pages show all rows
+        translate(logs, stream, max(len(each) for each in logs) - 1, [_eye(log, None) for log in logs])
         page.flush()
         if wants_json:
             print_json({"page": page.address}, flush=True)

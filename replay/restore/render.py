@@ -21,6 +21,7 @@ from pycram.foundation.failures import PycramError
 from recorder import geometry
 from recorder.packages import needed
 from replay.errors import Damaged, NoSuchName, ReplayError
+from replay.explain.why import Why, why
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 
     from pycram.vision import Camera, Drawable, Rendering
     from recorder.geometry import Pose, Quaternion, Vector
-    from replay.explain.why import Why
     from replay.file.record_reader import RecordReader
     from replay.state.state import Body
 
@@ -45,6 +45,7 @@ with needed("render"):
 _FIELD_OF_VIEW: Final = math.radians(60)  # default horizontal field of view
 _NEAR, _FAR = 0.02, 30.0  # nearest and farthest visible distance of a camera, m
 _OVERSAMPLING: Final = 2  # each pixel is the mean of this many pixels per side, for smooth edges
+_SIZE: Final = (640, 480)  # default width and height of a picture in pixels
 _MAX_SIDE: Final = 4096  # largest width and height in pixels
 _SURROUNDINGS: Final = 0.7  # a picture of a small object shows at least this much of the scene, m
 #: Directions from the target to the viewpoint in the robot's frame, by requested side.
@@ -130,7 +131,7 @@ class DrawnWorld:
         camera: str | None = None,
         eye: Sequence[float] | str | None = None,
         target: Sequence[float] | str | Sequence[str] | None = None,
-        size: tuple[int, int] = (640, 480),
+        size: tuple[int, int] = _SIZE,
     ) -> Image.Image:
         """Return a picture of the world.
 
@@ -161,6 +162,8 @@ class DrawnWorld:
         eye: Sequence[float] | str | None,
         target: Sequence[float] | str | Sequence[str] | None,
         size: tuple[int, int],
+        *,
+        cuts: bool = True,
     ) -> CutawayView:
         """Return a view that shows a target in all given worlds; walls may be cut away as this world needs it."""
         subject, point = self.subject(target)
@@ -184,7 +187,8 @@ class DrawnWorld:
             _pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)
             for viewpoint in viewpoints(aim, distance, heading, eye)
         ]
-        return free_view(cameras, [*scenes[: -1 : max(1, len(scenes) // _RATED)], (self.parts, subject)])
+        rated = [*scenes[: -1 : max(1, len(scenes) // _RATED)], (self.parts, subject)]
+        return free_view(cameras, rated, cuts=cuts)
 
     def subjects(self, why: Why) -> list[str] | None:
         """Return the robot and the objects of a failed task as targets of a picture; None without targets.
@@ -277,7 +281,7 @@ def film(
     *,
     eye: Sequence[float] | str | None = None,
     target: Sequence[float] | str | Sequence[str] | None = None,
-    size: tuple[int, int] = (640, 480),
+    size: tuple[int, int] = _SIZE,
 ) -> Iterator[Image.Image]:
     """Yield pictures of several moments, all from one viewpoint, which is clear at the last moment.
 
@@ -324,6 +328,21 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files
+
+
+def failure_view(log: RecordReader, step: int | None = None) -> tuple[Vector, Vector] | None:
+    """Return a viewpoint for the failure of the plan, and the middle of its picture, m.
+
+    Nothing is cut away. Return None without a failure, and for the step of another moment.
+    """
+    explained = why(log)
+    if explained.failure is None or step not in (None, explained.step) or not explained.bodies:
+        return None
+    scene = DrawnWorld(log, explained.step, explained.world.name if explained.world is not None else None)
+    about = scene.subjects(explained)
+    view = scene.view([scene], None, about, _SIZE, cuts=False)
+    low, high = bounds(scene.parts, scene.subject(about)[0])
+    return view.camera.pose[0], _vector((low + high) / 2)
 
 
 def _check_size(size: tuple[int, int]) -> None:
@@ -430,10 +449,12 @@ def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | No
             yield x, y, z
 
 
-def free_view(cameras: Sequence[Camera], scenes: Sequence[tuple[Sequence[DrawnLink], PictureSubject]]) -> CutawayView:
+def free_view(
+    cameras: Sequence[Camera], scenes: Sequence[tuple[Sequence[DrawnLink], PictureSubject]], *, cuts: bool = True
+) -> CutawayView:
     """Return the first camera that sees enough of the subject in each scene, else the best.
 
-    If that sees too little, links are cut away as the last scene needs it.
+    If that sees too little, links are cut away as the last scene needs it, unless ``cuts`` is False.
     """
     parts, subject = scenes[-1]
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras
@@ -448,7 +469,7 @@ def free_view(cameras: Sequence[Camera], scenes: Sequence[tuple[Sequence[DrawnLi
             return CutawayView(camera)
         if share > most:
             best, most = camera, share
-    return CutawayView(best) if most >= _TOO_LITTLE else _cut_view(cameras, parts, subject)
+    return CutawayView(best) if most >= _TOO_LITTLE or not cuts else _cut_view(cameras, parts, subject)
 
 
 def _in_furniture(camera: Camera, parts: Sequence[DrawnLink]) -> bool:

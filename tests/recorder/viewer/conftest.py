@@ -37,6 +37,7 @@ from rerun.error_utils import RerunWarning
 from rerun.experimental import ViewerClient
 
 from recorder.viewer.connection import address, answers
+from recorder.viewer.rerun_stream import STEP
 from tests import needs
 
 if TYPE_CHECKING:
@@ -221,7 +222,7 @@ class Headless:
 
     def go_to(self, step: int) -> None:
         """Shows a step and stays there."""
-        self.client.set_time("step", sequence=step, play_state="paused")
+        self.client.set_time(STEP, sequence=step, play_state="paused")
 
     def picture(self, file: Path, view: str = "") -> Image.Image:
         """Draws a view that is in front, or all there is; views are there when something is loaded."""

@@ -12,6 +12,7 @@ from rerun.error_utils import RerunWarning
 import recorder
 from pycram.bullet_world import BulletWorld, Object
 from recorder import geometry
+from recorder.viewer.rerun_stream import STEP
 from replay.cli.main import main
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
     from recorder.geometry import Pose
 
-LINES = ("step", "sim", "wall")
+LINES = (STEP, "sim", "wall")
 _BLUEPRINT = ("/view/", "/container/", "/viewport", "/blueprint_panel", "/selection_panel", "/time_panel")
 
 

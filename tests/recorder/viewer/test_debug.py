@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from recorder.viewer.rerun_stream import STEP
 from replay.cli.main import main
 from tests.replay.debug.plans import recorded
 
@@ -36,4 +37,4 @@ def test_the_viewer_follows_the_debugger(
 
     monkeypatch.setattr(sys, "stdin", Typed(f"view --connect {headless.url}\ns\ng 20\nrs\n"))
     assert main(["debug", str(recorded(tmp_path)), "7"]) == 0
-    assert shown == [("step", step) for step in (7, 8, 20, 19)]
+    assert shown == [(STEP, step) for step in (7, 8, 20, 19)]
