@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import shlex
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+    from replay.fix.last_chance import LastChance
     from replay.fix.search import SearchResult
     from replay.fix.trials import Trials
     from replay.recording import Recording
@@ -40,21 +42,34 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Search for repairs, and print them; Ctrl-C ends the search and prints the repairs that were found."""
-    from replay.fix.search import CHECKS, SearchResult, search  # noqa: PLC0415  needs the executor
+    from replay.fix.last_chance import LastChance, other_choice  # noqa: PLC0415  needs the executor
+    from replay.fix.search import CHECKS, SearchResult, search  # noqa: PLC0415  as above
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
     folder = existing_folder(options.keep)
-    found = SearchResult("")
+    found, chance = SearchResult(""), LastChance()
     with Trials(log, allow_effects=options.allow_effects) as trials:
         print_message(f"{trials.program.name} runs again, up to about {options.budget} times; {AGAIN}")
         try:
-            search(trials, log, folder, found, holds=options.holds, budget=options.budget)
+            chance = other_choice(trials, log, folder, options.holds)
+            search(trials, log, folder, found, holds=options.holds, budget=options.budget - chance.runs)
+            found.runs += chance.runs
         except KeyboardInterrupt:
             print_message("interrupted; these are the results until then")
         if options.apply and found.repairs:
             _apply(trials, found)
-        print_result(lambda: _data(trials, found), _lines(trials, found, CHECKS), as_json=options.json)
-    return FINE if found.repairs else FAILED
+        data = {"choice": chance.choice, "step": chance.step}
+        lines = [*_choice(log, chance), *_lines(trials, found, CHECKS)]
+        print_result(lambda: _data(trials, found) | data, lines, as_json=options.json)
+    return FINE if found.repairs or chance.choice else FAILED
+
+
+def _choice(log: Recording, chance: LastChance) -> Iterator[str]:
+    """Yield the fork with another choice that succeeds."""
+    if chance.choice:
+        yield f"the plan also succeeds with another choice, {chance.choice}:"
+        yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}"
+        yield f"  its run: {chance.recording}"
 
 
 def existing_folder(name: str) -> Path:

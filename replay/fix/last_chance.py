@@ -44,6 +44,7 @@ if TYPE_CHECKING:
 
 _ALTERNATIVES: Final = 2  # largest number of other candidates of a choice, except places, that are forced
 _SHARES: Final = (2, 1, 3)  # places at these quarters of the order of distances from the taken place are forced
+_FIRST: Final = 4  # number of choices that are forced before a repair is searched
 _PROBES: Final = 2  # number of forks that check whether the bisection was right
 
 
@@ -105,6 +106,18 @@ def last_chance(
             found.step = first - 1
             if found.closed is None or found.closed < first:
                 chances.close(first)
+
+
+def other_choice(trials: Trials, log: Recording, folder: Path, holds: Sequence[str]) -> LastChance:
+    """Force a few other choices before the failed motion, latest choice first, until the whole plan succeeds."""
+    found = LastChance(runs=trials.runs)
+    if log.why().task is not None:
+        chances = _Chances(trials, log, folder, found, holds, trials.runs + _FIRST)
+        try:
+            chances.find_choice()
+        finally:
+            chances.stop()
+    return found
 
 
 class _Chances:

@@ -24,6 +24,7 @@ from replay.fix.trials import Version, alike
 from replay.history.blame import commanded
 from replay.history.flow import Flow
 from replay.history.source import PlanSource
+from replay.history.tasks import tree
 from replay.origins.origins import origins
 from replay.recording import Recording
 from replay.report import phrases
@@ -238,7 +239,8 @@ def reaches_goal(file: Path, properties: Sequence[str]) -> bool:
 def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
     """Return why the author may reject a repair, from its recording."""
     with Recording(file) as log:
-        mark = "" if failed is None else _changed_goal(log.tree().find(status=State.SUCCEEDED), failed, edit)
+        before, done = (each.find(status=State.SUCCEEDED) for each in (tree(trials.log), log.tree()))
+        mark = "" if failed is None else changed_goal(before, done, failed, edit)
         left = sorted(_commanded(trials.log) - _commanded(log))
     return mark or (f"it leaves {phrases.names(left)} alone" if left else "")
 
@@ -263,17 +265,22 @@ def _commanded(log: RecordReader) -> set[str]:
     return {commanded(record) for record in log.records(Mutation)}
 
 
-def _changed_goal(done: Sequence[Node], failed: Node, edit: Edit) -> str:
-    """Return how a repaired run differs from what the failed motion was asked to do; "" if it did the same."""
+def _asked(nodes: Sequence[Node]) -> list[Node]:
+    """Return the motions for which the plan itself asked."""
+    motions = (node for node in nodes if node.kind == "motion")
+    return [node for node in motions if all(each.kind != "action" for each in node.around())]
+
+
+def changed_goal(before: Sequence[Node], done: Sequence[Node], failed: Node, edit: Edit) -> str:
+    """Return how a repaired run differs from what the plan had asked for; "" if it did the same."""
     alike = [node for node in done if (node.kind, node.name) == (failed.kind, failed.name)]
     thing = failed.parameters.get("object")
     if not alike:
         return f"{failed.name}, which had failed, isn't done any more"
     if thing is not None and all(node.parameters.get("object") != thing for node in alike):
         return f"{failed.name} isn't done any more with {phrases.value(thing)}"
-    wanted = failed.parameters.get("target")
-    targets = [node.parameters.get("target") for node in alike if node.parameters.get("object") == thing]
-    if wanted is not None and wanted not in targets and edit.asks:
-        new = phrases.value(targets[-1] if targets else None)
-        return f"it changes what is asked for: the target {phrases.value(wanted)} becomes {new}"
+    for asked, now in zip([*_asked(before), failed] if edit.asks else (), _asked(done), strict=False):
+        one, other = asked.parameters.get("target"), now.parameters.get("target")
+        if asked.name == now.name and isinstance(one, list) and one != other:
+            return f"it changes what is asked for: the target {phrases.value(one)} becomes {phrases.value(other)}"
     return ""
