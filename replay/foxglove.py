@@ -50,18 +50,9 @@ _MAX_LETTERS: Final = 120  # longest label
 _MAX_CURVES: Final = 8
 
 
-def write(log: RecordReader, file: BinaryIO) -> tuple[dict[str, Any], int]:
-    """Write a recording for Foxglove. Return a layout for it as JSON, and the number of messages.
+class Translator:
+    """A translator of a recording for Foxglove into a file."""
 
-    Raises:
-        Damaged: a record makes no sense.
-    """
-    translator = _Translator(log, file)
-    translator.translate()
-    return translator.layout(), translator.messages
-
-
-class _Translator:
     def __init__(self, log: RecordReader, file: BinaryIO) -> None:
         self._log = log
         self._writer = McapWriter(file, f"pycram {versions()['pycram']}")
@@ -82,8 +73,12 @@ class _Translator:
         self._failure: tuple[str, str] | None = None  # the shown failure, which failed parent tasks repeat
         self._properties: dict[str, int] = {}  # numbers of the watched properties
 
-    def translate(self) -> None:
-        """Write all records."""
+    def translate(self) -> dict[str, Any]:
+        """Write all records, and return a layout for the file as JSON.
+
+        Raises:
+            Damaged: a record makes no sense.
+        """
         for name in self._log.assets:
             if name.endswith(".urdf") and (content := self._file(name)):
                 self._frames.add_urdf(name.partition("/")[0], content)
@@ -93,6 +88,7 @@ class _Translator:
             except NONSENSE as error:
                 raise nonsense(self._log.path, f"step {record.seq}", error) from error
         self._writer.finish()
+        return self._layout()
 
     def _add(self, topic: str, message: Message, step: int, time_ns: int) -> None:
         kind = message.DESCRIPTOR.full_name
@@ -232,7 +228,7 @@ class _Translator:
             position = self._position(record.world, record.failure.data) or self._positions.get(record.task)
             self._mark_failure((record.failure.type, record.failure.message), position, record)
         state = record.name if record.phase == Task.STARTED else f"{record.name} failed" * failed
-        topic = f"/task/{lane.depth}" + f"_{lane.slot + 1}" * bool(lane.slot)
+        topic = f"/task/{lane[0]}" + f"_{lane[1] + 1}" * bool(lane[1])
         self._add(topic, KeyValuePair(key=record.kind, value=state), record.seq, self._now)
 
     def _position(self, world: str, arguments: Any) -> Vector | None:
@@ -263,7 +259,7 @@ class _Translator:
             _place(label, "", (top, geometry.IDENTITY[1]), _RED)
         self._add(_FAILURES, update, record.seq, self._now)
 
-    def layout(self) -> dict[str, Any]:
+    def _layout(self) -> dict[str, Any]:
         """Return a layout: the scene above the tasks and properties, the log above the heights of moved objects."""
         world = next((name for name, _ in self._changes.most_common(1)), "")
         movable = {name: at for name, (body, at) in self._placed(world).items() if not body.fixed_base}

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TypeAlias
 
 from recorder.records import Task
 
-
-class Lane(NamedTuple):
-    """A lane: the depth of its tasks from 1, and its number among the lanes of this depth from 0."""
-
-    depth: int
-    slot: int
+Lane: TypeAlias = tuple[int, int]
+"""A lane: the depth of its tasks from 1, and its number among the lanes of this depth from 0."""
 
 
 class Lanes:
@@ -25,13 +21,13 @@ class Lanes:
         """Return the lane of a task at its start or end; None for other records."""
         if record.phase == Task.STARTED:
             parent = self._running.get(record.parent)
-            depth = parent.depth + 1 if parent is not None else 1
+            depth = parent[0] + 1 if parent is not None else 1
             taken = self._taken.setdefault(depth, set())
-            lane = Lane(depth, next(slot for slot in range(len(taken) + 1) if slot not in taken))
-            taken.add(lane.slot)
-            self._running[record.task] = lane
-            return lane
+            slot = next(slot for slot in range(len(taken) + 1) if slot not in taken)
+            taken.add(slot)
+            self._running[record.task] = depth, slot
+            return depth, slot
         if record.phase == Task.FINISHED and (ended := self._running.pop(record.task, None)) is not None:
-            self._taken[ended.depth].discard(ended.slot)
+            self._taken[ended[0]].discard(ended[1])
             return ended
         return None

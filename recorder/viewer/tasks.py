@@ -90,8 +90,8 @@ class TaskTimeline:
 
     def _lane(self, place: Lane) -> _Lane:
         if place not in self._lanes:
-            beside = f".{place.slot + 1}" if place.slot else ""
-            path = self._columns.path(LANES, f"{place.depth}{beside}")
+            depth, slot = place
+            path = self._columns.path(LANES, f"{depth}.{slot + 1}" if slot else str(depth))
             states = self._columns.series(path, lambda rows: rr.StateChange.columns(state=[state for (state,) in rows]))
             self._lanes[place] = _Lane(path, states)
         return self._lanes[place]

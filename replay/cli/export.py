@@ -10,9 +10,8 @@ from __future__ import annotations
 import csv
 import io
 import json
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, get_type_hints
 
 from recorder import geometry
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
@@ -102,12 +101,17 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> int:
-    from replay import foxglove  # noqa: PLC0415  loads numpy
+    from replay.foxglove import Translator  # noqa: PLC0415  loads numpy
 
     layout = out.with_suffix(".layout.json")
     if layout.exists() and not options.overwrite:
         raise ReplayError(f"{layout} exists; name another file, or add --overwrite")
-    content, messages = write_copy(log, out, partial(foxglove.write, log), overwrite=options.overwrite)
+
+    def write(file: BinaryIO) -> tuple[dict[str, object], int]:
+        translator = Translator(log, file)
+        return translator.translate(), translator.messages
+
+    content, messages = write_copy(log, out, write, overwrite=options.overwrite)
     layout.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     data = {"file": str(out), "format": "foxglove", "messages": messages, "layout": str(layout)}
     print_result(

@@ -22,12 +22,12 @@ from typing import TYPE_CHECKING, Final
 from pycram.foundation.forcing import SKIPPED
 from pycram.projection.child import usable_cores
 from recorder.mcap_sink import free_path
-from recorder.records import Check, Mutation, Query, Run, Task, argument_values
+from recorder.records import Mutation, Query, Run, Task, argument_values
 from recorder.records.text import NOT_TRIED, TAKEN, chosen_name, fates
 from replay.compare import compare_recordings
 from replay.errors import ReplayError
-from replay.explain.causes.trials import CONFIRMED, NONE, Trial, TriedTrial, restored
-from replay.fix.search import SearchResult, reaches_goal, search
+from replay.explain.causes.trials import NONE, Trial, TriedTrial, restored
+from replay.fix.search import SearchResult, reaches_goal, required, search
 from replay.history.source import PlanSource
 from replay.recording import Recording
 from replay.report.question import written
@@ -130,8 +130,7 @@ class _Chances:
         self._folder = folder
         self._log, self._case, self._found, self._budget = log, why.case, found, budget
         self._control = trials.runs
-        watched = (each.property for each in log.records(Check) if each.phase == Check.WATCHED)
-        self._properties = [*dict.fromkeys((*holds, *watched))]
+        self._properties = required(log, holds)
         self._tasks = {each.task: each for each in log.records(Task) if each.phase == Task.STARTED}
         #: The step at which objects are put back: the start of the failed motion, or else the step before the failure.
         self._end = why.step - 1 if why.case is None or why.case.motion is None else why.case.began
@@ -158,7 +157,7 @@ class _Chances:
         def helps(kept: int) -> bool:
             if kept not in known and self._left():
                 tried = self._prover.tried(_put_back(case, names, changes[kept] - 1, self._end))
-                known[kept] = tried.verdict == CONFIRMED
+                known[kept] = self._prover.succeeds(tried)
                 self._found.runs = self._control + self._prover.forks
             return known.get(kept, False)
 
@@ -235,7 +234,7 @@ class _Chances:
             self.close(found.step + 1)
 
     def _succeeds(self, tried: TriedTrial) -> bool:
-        if tried.verdict != CONFIRMED:
+        if not self._prover.succeeds(tried):
             return False
         with Recording(tried.file) as forked:
             end = forked[-1]

@@ -97,8 +97,7 @@ def search(
     """
     trials.control()
     why = log.why()
-    watched = (each.property for each in log.records(Check) if each.phase == Check.WATCHED)
-    properties = [*dict.fromkeys((*holds, *watched))]
+    properties = required(log, holds)
     checked = log.check(*properties)
     if trials.reference.kind == "succeeded" and all(checked):
         raise ReplayError("the plan succeeded; say what should have held: --holds 'always milk.z > 0.5'")
@@ -163,6 +162,12 @@ def _try_all(
                 repair = _checked(trials, repair)
             (unlikely if repair.mark else found.repairs).append(repair)
         found.repairs.sort(key=lambda each: each.edit.cost)
+
+
+def required(log: Recording, holds: Sequence[str]) -> list[str]:
+    """Return the given properties, and those that the plan or its run watches."""
+    watched = (each.property for each in log.records(Check) if each.phase == Check.WATCHED)
+    return [*dict.fromkeys((*holds, *watched))]
 
 
 def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty]) -> Iterator[Edit]:

@@ -205,6 +205,14 @@ class Prover:
         further = "gets further, and " * later
         return CONFIRMED if later else UNTESTED, f"{name} {further}fails in another way: {said}"
 
+    def succeeds(self, tried: TriedTrial) -> bool:
+        """Return whether the failed task succeeds in a kept fork; without a task, whether the cause is confirmed."""
+        if tried.verdict != CONFIRMED:
+            return False
+        with RecordReader(tried.file) as forked:
+            started, finished = self._same_task(forked)
+            return started is None or (finished is not None and finished.status == Task.SUCCEEDED)
+
     def _same_task(self, forked: RecordReader) -> tuple[Task | None, Task | None]:
         """Return the start and the end of the failed task in a fork, with the same parameters if possible."""
         if self._task is None:

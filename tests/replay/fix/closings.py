@@ -33,13 +33,13 @@ _DRAWER: Final = "sink_area_left_upper_drawer_main_joint"
 PARK: Final = 'perform(move_arm_joints(arms={"left": "park", "right": "park"}))\n'
 
 
-def _innocent(dice: random.Random, least: int = 0, most: int = 4) -> str:
-    """A few changes that nothing depends on."""
+def _innocent(dice: random.Random, least: int = 0, most: int = 4, ahead: float = 1.3) -> str:
+    """A few changes that nothing depends on; ``ahead`` is the x of what the robot faces."""
     drawer = "kitchen_island_left_upper_drawer_main_joint"
     changes = [
         lambda: f"apple.set_position([{dice.uniform(-1.1, -0.9):.3f}, {dice.uniform(1.2, 1.6):.3f}, 0.95])",
         lambda: f'kitchen.set_joint_position("{drawer}", {dice.uniform(0, 0.2):.3f})',
-        lambda: f"perform(looking(target=[1.3, {dice.uniform(0.5, 1.1):.3f}, 0.9]))",
+        lambda: f"perform(looking(target=[{ahead}, {dice.uniform(0.5, 1.1):.3f}, 0.9]))",
     ]
     return "".join(f"{dice.choice(changes)()}\n" for _ in range(dice.randint(least, most)))
 
@@ -71,7 +71,7 @@ def occupied(dice: random.Random) -> str:
         + _ROBOT.format(pose="[0.65, 0.7, 0]")
         + 'perform(pick_up(object=bowl, arm="right"))\n'
         + there
-        + _innocent(dice)
+        + _innocent(dice, ahead=-0.8)
         + f'perform(placing(object=bowl, target="island"))  {MARK}\n'
         + PARK
         + "perform(moving(target=[0.65, 0.7, 0], orientation=[0, 0, 0, 1]))\n"
