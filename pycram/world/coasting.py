@@ -39,6 +39,7 @@ class Coasting:
         self._following: Sequence[tuple[Object, Sequence[str]]] = ()
         self._rows: list[tuple[Object, str]] = []  # the moving links
         self._columns: list[tuple[Object, str]] = []  # all links
+        self._numbers: list[int] = []  # indices of the moving links among all links
         self._possible: NDArray[np.bool_] = np.zeros((0, 0), bool)  # pairs (moving link, link) that may collide
         self._boxes = np.zeros((0, 2, 3))  # bounds of all links, m
         self._before = np.zeros((0, 2, 3))  # bounds of the moving links at the start of the interval, m
@@ -64,14 +65,14 @@ class Coasting:
         if not self._is_clear:
             self._touching = {}
             self._before = self._moving_boxes()
-            self._is_clear = not self._is_near(np.full(len(self._rows), _NEAR), starts=True)
+            self._is_clear = not self._is_near(self._before, np.full(len(self._rows), _NEAR), starts=True)
         return self._is_clear
 
     def may_end(self) -> bool:
         """Return whether nothing is near the moving links at the end of an interval, to which they were moved."""
         after = self._moving_boxes()
         way = np.abs(after - self._before).max(axis=(1, 2), initial=0.0)
-        self._is_clear = not self._is_near(way + _NEAR)
+        self._is_clear = not self._is_near(after, way + _NEAR)
         self._before = after
         if self._is_clear:
             self._state = self._present()
@@ -101,6 +102,8 @@ class Coasting:
         for body, joints in self._following:
             moved |= dict.fromkeys(_moving(body, joints), not joints)
         self._rows = [each for each, shaped in zip(self._columns, has_shape, strict=True) if shaped and each in moved]
+        numbers = {each: number for number, each in enumerate(self._columns)}
+        self._numbers = [numbers[each] for each in self._rows]
         roots = {body: attachment.root_of(body) for body in objects}
         turning = {body: {*attachment.moved_links(body.urdf, body.urdf.movable)} for body in objects}
         still = [body.is_environment and link not in turning[body] for body, link in self._columns]
@@ -111,16 +114,17 @@ class Coasting:
     def _moving_boxes(self) -> Array:
         engine = self._world.engine
         boxes = np.array([engine.box(body.handle, link) for body, link in self._rows]).reshape(-1, 2, 3)
-        numbers = {each: number for number, each in enumerate(self._columns)}
-        self._boxes[[numbers[each] for each in self._rows]] = boxes
+        self._boxes[self._numbers] = boxes
         return boxes
 
-    def _is_near(self, distances: Array, *, starts: bool = False) -> bool:
+    def _is_near(self, rows: Array, distances: Array, *, starts: bool = False) -> bool:
         """Return whether a link is nearer to a moving link than a distance in m, and doesn't move along with it."""
-        engine, rows = self._world.engine, self._before if starts else self._moving_boxes()
+        engine, overlap = self._world.engine, self._possible.copy()
         low, high = rows[:, 0] - distances[:, None], rows[:, 1] + distances[:, None]
-        overlap = (low[:, None] <= self._boxes[:, 1]).all(axis=2) & (self._boxes[:, 0] <= high[:, None]).all(axis=2)
-        for row, column in np.argwhere(overlap & self._possible).tolist():
+        for axis in range(3):
+            overlap &= low[:, axis, None] <= self._boxes[:, 1, axis]
+            overlap &= self._boxes[:, 0, axis] <= high[:, axis, None]
+        for row, column in np.argwhere(overlap).tolist():
             (body, link), (other, other_link) = self._rows[row], self._columns[column]
             if engine.link_closest_points(
                 body.handle, link, other.handle, float(distances[row]), link_b=other_link
