@@ -43,6 +43,7 @@ _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
 _PIN: Final = 0.3  # height of a failure's label above the target, in m, so that the target's label stays visible
 _ABOVE_ROBOT: Final = 1.1  # height of the label of a failure without a position
+_IN_VIEW: Final = 5.0  # the label of a failure farther from the robot is at the robot, m
 _MAX_LETTERS: Final = 60  # a label shows at most this many characters
 _MAX_PAIRS: Final = 5  # at most this many pairs of colliding links are shown
 
@@ -129,7 +130,8 @@ class TaskMarks:
         position_failed = (
             target_position(self._scene, world, argument_values(record.failure.data, strict=True)) or target
         )
-        if position_failed is None and (robot := self._scene.robot(world)) is not None:
+        robot = self._scene.robot(world)
+        if robot is not None and (position_failed is None or math.dist(position_failed, robot[1].pose[0]) > _IN_VIEW):
             position_failed = geometry.transform(robot[1].pose, (0.0, 0.0, _ABOVE_ROBOT))
         if position_failed is not None:
             x, y, z = position_failed

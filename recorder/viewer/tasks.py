@@ -70,7 +70,7 @@ class TaskTimeline:
 
     def show_parting(self, other: str, first: TimePoint, now: TimePoint) -> None:
         """Show in an own lane where the run begins to differ from another run."""
-        path = self._columns.path(LANES, f"0 {other}")
+        path = self._columns.path(LANES, "0", other)
         labels = [f"as in {other}", f"differs from {other}"]
         self._columns.send_static(path, rr.StateConfiguration(values=labels, labels=labels, colors=[GREY, YELLOW]))
         for label, time in zip(labels, (first, now), strict=True):
