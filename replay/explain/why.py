@@ -189,28 +189,18 @@ def _sources(why: Why) -> Iterator[Line]:
     """Yield the lines whose values flow into the failure and into the changes that caused it."""
     case = why.case
     stack = [line for error in why.exceptions[-1:] for line in error.lines] if why.task is None else why.call_stack
-    starts: dict[str, dict[int, float]] = {}
-
-    def start(lines: Sequence[Line], rank: float) -> None:
-        for depth, line in enumerate(reversed(lines)):
-            starts.setdefault(line.file, {}).setdefault(line.number, rank + _OUTER * depth)
-
     if case is None or not stack:
         return
-    made = {
-        decided: [
-            step
-            for cause in why.causes[:_MAX_CAUSES]
-            for step in cause.steps
-            if step < why.step and decides(case, cause) is decided
-        ]
-        for decided in (True, False)
-    }
-    for step in made[True]:
-        start(case.source.call_stack(case.log[step]), _DECIDED)
-    start(stack, 0.0)
-    for step in made[False]:
-        start(case.source.call_stack(case.log[step]), _OTHER)
+    traced = [
+        (_DECIDED if decides(case, cause) else _OTHER, case.source.call_stack(case.log[step]))
+        for cause in why.causes[:_MAX_CAUSES]
+        for step in cause.steps
+        if step < why.step
+    ]
+    starts: dict[str, dict[int, float]] = {}
+    for rank, lines in sorted([(0.0, tuple(stack)), *traced], key=lambda each: each[0]):
+        for depth, line in enumerate(reversed(lines)):
+            starts.setdefault(line.file, {}).setdefault(line.number, rank + _OUTER * depth)
     for file, ranks in starts.items():
         flow = Flow(case.source.text(file))
         for number in flow.lines(ranks, stack[-1].number if stack[-1].file == file else 0)[:_MAX_SOURCES]:

@@ -126,15 +126,9 @@ def search(
 
 
 def _try_all(
-    trials: Trials,
-    candidates: Iterator[Edit],
-    found: SearchResult,
-    unlikely: list[Repair],
-    budget: int,
-    folder: Path,
-    properties: Sequence[str],
-    failed: Node | None,
-) -> None:
+    trials: Trials, candidates: Iterator[Edit], found: SearchResult, unlikely: list[Repair], budget: int, folder: Path,
+    properties: Sequence[str], failed: Node | None,
+) -> None:  # fmt: skip
     """Try candidates until a repair without a mark is found, or the budget is spent."""
     while trials.runs < budget and not found.repairs:
         wave = [*islice(candidates, usable_cores())]

@@ -23,6 +23,7 @@ _PASSED: Final = 2.0  # added to the rank of a line without numbers of its own
 _LOADING: Final = 3.0  # added to the rank of a line that loads an object
 _BEFORE: Final = 2  # largest number of statements before a line that counts
 _LAST: Final = 100.0  # added to the rank of the line that failed
+_MOST: Final = 100  # largest number of lines that are followed
 _TRIVIAL: Final = (0, 1)  # numbers that nobody mistypes
 
 
@@ -33,7 +34,6 @@ class Flow:
         self._statements: list[tuple[ast.stmt, str]] = []  # with the name of their function; outer statements first
         self._made: dict[tuple[str, str], set[int]] = defaultdict(set)  # lines by function and name
         self._returns: dict[str, set[int]] = defaultdict(set)
-        self._given: dict[str, set[str]] = defaultdict(set)  # parameters by function
         self._conditions: dict[int, set[int]] = defaultdict(set)  # the lines of conditions, by the line of a statement
         self._before: dict[int, list[int]] = {}  # the lines of the statements just before, by the line of a statement
         for node in syntax_nodes(text)[:1]:
@@ -42,7 +42,8 @@ class Flow:
     def _visit(self, node: ast.AST, function: str, conditions: tuple[int, ...]) -> None:
         if isinstance(node, _FUNCTIONS):
             function = node.name
-            self._given[function] |= {each.arg for each in ast.walk(node.args) if isinstance(each, ast.arg)}
+            # callers make the parameters
+            self._made |= {(function, each.arg): set() for each in ast.walk(node.args) if isinstance(each, ast.arg)}
             for given in (*node.args.defaults, *filter(None, node.args.kw_defaults)):
                 self._returns[function].add(given.lineno)
         if isinstance(node, ast.stmt):
@@ -69,9 +70,8 @@ class Flow:
             failed: the line that failed; it comes last, unless it has numbers of its own.
         """
         ranks: dict[int, float] = {}
-        waiting = [(rank, line) for line, rank in starts.items()]
-        waiting.sort()
-        while waiting:
+        waiting = sorted((rank, line) for line, rank in starts.items())
+        while waiting and len(ranks) < _MOST:
             rank, line = heappop(waiting)
             if line in ranks:
                 continue
@@ -90,14 +90,8 @@ class Flow:
 
     def _sources(self, statement: ast.stmt, function: str) -> Iterator[int]:
         for node in _own(statement):
-            names = []
-            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
-                names = [node.id, f"{node.id}[]"]
-            elif isinstance(node, ast.Attribute):
-                names = [f".{node.attr}", f".{node.attr}[]"]
-            for name in names:
-                if name in self._given[function] and (function, name) not in self._made:
-                    continue  # the caller made it
+            loaded = isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load)
+            for name in (_named(node), f"{_named(node)}[]") if loaded else ():
                 yield from self._made.get((function, name), self._made.get(("", name), ()))
                 yield from self._returns.get(name.removeprefix("."), ())
 
@@ -126,15 +120,11 @@ def _weight(statement: ast.stmt) -> float:
 def _stored(statement: ast.stmt) -> Iterator[str]:
     """Yield the names that a statement makes or changes; ``.x`` is an attribute, ``x[]`` the items of x."""
     for node in _own(statement):
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            yield node.id
-        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
-            yield f".{node.attr}"
-        elif isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
-            yield f"{_named(node.value)}[]"
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _CHANGING:
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _CHANGING:
             yield f"{_named(node.func.value)}[]"
+        elif isinstance(node, ast.Name | ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Store):
+            yield f"{_named(node.value)}[]" if isinstance(node, ast.Subscript) else _named(node)
 
 
-def _named(node: ast.expr) -> str:
+def _named(node: ast.AST) -> str:
     return f".{node.attr}" if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""

@@ -161,6 +161,9 @@ class NoCandidate(Cause):
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials without the free bodies that the candidates would touch, and with the robot nearer."""
         touched = [pair for each in self.asked.candidates for pair in _pairs(argument_values(each.data).get("pairs"))]
+        reasons = [str(argument_values(each.data).get("reason") or "") for each in self.asked.candidates]
+        bodies = case.world.bodies if case.world is not None else ()
+        touched += [name for name in bodies if any(each.startswith(f"{name} is there") for each in reasons)]
         for body in dict.fromkeys(touched):
             yield from trials.away(case, body)
         goal = case.data.get("target")

@@ -128,6 +128,8 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
     failure = (case.failure.type, case.failure.message)
     if last is None or end is None or not last.lines or (last.type, last.message) == failure:
         return
+    if last.type == "DeadlockedBranches":
+        return  # the others waited for the failed branch
     if last.own if _is_raise(last.lines[-1]) else last.type in USAGE_ERRORS or hasattr(builtins, last.type):
         line = last.lines[-1] if last.own else case.line(last.lines) or last.lines[-1]
         yield Raised((end.seq,), last.type, line, last.own and _is_raise(line), None, (end,))

@@ -125,6 +125,11 @@ def restored(case: FailureCase, names: Sequence[str], then: int, step: int, word
         yield _set(case, step, words or where, joints | poses)  # joints first, because they carry bodies along
 
 
+def downwards(case: FailureCase, step: int) -> Iterator[Trial]:
+    """Yield the trial with the earth's gravity from a step on."""
+    yield _set(case, step, "gravity points down", {"gravity": (0.0, 0.0, -9.81)})
+
+
 def placed(case: FailureCase, body: str, position: Sequence[float], step: int | None = None) -> Iterator[Trial]:
     """Yield the trial with a body at a position, by default just before the failure."""
     yield _set(case, step, f"{body} is at {phrases.vector(position)}", {f"{written(body)}.position": position})

@@ -297,18 +297,13 @@ def _excluded(case: FailureCase, condition: str) -> str:
         wanted = float(compared[3]) if compared else 0.0
     except (NoSuchName, KeyError, ValueError):
         return ""
-    if limits is None or compared is None or limits.lower <= wanted <= limits.upper:
+    if limits is None or compared is None or joint is None:
         return ""
-    if (
-        wanted > limits.upper
-        if compared[2].startswith("<")
-        else wanted < limits.lower
-        if compared[2] != "=="
-        else False
-    ):
-        return ""  # each position fulfils it
+    below, above = wanted < limits.lower, wanted > limits.upper
+    if not {">": above, "<": below}.get(compared[2][0], above or below):
+        return ""
     span = f"{phrases.number(limits.lower)} to {phrases.number(limits.upper)}"
-    return f"{joint[1]} of {joint[2]} goes from {span}, so it never becomes true" if joint else ""
+    return f"{joint[1]} of {joint[2]} goes from {span}, so it never becomes true"
 
 
 def _values(

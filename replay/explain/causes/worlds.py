@@ -78,6 +78,10 @@ class NoGravity(Cause):
             steps = (change.step, case.step) if change is not None else (case.step,)
             yield NoGravity(steps, tuple(case.world.gravity), change)
 
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial with gravity, from the first change of the world on that could set it."""
+        yield from trials.downwards(case, self.steps[0] if self.change is not None else case.began - 1)
+
     def _words(self) -> Iterator[str]:
         how = since(self.change) if self.change is not None else ": the plan never set it"
         yield f"gravity is {phrases.vector(self.gravity)} m/s^2{how}"

@@ -240,6 +240,8 @@ def test_a_gravity_that_pulls_upwards_explains_what_moves(explained: Callable[..
         perform(type="pick-up", object=milk, arm="left")
     """)
     assert why.causes[0].kind == "gravity"
+    (trial,) = why.causes[0].trials(why.case)
+    assert (trial.step, trial.settings) == (why.causes[0].steps[0], ("gravity=0.0,0.0,-9.81",))
     assert why.causes[0].change.line.number == line_of(tmp_path, "[0, 0, 9.8]")
 
 
