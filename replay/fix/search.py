@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
+    from recorder.records import Plain
     from recorder.tasks import Node
     from replay.explain.check import CheckedProperty
     from replay.explain.why import Why
@@ -48,6 +49,7 @@ _LATER: Final = 0.12  # additional cost of a line for each likelier line
 _ANOTHER: Final = 0.8  # additional cost for each earlier edit of the same kind on the same line
 _MAX_MARKED: Final = 2  # largest number of marked repairs that are shown
 _MORE: Final = 24  # number of runs that search for another repair after a marked repair
+_SETTLED: Final = 0.001  # objects that settle again come to rest within this distance, m
 _GOALS: Final = ("place", "transporting", "placing")
 
 
@@ -264,6 +266,14 @@ def _commanded(log: RecordReader) -> set[str]:
     return {commanded(record) for record in log.records(Mutation)}
 
 
+def _is_near(one: list[Plain], other: Plain) -> bool:
+    """Return whether two targets are the same, although objects may have settled a little differently."""
+    try:
+        return math.dist(one, other) < _SETTLED  # type: ignore[arg-type]
+    except (TypeError, ValueError):  # they aren't points
+        return one == other
+
+
 def _asked(nodes: Sequence[Node]) -> list[Node]:
     """Return the motions for which the plan itself asked."""
     motions = (node for node in nodes if node.kind == "motion")
@@ -280,6 +290,6 @@ def changed_goal(before: Sequence[Node], done: Sequence[Node], failed: Node, edi
         return f"{failed.name} isn't done any more with {phrases.value(thing)}"
     for asked, now in zip([*_asked(before), failed] if edit.asks else (), _asked(done), strict=False):
         one, other = asked.parameters.get("target"), now.parameters.get("target")
-        if asked.name == now.name and isinstance(one, list) and one != other:
+        if asked.name == now.name and isinstance(one, list) and not _is_near(one, other):
             return f"it changes what is asked for: the target {phrases.value(one)} becomes {phrases.value(other)}"
     return ""

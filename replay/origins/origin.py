@@ -138,7 +138,7 @@ def _walk(origin: Origin, rank: float, *, decided: bool = False) -> Iterator[tup
     own = rank - _SUSPECT * (strange or bool(origin.moved)) + _LOADING * ("Object(" in origin.text)
     if origin.kind == "change":
         own -= _CHANGING
-    elif not decided and not strange:
+    elif not strange and (not decided or origin.name.endswith((".settle", ".simulate"))):
         own += _PASSING * (1.0 - origin.own)
     yield own, origin
     for part in origin.parts:
