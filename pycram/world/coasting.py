@@ -37,6 +37,7 @@ class Coasting:
         self._detector: simulation.RestDetector | None = None
         self._state: tuple[object, ...] = ()  # state of the world after the last interval
         self._following: Sequence[tuple[Object, Sequence[str]]] = ()
+        self._furniture: Sequence[Object] = ()  # furniture that follows trajectories
         self._rows: list[tuple[Object, str]] = []  # the moving links
         self._columns: list[tuple[Object, str]] = []  # all links
         self._numbers: list[int] = []  # indices of the moving links among all links
@@ -52,16 +53,18 @@ class Coasting:
         Args:
             following: The bodies that follow trajectories, and the moving joints of each; no joints for a base.
         """
-        if self._detector is None or self._state != self._present() or list(following) != self._following:
-            self._following, self._is_clear = list(following), False
-            self._detector = simulation.RestDetector(self._world, [body for body, _ in following])
+        furniture = [body for body, _ in following if not body.is_robot]
+        if list(following) != self._following:
+            self._following, self._rows = list(following), []
+        if self._detector is None or self._state != self._present() or furniture != self._furniture:
+            self._detector, self._furniture = simulation.RestDetector(self._world, furniture), furniture
             self._rows = []
-            return False
         if not self._detector.sample():
             self._rows = []
             return False
         if not self._rows:
             self._find_pairs()
+            self._is_clear = False
         if not self._is_clear:
             self._touching = {}
             self._before = self._moving_boxes()
@@ -80,7 +83,7 @@ class Coasting:
 
     def simulated(self) -> None:
         """Note the state of the world after an interval that the engine simulated."""
-        self._state, self._rows, self._is_clear = self._present(), [], False
+        self._state, self._rows = self._present(), []
 
     def _present(self) -> tuple[object, ...]:
         """Return the state of the world, without the poses of carried objects."""
