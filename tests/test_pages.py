@@ -13,11 +13,17 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 DOCS: Final = REPO / "docs"
-#: Folders of pages that are run from their first block to their last. Guides have tests of their own.
+#: Pages that are run from their first block to their last: of these folders, and these guides. Other guides have tests
+#: of their own, as their recordings or files are made elsewhere.
 FOLDERS: Final = ("start", "howto", "concepts")
+GUIDES: Final = ("fluents", "furniture", "motions", "process_modules", "projection", "sweep")
 PAGES: Final = sorted(
     str(page.relative_to(DOCS))
-    for page in (*DOCS.glob("*.md"), *(page for folder in FOLDERS for page in (DOCS / folder).rglob("*.md")))
+    for page in (
+        *DOCS.glob("*.md"),
+        *(DOCS / "guides" / f"{name}.md" for name in GUIDES),
+        *(page for folder in FOLDERS for page in (DOCS / folder).rglob("*.md")),
+    )
     if any(cell.kind in ("python", "console") for cell in cells(page.read_text(encoding="utf-8")))
 )
 CHAPTERS: Final = sorted(page.name for page in (DOCS / "tutorial").glob("[1-9]*.md"))
