@@ -215,14 +215,15 @@ class Tracer:
             return
         if isinstance(statement, ast.For):
             ran = self._noted(statement, place)
-            taken = ran is not None and (bool(held.ref) if evaluated is None else evaluated.time < ran.time)
+            taken = ran is not None and (_truth(held.ref) if evaluated is None else evaluated.time < ran.time)
         else:
-            taken = _truth(held)
+            taken = _truth(held.copy)
         before = [each for each in self._of_node[self._numbers[id(test)]] if evaluated and each.time < evaluated.time]
         if isinstance(statement, ast.While) and not taken:  # a loop ends like this, also if it ran
-            taken = bool(before) and before[-1].frame == place.frame and _truth(before[-1].result)
+            earlier = before[-1].result if before and before[-1].frame == place.frame else None
+            taken = earlier is not None and _truth(earlier.copy)
         left, done = (statement.orelse, statement.body) if taken else (statement.body, statement.orelse)
-        other = next((each for each in reversed(before) if each.result and _truth(each.result) is not taken), None)
+        other = next((each for each in reversed(before) if each.result and _truth(each.result.copy) is not taken), None)
         unlike = f"unlike at step {other.step}, " if other is not None and not looped else ""
         if done and isinstance(done[-1], _EXITS) and not looped:
             remark = f"{unlike}line {done[-1].lineno} {_LEFT[type(done[-1])]}"
@@ -610,9 +611,9 @@ def _is_method(node: ast.AST) -> bool:
     return isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
 
 
-def _truth(held: Held | None) -> bool:
+def _truth(value: Any) -> bool:
     try:
-        return held is not None and bool(held.copy)
+        return bool(value)
     except Exception:  # noqa: BLE001  as above
         return True
 
