@@ -2,7 +2,7 @@
 
 A body that follows its trajectory in free space moves as planned, and everything at rest stays at rest. So if all else
 is at rest, and nothing is near the moving links at both ends of an interval of 1/30 s, the bodies are set to their
-positions at the end of the interval. The engine's steps would take a hundred times as long.
+positions at the end of the interval. The engine's steps would take ten times as long.
 """
 
 from __future__ import annotations
