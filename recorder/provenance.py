@@ -117,9 +117,8 @@ def _revision(file: Path, digest: str) -> Revision:
 
     If git tracks the file, the revision also has the commit of its repository.
     """
-    status = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
-    tracked = _git(file, "ls-files", "--error-unmatch", "--", file.name)
-    states, names = (_answer(process) for process in (status, tracked))
+    states = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
+    names = _git(file, "ls-files", "--error-unmatch", "--", file.name)
     if not names:  # a package may be installed inside an unrelated repository
         return Revision(sha256=digest)
     head = [line.removeprefix("# branch.oid ") for line in states if line.startswith("# branch.oid ")]
@@ -127,30 +126,20 @@ def _revision(file: Path, digest: str) -> Revision:
     return Revision(commit=commit, modified=any(not line.startswith("#") for line in states), sha256=digest)
 
 
-def _git(file: Path, *words: str) -> subprocess.Popen[str] | None:
-    """Start git without locks in the folder of a file. Return None if git isn't installed."""
+def _git(file: Path, *words: str) -> list[str]:
+    """Return the lines of git's output, without locks, in the folder of a file; an empty list after a failure."""
+    command = ["git", "-C", str(file.parent), *words]
     try:
-        return subprocess.Popen(  # noqa: S603  the command is constant
-            ["git", "-C", str(file.parent), *words],  # noqa: S607  git is found by PATH
+        done = subprocess.run(  # noqa: S603  the command is constant
+            command,
             stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
+            capture_output=True,
             env=os.environ | {"GIT_OPTIONAL_LOCKS": "0"},
             text=True,
             errors="replace",
+            timeout=_TIMEOUT,
+            check=True,
         )
-    except OSError:
-        return None
-
-
-def _answer(process: subprocess.Popen[str] | None) -> list[str]:
-    """Return the lines of git's output; an empty list after a failure or timeout."""
-    if process is None:
+    except (OSError, subprocess.SubprocessError):
         return []
-    with process:
-        try:
-            output, _ = process.communicate(timeout=_TIMEOUT)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            return []
-    return output.splitlines() if not process.returncode else []
+    return done.stdout.splitlines()

@@ -11,9 +11,8 @@ import threading
 from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
-from functools import lru_cache
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING
 
 from recorder import html, notebook
 from recorder.records import STEPS_PER_SECOND, Task, argument_values
@@ -266,40 +265,17 @@ def walk(roots: Iterable[Node]) -> Iterator[tuple[int, Node]]:
         yield from root.walk()
 
 
-_parsed = lru_cache(64)(Task.FromString)  # callers read several fields of a record
-
-
-class PackedTask:
-    """A serialized copy of a task record, with the attributes of :class:`Task`.
-
-    The copy takes a fifth of the record's memory, but each access parses the copy.
-    """
-
-    __slots__ = ("_payload",)
-    __hash__ = None  # type: ignore[assignment]  # records have no hash
-
-    def __init__(self, record: Task) -> None:
-        self._payload = record.SerializeToString()
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(_parsed(self._payload), name)
-
-    def __eq__(self, other: object) -> bool:
-        return _parsed(self._payload) == (_parsed(other._payload) if isinstance(other, PackedTask) else other)
-
-
 class Tree:
     """All tasks of a plan or recording. Trees of the same records are equal. All methods are thread-safe.
 
     Args:
         limit: Largest number of tasks. The tasks that ended first are dropped.
         size: Largest number of bytes of records. The tasks that ended first are dropped.
-        unpacked: The records of this many tasks stay parsed. Further records are packed (:class:`PackedTask`).
     """
 
     __hash__ = None  # type: ignore[assignment]  # mutable
 
-    def __init__(self, limit: int | None = None, size: int | None = None, unpacked: float = math.inf) -> None:
+    def __init__(self, limit: int | None = None, size: int | None = None) -> None:
         #: Id of the task in which the plan's failure began; 0 outside of tasks; None if the tree has to find the task.
         self.began: int | None = None
         #: Printed and logged lines by the id of the task; empty for a running plan.
@@ -307,7 +283,6 @@ class Tree:
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
         self._weighs = size is not None
-        self._unpacked = unpacked
         self._size = 0
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
@@ -324,8 +299,6 @@ class Tree:
         number, phase, above = record.task, record.phase, record.parent
         if self._weighs and not size:
             size = record.ByteSize()
-        if len(self.nodes) >= self._unpacked:
-            record = cast("Task", PackedTask(record))
         with self._lock:
             node = self.nodes.get(number)
             if node is None:

@@ -309,7 +309,7 @@ class PlanCopies:
             raise PlanEnded(self._printed())
         with self._noting_interrupts():
             now.channel.send(question)
-            while not (now.channel.has_read or select.select([now.channel], (), (), _POLL)[0]):
+            while not now.channel.poll(_POLL):
                 if (self._interrupts or self.pause_wanted or self.killed) and not passed_on:
                     passed_on = True
                     now.channel.send({"do": "interrupt"})
@@ -342,8 +342,7 @@ class PlanCopies:
         passed_on = False  # whether Ctrl-C was sent to the running process
         while True:
             sources: list[socket.socket | Channel] = [self._listener, *([running.channel] if running else [])]
-            read = running is not None and running.channel.has_read
-            ready = sources[1:] if read else select.select(sources, (), (), _POLL)[0]
+            ready = select.select(sources, (), (), _POLL)[0]
             if self._listener in ready:
                 running, passed_on = self._next(running), False
             elif ready and running is not None:
@@ -380,7 +379,7 @@ class PlanCopies:
             running.step = message["step"]
             self.waiting.append(running)
         connected, _ = self._listener.accept()
-        channel = Channel(connected)
+        channel = Channel(connected.detach())
         hello = channel.receive()
         if hello is None:
             self._lost(None)

@@ -1,6 +1,6 @@
 """The process of a debugged plan: it compares each record with the recorded record, and stops the plan at a step.
 
-While the plan is stopped, its process answers messages from the prompt, which are lines of JSON on a socket. When the
+While the plan is stopped, its process answers messages from the prompt, which are JSON on a socket. When the
 plan continues, either the process continues, or a forked child continues and the process stays for later.
 """
 
@@ -24,6 +24,7 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from io import StringIO
 from itertools import islice
+from multiprocessing.connection import Connection
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, ModuleType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
@@ -51,7 +52,6 @@ Message: TypeAlias = "dict[str, Any]"
 
 PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems with fork have SIGURG
 """This signal stops a plan without records, which reads no messages. Without a handler, it is ignored."""
-_BLOCK: Final = 1 << 16  # largest number of bytes of a read
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # types of a module's imports and definitions
 _MAX_NAMES: Final = 200  # largest number of completions of a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
@@ -61,50 +61,21 @@ _NS: Final = 10**9
 # --- messages ---------------------------------------------------------------------------------------------------------
 
 
-class Channel:
+class Channel(Connection):
     """One end of a connection."""
-
-    def __init__(self, connected: socket.socket) -> None:
-        self._socket = connected
-        self._received = b""
-
-    def fileno(self) -> int:
-        """Return the socket's descriptor for select()."""
-        return self._socket.fileno()
 
     def send(self, message: Message) -> None:
         """Send a message unless the other end is closed."""
-        # then the next receive() returns None
-        with suppress(BrokenPipeError, ConnectionResetError):
-            self._socket.sendall(json.dumps(message).encode() + b"\n")
+        with suppress(OSError):  # then the next receive() returns None
+            self.send_bytes(json.dumps(message).encode())
 
     def receive(self) -> Message | None:
         """Wait for a message and return it, or None if the other end is closed."""
-        while b"\n" not in self._received:
-            try:
-                part = self._socket.recv(_BLOCK)
-            except ConnectionResetError:
-                part = b""
-            if not part:
-                return None
-            self._received += part
-        line, _, self._received = self._received.partition(b"\n")
-        message: Message = json.loads(line)
+        try:
+            message: Message = json.loads(self.recv_bytes())
+        except (EOFError, OSError):
+            return None
         return message
-
-    @property
-    def pending(self) -> bool:
-        """Whether a message has arrived."""
-        return self.has_read or bool(select.select([self._socket], (), (), 0)[0])
-
-    @property
-    def has_read(self) -> bool:
-        """Whether a message is in the buffer, which select() doesn't notice."""
-        return b"\n" in self._received
-
-    def close(self) -> None:
-        """Close this end."""
-        self._socket.close()
 
 
 # --- the plan's frames ------------------------------------------------------------------------------------------------
@@ -368,7 +339,7 @@ class StoppingSink(NullSink):
     def _pass(self) -> None:
         stopping = self._step >= self._conditions.until
         changed = self._noted_changes() if self._conditions.watched else False
-        if stopping or (changed and not self._conditions.through) or self._channel.pending:
+        if stopping or (changed and not self._conditions.through) or self._channel.poll():
             self._stop("step" if stopping else "watch" if changed else "interrupted")
         elif self._due():
             self._check_point()
@@ -432,7 +403,7 @@ class StoppingSink(NullSink):
     def _connected(self, parent: int) -> Channel:
         connected = socket.socket(socket.AF_UNIX)
         connected.connect(self._address)
-        channel = Channel(connected)
+        channel = Channel(connected.detach())
         channel.send({"pid": os.getpid(), "parent": parent, "step": self._step})
         return channel
 

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 _RUN_RECORDS: Final = 2  # a run in which no thread fails has this many run records
 #: The exception of an interrupted plan.
 INTERRUPT: Final = "KeyboardInterrupt"
-#: This many tasks of a tree stay unpacked. An unpacked task takes 3 kB, a packed task less than 1 kB.
-_UNPACKED: Final = 20_000
 _MAX_KEPT: Final = 5_000  # largest number of failures or motions; each takes about 3 kB
 
 
@@ -208,7 +206,7 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
     """Return the task tree of a recording, by default at the end. Tasks that are nested too deep raise Damaged."""
     from replay.state.integrity import TaskDepths  # noqa: PLC0415  a summary needs no tree
 
-    folded = Tree(unpacked=_UNPACKED)
+    folded = Tree()
     depths = TaskDepths()
     for record in log.records((Task, Output), stop=stop):
         if isinstance(record, Output):

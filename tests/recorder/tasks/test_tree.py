@@ -22,10 +22,8 @@ from pycram.language import State, failure_handling, finally_, par, pursue, seq,
 from pycram.process_module import ProcessModule
 from recorder.records import Task
 from recorder.tasks import Tree
-from recorder.tasks.tree import PackedTask
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.history import tasks as task_tree
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -94,19 +92,6 @@ def test_live_tree_and_recorded_tree_are_equal(log: Path) -> None:
             if record is not None:
                 other.apply(record)
     assert other == recorded
-
-
-@pytest.mark.parametrize("unpacked", [0, 5])
-def test_a_tree_whose_records_are_packed_is_the_same(log: Path, unpacked: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As those of very many tasks are."""
-    monkeypatch.setattr(task_tree, "_UNPACKED", unpacked)
-    with replay.open(log) as opened:
-        packed, live = opened.tree(), tasks.tree()
-    assert sum(isinstance(node.started, PackedTask) for node in packed.nodes.values()) >= len(packed) - unpacked
-    assert packed == live
-    assert live == packed
-    assert packed.text(whole=True) == live.text(whole=True)
-    assert (packed.to_json(), packed.to_dot(), packed.to_svg()) == (live.to_json(), live.to_dot(), live.to_svg())
 
 
 def test_attempts_and_failures_can_be_found(log: Path) -> None:
