@@ -211,11 +211,10 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
     return x, y, z, w
 
 
-def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Quaternion:
+def look_at(eye: Numbers, target: Numbers) -> Quaternion:
     """Return the orientation of an optical frame (z forward, x right, y down) that looks from ``eye`` at ``target``.
 
-    Points are xyz in m. The vector ``up`` points up in the picture. If it is parallel to the view, another axis
-    replaces it.
+    Points are xyz in m. The z axis of the world points up in the picture, unless it is parallel to the view.
 
     Raises:
         ValueError: eye and target coincide.
@@ -225,7 +224,7 @@ def look_at(eye: Numbers, target: Numbers, up: Numbers = (0.0, 0.0, 1.0)) -> Qua
     if not length > _TINY:
         raise ValueError("eye and target coincide: there is no direction to look in")
     z /= length
-    x = np.cross(z, np.asarray(up, dtype=np.float64))
+    x = np.cross(z, np.array([0.0, 0.0, 1.0]))
     if float(np.linalg.norm(x)) < 1e-9:
         x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
     x /= np.linalg.norm(x)

@@ -158,6 +158,7 @@ class Parser(argparse.ArgumentParser):
         self._examples = examples  # commands and their results
         self._completers = completers or {}  # completers by the name or placeholder of arguments
         super().__init__(*args, **options)
+        self._negative_number_matcher = re.compile(r"-[\d.]")  # points and times, such as -1,0,2 and -2.5s, too
 
     def add_argument(self, *args: Any, **options: Any) -> argparse.Action:
         """Add an argument, with its completer."""

@@ -9,7 +9,6 @@ only used if this user made it from this recording with this software: a folder 
 from __future__ import annotations
 
 import contextlib
-import gc
 import os
 import tempfile
 import threading
@@ -64,7 +63,7 @@ def convert(
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
     os.close(handle)
     try:
-        with stream_to_file(Path(name)) as stream, _without_garbage_collection():
+        with stream_to_file(Path(name)) as stream:
             translate(logs, stream, at, eyes, opens=opens)
         Path(name).chmod(0o644)
         Path(name).replace(path)
@@ -72,18 +71,6 @@ def convert(
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
     finally:
         Path(name).unlink(missing_ok=True)
-
-
-@contextlib.contextmanager
-def _without_garbage_collection() -> Iterator[None]:
-    """Turn the garbage collector off, because rows live until they are sent."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
 
 
 def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:

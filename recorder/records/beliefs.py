@@ -26,7 +26,6 @@ ROBOT: Final = "robot"
 """Name of a look's evidence that is the robot's name."""
 SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
 """Sources of beliefs by the name of a look's evidence that contains the poses of objects."""
-_NAMES: Final = tuple(name.encode() for name in SOURCES)
 _WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
 _FORGETTING: Final = frozenset({"reset", "close_world"})
 _FAR: Final = 1e9  # largest allowed coordinate in m
@@ -36,11 +35,6 @@ _MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # range of the squared length of a unit q
 def is_look(query: Query) -> bool:
     """Return whether a query is a look, in which a robot learns where objects are."""
     return any(fact.name in SOURCES for fact in query.evidence)
-
-
-def may_be_look(payload: bytes) -> bool:
-    """Return whether a serialized query may be a look. This function rules out most queries without parsing."""
-    return any(name in payload for name in _NAMES)
 
 
 def word(source: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import groupby
 from textwrap import indent
+from traceback import format_tb
 from typing import Final
 
 from recorder import notebook
@@ -74,5 +75,5 @@ def _part(error: BaseException, ours: type[BaseException]) -> str:
     ):
         same = [entry for _, entry in group]
         count = f"  ... {len(same)} frame{'s' if len(same) > 1 else ''} inside pycram ...\n"
-        parts += [count] if folded else tracebacks.stack(same)
+        parts += [count] if folded else format_tb(same[0], limit=len(same))
     return "".join((*parts, *tracebacks.message(error)))

@@ -7,7 +7,6 @@ import functools
 import importlib
 import io
 import os
-import re
 import sys
 import time
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -76,9 +75,6 @@ FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
 _PROGRESS_PERIOD: Final = 1.0  # time until the first line of progress, s
 _MAX_SKIPPED: Final = 8  # at most this many skipped files are named
-_POINT_OPTIONS: Final = ("--from", "--to")
-_NEGATIVE: Final = re.compile(r"-[\d.]")
-_NEGATIVE_TIME: Final = re.compile(r"-[\d.]+s")  # a negative time; the error message explains the range
 
 
 class Verb(NamedTuple):
@@ -99,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # terminals may lack characters of names
-    arguments = _joined(sys.argv[1:] if argv is None else argv)
+    arguments = list(sys.argv[1:] if argv is None else argv)
     code = FINE
     try:
         with until_closed():
@@ -184,22 +180,6 @@ def _own_error(error: Exception) -> str:
         return f"this is an internal error of PyCRAM; please report it with the recording:\n{text}"
     summary = traceback.format_exception_only(error)[-1].strip()
     return f"this is an internal error of PyCRAM; please report it with the recording and {file.name}: {summary}"
-
-
-def _joined(arguments: Sequence[str]) -> list[str]:
-    """Change negative points and times in the arguments, because argparse would take them for options.
-
-    Points are joined to their option with "=". Times get a space at the beginning.
-    """
-    joined: list[str] = []
-    for text in arguments:
-        if joined and joined[-1] in _POINT_OPTIONS and _NEGATIVE.match(text):
-            joined[-1] += f"={text}"
-        elif _NEGATIVE_TIME.fullmatch(text):
-            joined.append(f" {text}")
-        else:
-            joined.append(text)
-    return joined
 
 
 def _verb(name: str) -> Verb:

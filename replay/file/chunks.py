@@ -19,7 +19,7 @@ from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
 from recorder.records import PACKAGE, TOPICS, Envelope, Keyframe, Mutation, Query, Record, known_definitions
-from recorder.records.beliefs import is_look, may_be_look
+from recorder.records.beliefs import is_look
 from replay.file.mcap_format import (
     CHUNK_DAMAGE,
     HEADER,
@@ -192,7 +192,7 @@ class Chunks:
         entries = self._load(number)
         for at, channel in enumerate(entries.channels):
             kind = self._kinds[channel]
-            if kind in (Mutation, Keyframe) or (kind is Query and may_be_look(entries.payloads[at])):
+            if kind in (Mutation, Keyframe, Query):
                 record = self._decode(number, entries, at)
                 if record is not None and (not isinstance(record, Query) or is_look(record)):
                     yield record, self._owners[channel]
