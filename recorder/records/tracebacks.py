@@ -1,18 +1,23 @@
-"""Tracebacks as text, as Python prints them; a number replaces the middle of a long traceback."""
+"""Tracebacks as text, as Python prints them; a number replaces the middle of a long traceback.
+
+Each task that an error ends records the error with its causes. So the text of each line of code is cached.
+"""
 
 from __future__ import annotations
 
 import traceback
 from contextvars import ContextVar
 from functools import partial
+from itertools import groupby
+from operator import attrgetter
 from traceback import TracebackException
 from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from recorder import notebook
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from types import TracebackType
+    from collections.abc import Callable, Iterable, Iterator
+    from types import CodeType, TracebackType
 
     Formatter: TypeAlias = Callable[[BaseException], str]
 
@@ -25,14 +30,20 @@ MAX_ERRORS: Final = 16
 
 _FIRST: Final = 4  # a text has this many errors from the beginning of the chain, which has the root causes
 _MAX_EXPLORED: Final = 64  # an error with more related errors is printed without these
+_REPEATED: Final = 3  # Python prints a repeated line this many times, and then the number of repetitions
+_MAX_CACHED: Final = 4096
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
 TITLE: Final = "Traceback (most recent call last):\n"
 CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
+_PLACE: Final = attrgetter("co_filename", "co_name")
 #: Python adds details to the messages of these errors.
 _SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)
 
 #: Formats tracebacks, also within messages, in the place of :func:`format_traceback`; None to print all frames.
 formatter: Final[ContextVar[Formatter | None]] = ContextVar("recorder_tracebacks", default=None)
+
+# cached texts of frames by the address of the code; the values keep the code alive
+_texts: Final[dict[tuple[int, int, int], tuple[CodeType, str]]] = {}
 
 
 def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: int = MAX_ERRORS) -> str:
@@ -75,11 +86,11 @@ def chain(error: BaseException) -> list[tuple[str, BaseException]]:
 
 def part(error: BaseException, frames: int = MAX_FRAMES) -> str:
     """Return an error as text without its causes."""
-    trace = error.__traceback__
+    innermost = _innermost(error.__traceback__, frames)
     if _is_small_group(error):
-        return "".join(traceback.format_exception(type(error), error, trace, limit=-frames))
-    title = "" if trace is None else TITLE
-    return "".join((title, *traceback.format_tb(trace, limit=-frames), *message(error)))
+        return "".join(traceback.format_exception(type(error), error, innermost, limit=-frames))
+    title = "" if innermost is None else TITLE
+    return "".join((title, *stack(entries(innermost)), *message(error)))
 
 
 def _is_small_group(error: BaseException) -> bool:
@@ -97,6 +108,15 @@ def _is_quickly_printed(error: BaseException) -> bool:
     return True
 
 
+def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None:
+    ahead, passed = trace, 0
+    while ahead is not None:
+        ahead, passed = ahead.tb_next, passed + 1
+        if trace is not None and passed > frames:
+            trace = trace.tb_next
+    return trace
+
+
 def entries(trace: TracebackType | None) -> list[TracebackType]:
     """Return the entries of a traceback, the outermost frame first."""
     found = []
@@ -104,6 +124,27 @@ def entries(trace: TracebackType | None) -> list[TracebackType]:
         found.append(trace)
         trace = trace.tb_next
     return found
+
+
+def stack(shown: Iterable[TracebackType]) -> Iterator[str]:
+    """Yield the texts of entries."""
+    for _, group in groupby(shown, lambda each: (*_PLACE(each.tb_frame.f_code), each.tb_lineno)):
+        same = list(group)
+        yield from map(_frame, same[:_REPEATED])
+        if (more := len(same) - _REPEATED) > 0:
+            yield f"  [Previous line repeated {more} more time{'s' if more > 1 else ''}]\n"
+
+
+def _frame(entry: TracebackType) -> str:
+    """Return the text of a traceback's frame. Without a cache, Python would look up and parse the line each time."""
+    code = entry.tb_frame.f_code
+    key = id(code), entry.tb_lasti, entry.tb_lineno
+    known = _texts.get(key)
+    if known is None:
+        if len(_texts) >= _MAX_CACHED:
+            _texts.clear()
+        known = _texts[key] = code, "".join(traceback.format_tb(entry, limit=1))
+    return known[1]
 
 
 def message(error: BaseException) -> Iterator[str]:

@@ -282,7 +282,6 @@ class Tree:
         self.output: dict[int, list[Output]] = {}
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
-        self._weighs = size is not None
         self._size = 0
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
@@ -294,11 +293,10 @@ class Tree:
         """The outermost tasks, in the order of their start."""
         return tuple(sorted(self._roots.values(), key=attrgetter("id")))
 
-    def apply(self, record: Task, size: int = 0) -> Node:
-        """Add the next record, and return its task. ``size`` is the size of the record in bytes, if known."""
+    def apply(self, record: Task) -> Node:
+        """Add the next record, and return its task."""
         number, phase, above = record.task, record.phase, record.parent
-        if self._weighs and not size:
-            size = record.ByteSize()
+        size = record.ByteSize() if self._size_limit < math.inf else 0
         with self._lock:
             node = self.nodes.get(number)
             if node is None:

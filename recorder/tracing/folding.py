@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from itertools import groupby
 from textwrap import indent
-from traceback import format_tb
 from typing import Final
 
 from recorder import notebook
@@ -75,5 +74,5 @@ def _part(error: BaseException, ours: type[BaseException]) -> str:
     ):
         same = [entry for _, entry in group]
         count = f"  ... {len(same)} frame{'s' if len(same) > 1 else ''} inside pycram ...\n"
-        parts += [count] if folded else format_tb(same[0], limit=len(same))
+        parts += [count] if folded else tracebacks.stack(same)
     return "".join((*parts, *tracebacks.message(error)))

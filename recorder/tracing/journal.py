@@ -118,14 +118,14 @@ class Journal:
         with self._lock:
             self._expected.update(worlds)
 
-    def append(self, record: Record) -> int:
-        """Set the number and times of a record, write the record, and return its size in bytes.
+    def append(self, record: Record) -> None:
+        """Set the number and times of a record, and write the record.
 
-        The size is 0 for skipped records (:meth:`expect_keyframes`) and queued records. A record is queued if this
-        thread is writing another record, for example output of signal handlers and finalizers.
+        The record is queued if this thread is writing another record, for example output of signal handlers and
+        finalizers.
         """
         record.cause = _cause.get().get(self, 0)
-        return self._take(record)
+        self._take(record)
 
     def strike(self, strike: Strike) -> None:
         """Add a strike to the next record."""
@@ -137,33 +137,32 @@ class Journal:
         for asset in assets:
             self._take(asset)
 
-    def _take(self, item: Record | AssetFile) -> int:
+    def _take(self, item: Record | AssetFile) -> None:
         with Uninterrupted(), self._lock:
             if self._writing:
                 # otherwise a sink that prints would print forever
                 if not (self._resuming and isinstance(item, Output)):
                     self._interrupting.append(item)
-                return 0
+                return
             self._writing = True
             try:
-                size = self._write(item)
+                self._write(item)
                 self._resuming = True
                 while self._interrupting:
                     self._write(self._interrupting.popleft())
             finally:
                 self._writing = self._resuming = False
-            return size
 
-    def _write(self, item: Record | AssetFile) -> int:
+    def _write(self, item: Record | AssetFile) -> None:
         if isinstance(item, AssetFile):
             if item.key not in self._attached:
                 for sink in self._sinks:
                     sink.attach(item)
                 self._attached.add(item.key)
-            return 0
+            return
         if self._expected and item.world in self._expected and isinstance(item, (Mutation, Keyframe)):
             if isinstance(item, Mutation) and not item.HasField("open_world"):
-                return 0
+                return
             self._expected.remove(item.world)
         self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
         del item.strikes[:]  # strikes that another journal has added
@@ -177,7 +176,6 @@ class Journal:
         topic, payload = TOPICS[type(item)], item.SerializeToString()
         for sink in self._sinks:
             sink.write(topic, item, payload)
-        return len(payload)
 
     def flush(self) -> None:
         """Flush all sinks, unless this thread is appending a record."""
@@ -313,12 +311,10 @@ def emit(
     return steps
 
 
-def publish(record: Record) -> int:
-    """Append a record with its envelope to every open journal. Return its size in bytes, 0 without a journal."""
-    size = 0
+def publish(record: Record) -> None:
+    """Append a record with its envelope to every open journal."""
     for journal in listening():
-        size = journal.append(record)
-    return size
+        journal.append(record)
 
 
 def records_here(journal: Journal) -> bool:

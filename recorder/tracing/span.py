@@ -195,14 +195,13 @@ class Span:
         if not self.parent and record.phase != _FINISHED and _tree_of != journal.recording_number():
             _tree_of = journal.recording_number()
             _tree.forget()
-        size = 0
         with _emitting:
             try:
-                size = journal.publish(record)
+                journal.publish(record)
             finally:
-                if not size and not record.wall_time_ns:  # no journal numbered the record
+                if not record.wall_time_ns:  # no journal numbered the record
                     record.wall_time_ns = time.time_ns()
-                _tree.apply(record, size)
+                _tree.apply(record)
                 if record.phase == _FINISHED:
                     _running.pop(self.id, None)
                 elif not journal.is_unrecorded():
