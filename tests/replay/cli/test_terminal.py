@@ -178,7 +178,7 @@ def test_the_cheat_sheet_has_all_verbs_and_names_of_steps(capsys: pytest.Capture
 def test_without_arguments_the_verbs_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     shown = capsys.readouterr().err
-    assert all(re.search(rf"^    {verb} ", shown, re.MULTILINE) for verb in [*VERBS, "cheat"])
+    assert all(re.search(rf"^    {verb}\s", shown, re.MULTILINE) for verb in [*VERBS, "cheat"])
     assert pycram([]) == 2
     assert "run a plan many times" in capsys.readouterr().err
 
