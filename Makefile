@@ -45,7 +45,7 @@ extension:  ## packs the extension for VS Code as pycram-replay.vsix; needs Node
 	cd editors/vscode && npx --yes @vscode/vsce package --allow-missing-repository --out ../../pycram-replay.vsix
 	rm editors/vscode/LICENSE
 
-pictures: .venv/ready-dev  ## draws the animated picture of the README anew
+pictures: .venv/ready-dev  ## draws the film of the README and the pictures of the gallery anew
 	$(BIN)/python docs/make_pictures.py
 
 systems: .venv/ready-dev  ## writes the table of systems in docs/start/installing.md, from what the package index offers
