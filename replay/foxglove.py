@@ -50,7 +50,7 @@ _MAX_LETTERS: Final = 120  # longest label
 _MAX_CURVES: Final = 8
 
 
-class Translator:
+class FoxgloveTranslator:
     """A translator of a recording for Foxglove into a file."""
 
     def __init__(self, log: RecordReader, file: BinaryIO) -> None:

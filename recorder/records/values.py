@@ -53,26 +53,14 @@ def _plain(value: object) -> object:
     return {"callable": f"{module}.{name}"} if module and name else {"repr": repr(value)}
 
 
-def _finite(value: float) -> object:
-    return float(value) if math.isfinite(value) else {"float": repr(float(value))}
-
-
-def _mapping(value: Mapping[object, object]) -> object:
-    return {str(key): _plain(item) for key, item in value.items()}
-
-
-def _sequence(value: Iterable[object]) -> object:
-    return [_plain(item) for item in value]
-
-
 _PLAIN: tuple[tuple[Any, Callable[[Any], object]], ...] = (
     ((bool, type(None)), lambda value: value),
     (str, lambda value: value),
     (int, int),
-    (float, _finite),
-    (Mapping, _mapping),
+    (float, lambda value: float(value) if math.isfinite(value) else {"float": repr(float(value))}),
+    (Mapping, lambda value: {str(key): _plain(item) for key, item in value.items()}),
     (AbstractSet, lambda value: sorted((_plain(item) for item in value), key=repr)),
-    ((list, tuple), _sequence),
+    ((list, tuple), lambda value: [_plain(item) for item in value]),
 )
 
 

@@ -101,14 +101,14 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> int:
-    from replay.foxglove import Translator  # noqa: PLC0415  loads numpy
+    from replay.foxglove import FoxgloveTranslator  # noqa: PLC0415  loads numpy
 
     layout = out.with_suffix(".layout.json")
     if layout.exists() and not options.overwrite:
         raise ReplayError(f"{layout} exists; name another file, or add --overwrite")
 
     def write(file: BinaryIO) -> tuple[dict[str, object], int]:
-        translator = Translator(log, file)
+        translator = FoxgloveTranslator(log, file)
         return translator.translate(), translator.messages
 
     content, messages = write_copy(log, out, write, overwrite=options.overwrite)

@@ -133,7 +133,7 @@ class Editor:
             value = node.value
             is_count = isinstance(value, int) and value <= _FEW and node in self._counts
             for number, factor in enumerate(_FACTORS if value and not is_count else ()):
-                yield _number(value * factor), f"{value} times {factor:.3g}", 0.3 + 0.1 * number + 0.4 * (number > 2)
+                yield f"{value * factor:.6g}", f"{value} times {factor:.3g}", 0.3 + 0.1 * number + 0.4 * (number > 2)
             if isinstance(value, float) or node not in self._counts:
                 yield f"{-value!r}", f"the sign of {value}", 0.5
             if isinstance(value, int) and node in self._counts:
@@ -256,7 +256,3 @@ def _blocks(tree: ast.AST) -> Iterator[list[ast.stmt]]:
             block = getattr(node, name, None)
             if isinstance(block, list) and block:
                 yield block
-
-
-def _number(value: float) -> str:
-    return f"{value:.6g}"

@@ -75,7 +75,10 @@ class Flow:
             rank, line = heappop(waiting)
             if line in ranks:
                 continue
-            found = next((each for each in reversed(self._statements) if _holds(each[0], line)), None)
+            found = next(
+                (each for each in reversed(self._statements) if each[0].lineno <= line <= (each[0].end_lineno or 0)),
+                None,
+            )
             if found is None:
                 continue
             weight = _weight(found[0])
@@ -101,10 +104,6 @@ def _own(statement: ast.stmt) -> Iterator[ast.AST]:
     for each in ast.iter_child_nodes(statement):
         if not isinstance(each, ast.stmt):
             yield from (node for node in ast.walk(each) if not isinstance(node, ast.stmt))
-
-
-def _holds(statement: ast.stmt, line: int) -> bool:
-    return statement.lineno <= line <= (statement.end_lineno or statement.lineno)
 
 
 def _weight(statement: ast.stmt) -> float:

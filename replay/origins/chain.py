@@ -331,7 +331,7 @@ class Tracer:
             for operand in node.values:
                 yield from self._inputs(operand, place)
                 held = self.value(operand, place)
-                if held is None or _decides(held.copy, node.op):
+                if held is None or (type(held.copy) in _PLAIN and bool(held.copy) is isinstance(node.op, ast.Or)):
                     return  # the others weren't evaluated
         elif isinstance(node, ast.IfExp):
             test = self.value(node.test, place)
@@ -380,7 +380,8 @@ class Tracer:
         if isinstance(node, ast.For) and note.frame != place.frame:
             return "as the loop left it"
         if isinstance(node, ast.Assign):
-            called = node.value.func.value if _is_method(node.value) else None  # type: ignore[attr-defined]
+            function = node.value.func if isinstance(node.value, ast.Call) else None
+            called = function.value if isinstance(function, ast.Attribute) else None
             held = None if called is None else self.value(called, Evaluation(note.frame, note.time))
             later = [] if held is None else [each for each in self._changes[id(held.ref)] if each.frame != note.frame]
             late = next((each for each in later if note.time < each.time < place.time), None)
@@ -596,26 +597,20 @@ def _numbers_in(value: Any) -> Any:
     return None
 
 
-def _decides(value: Any, op: ast.boolop) -> bool:
-    return type(value) in _PLAIN and bool(value) is isinstance(op, ast.Or)
-
-
 def _same(one: Any, other: Any) -> bool:
-    try:
-        return one is other or (isinstance(one, _PLAIN) and bool(one == other))
-    except Exception:  # noqa: BLE001  an element's own method may raise any error
-        return False
-
-
-def _is_method(node: ast.AST) -> bool:
-    return isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+    return one is other or (isinstance(one, _PLAIN) and _holds(lambda: one == other, otherwise=False))
 
 
 def _truth(value: Any) -> bool:
+    return _holds(lambda: value, otherwise=True)
+
+
+def _holds(test: Callable[[], Any], *, otherwise: bool) -> bool:
+    """Return the truth of a test's result; ``otherwise`` if a method of the plan's objects raises an error."""
     try:
-        return bool(value)
-    except Exception:  # noqa: BLE001  as above
-        return True
+        return bool(test())
+    except Exception:  # noqa: BLE001  such a method may raise any error
+        return otherwise
 
 
 def _receiver(note: Note) -> Any:
