@@ -6,10 +6,22 @@ Imports for type checking and inside of functions count as well: a reader follow
 from __future__ import annotations
 
 import ast
+import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+import recorder
+import replay
+from pycram import perform
+from pycram.bullet_world import BulletWorld, Object
+from pycram.motion_designators import moving
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
 
 REPO = Path(__file__).parent.parent
 PACKAGES = ("recorder", "pycram", "replay")
@@ -53,3 +65,59 @@ def test_no_circle_between_rooms() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as circle:
         raise AssertionError(" imports ".join(reversed(circle.args[1]))) from None
+
+
+#: Files of the stages in the drawing of docs/architecture.md.
+STAGES = {
+    "designator": "pycram/motions/designator.py",
+    "process module": "pycram/motions/process_module.py",
+    "object": "pycram/world/object.py",
+    "transaction": "pycram/world/transaction.py",
+    "journal": "recorder/tracing/journal.py",
+    "sinks": "recorder/mcap_sink.py",
+    "file": "replay/file/",
+    "records": "recorder/records/",
+    "fold": "recorder/records/fold.py",
+    "state": "replay/state/",
+    "history": "replay/history/",
+    "explain": "replay/explain/",
+    "restore": "replay/restore/",
+}
+
+
+def drawn(line: int) -> list[str]:
+    """The stages of a line of the drawing, in the order in which data passes them."""
+    drawing = (REPO / "docs" / "architecture.md").read_text(encoding="utf-8").split("```")[1].strip().splitlines()
+    forwards = "─►" in drawing[line]
+    names = [each.strip(" ─┘") for each in drawing[line].split("─►" if forwards else "◄─")]
+    return [name for name in (names if forwards else names[::-1]) if name in STAGES]
+
+
+def passed(act: Callable[[], object], stages: list[str]) -> list[str]:
+    """The stages whose functions a call enters, in the order of their first functions."""
+    seen: dict[str, None] = {}
+
+    def follow(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            file = frame.f_code.co_filename
+            seen.update(dict.fromkeys(name for name in stages if STAGES[name] in file and name not in seen))
+
+    sys.setprofile(follow)
+    try:
+        act()
+    finally:
+        sys.setprofile(None)
+    return list(seen)
+
+
+def test_a_change_takes_the_way_that_the_architecture_draws(tmp_path: Path) -> None:
+    with recorder.record(tmp_path / "run.mcap"), BulletWorld() as world:
+        world.robot = Object("pr2", "robot", "pr2.urdf")
+        motion = moving(target=[1, 0, 0])
+        way = drawn(0)
+        assert sorted(passed(lambda: perform(motion), way)) == sorted(way)
+        assert passed(lambda: world.robot.set_position([2, 0, 0]), way) == way[2:]
+    with replay.open(tmp_path / "run.mcap") as log:
+        back = [name for name in drawn(2) if name != "explain"]
+        assert set(passed(lambda: log.state_at("last"), back)) >= {"file", "records", "fold", "state"}
+        assert "explain" in passed(log.why, drawn(2))

@@ -26,7 +26,7 @@ CASES = [
         *case,
         marks=[
             pytest.mark.costly if case in IN_THE_GATE else pytest.mark.long,
-            *([MISSED] if case == ("occupied", 4) else []),
+            *([MISSED] if case in {("occupied", 4), ("occupied", 5)} else []),
         ],
     )
     for case in ALL
