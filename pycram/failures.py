@@ -3,8 +3,7 @@
 from pycram.foundation import failures
 from pycram.foundation.failures import *  # noqa: F403  that module lists its exports
 from pycram.language.failures import BranchesFailed, NotCleanedUp, OutlivesTimeout, RunsEarly
-from pycram.language.timeouts import TimedOut
 from pycram.scheduling.order import DeadlockedBranches
 
-__all__ = ["BranchesFailed", "DeadlockedBranches", "NotCleanedUp", "OutlivesTimeout", "RunsEarly", "TimedOut"]
+__all__ = ["BranchesFailed", "DeadlockedBranches", "NotCleanedUp", "OutlivesTimeout", "RunsEarly"]
 __all__ += failures.__all__

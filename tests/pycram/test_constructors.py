@@ -178,7 +178,7 @@ register("pr2", "simulated", {"waving": Waving()})
 def plans() -> Iterator[tuple[str, str]]:
     """Yield name and source of the plans of each page: its blocks, which continue one another."""
     for page in (REPO / "README.md", *(REPO / "docs").rglob("*.md")):
-        blocks = re.findall(r"```python\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+        blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
         if any("pycram" in block for block in blocks):
             yield f"{page.stem.lower()}_page.py", "\n".join(blocks)
 

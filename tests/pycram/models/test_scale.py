@@ -91,7 +91,6 @@ def inertia(body: Object) -> list[float]:
     ]
 
 
-@pytest.mark.filterwarnings("ignore::pycram.world.sizes.Filled")  # a cup is a drawer here
 def test_all_lengths_of_a_urdf_are_scaled(tmp_path: Path, world: BulletWorld) -> None:
     own = Object("own", "chest", chest(tmp_path, 1e-3), [0, 0, 1])
     scaled = Object("scaled", "chest", chest(tmp_path, 1.0), [3, 0, 1], scale=0.001)
