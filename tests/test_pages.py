@@ -30,13 +30,15 @@ CHAPTERS: Final = sorted(page.name for page in (DOCS / "tutorial").glob("[1-9]*.
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", PAGES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(page, marks=pytest.mark.costly) if page.startswith("howto/") else page for page in PAGES]
+)
 def test_a_page_shows_what_a_reader_gets(name: str, tmp_path: Path) -> None:
     page = cells((DOCS / name).read_text(encoding="utf-8"))
     assert_shown(page, outputs(page, tmp_path))
 
 
-@pytest.mark.slow
+@pytest.mark.costly
 @pytest.mark.needs("Jupyter")
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", CHAPTERS)

@@ -56,7 +56,9 @@ def check(folder: Path, chapter: str) -> tuple[int, str]:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize("chapter", CHAPTERS)
+@pytest.mark.parametrize(
+    "chapter", [pytest.param(each, marks=pytest.mark.long) if each in {"4", "7"} else each for each in CHAPTERS]
+)
 def test_solutions_are_right(folder: Path, chapter: str) -> None:
     for solution in SOLUTIONS.glob(f"exercise_{chapter}_*.py"):
         shutil.copy(solution, folder)
