@@ -60,11 +60,17 @@ def shown(failed: Path) -> Shown:
     return Shown(file)
 
 
+def _sent(table: Any) -> int:
+    return max(table.column("log_time").cast("int64").to_pylist()) if "log_time" in table.schema.names else 0
+
+
 def layout(file: Path) -> dict[str, Any]:
-    """The last value of each property of any view or panel in a file's last layout."""
-    reader, found = RrdReader(file), {}
-    for chunk in reader.stream(store=reader.blueprints()[-1]):
-        table = chunk.to_record_batch()
+    """The last value of each property of any view or panel in the layout that was sent last."""
+    reader = RrdReader(file)
+    layouts = [[chunk.to_record_batch() for chunk in reader.stream(store=each)] for each in reader.blueprints()]
+    tables = max(layouts, key=lambda rows: max(map(_sent, rows)))
+    found = {}
+    for table in tables:
         found |= {name: table.column(name).to_pylist()[-1] for name in table.schema.names if ":" in name}
     return found
 
