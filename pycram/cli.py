@@ -11,16 +11,14 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.running import INTERRUPTED, MAX_SEED, SUCCEEDED, WRONG_USAGE, RunSpec, chosen_seed, restart, run, tell
 from recorder.errors import RecordingError, discard, similar_files, until_closed
 from recorder.packages import NotInstalled, needed, versions
 from recorder.terminal import Parser, complete, files_ending
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _WITH_ROBOTS: Final = ("breakfast", "set_the_table")  # these demos run with any bundled robot
 _SWEEP: Final = (

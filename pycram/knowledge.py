@@ -6,8 +6,8 @@ until it looks again. Grasps, placements, and the motions ``detecting`` and ``wo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
@@ -15,12 +15,8 @@ from pycram.reasoning.choosing import Question
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
 from recorder import records
+from recorder.geometry import PoseLike, Quaternion, Vector
 from recorder.records.beliefs import sightings, word
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from recorder.geometry import PoseLike, Quaternion, Vector
 
 __all__ = ["Belief", "beliefs", "believed", "learn"]
 

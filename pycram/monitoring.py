@@ -6,29 +6,23 @@ affect random numbers or the order of branches.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import PropertyViolated
 from pycram.language.nesting import scope, sequential
+from pycram.models.load import Model
 from pycram.reasoning.queries.measured import ContactClient
 from pycram.scheduling.schedule import scheduler
 from pycram.world.world import open_worlds
-from recorder.properties import Monitor, parse
+from recorder.properties import Monitor, Property, Violation, parse
 from recorder.properties.language import AT_END
 from recorder.properties.monitor import FOLLOWED
-from recorder.records import Check, Mutation, arguments
+from recorder.records import Check, LoadBody, Mutation, Record, arguments
 from recorder.tracing import journal, span
 from recorder.tracing.context import current_name
 from recorder.tracing.journal import Journal, NullSink
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from pycram.models.load import Model
-    from recorder.properties import Property, Violation
-    from recorder.records import LoadBody, Record
 
 
 @scope

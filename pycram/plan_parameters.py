@@ -10,19 +10,17 @@ import json
 import math
 import random
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
 from recorder.errors import suggestion
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
 MAIN: Final = "main"  # the arguments of this function are the parameters of the plan
 ANY: Final = object()  # stands for a default that isn't known before the plan runs

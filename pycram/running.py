@@ -14,6 +14,7 @@ import shlex
 import subprocess
 import sys
 import threading
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -24,8 +25,6 @@ from recorder.packages import NotInstalled, needed
 from recorder.tracing.interrupts import Terminated
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
     from recorder import Recording
 
 

@@ -6,21 +6,19 @@ the camera, and draws wrong lines. This renderer clips triangles at the near pla
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.shapes import Shapes, shapes_of
 from recorder import geometry
+from recorder.geometry import Pose, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Vector
 
 
 NEAR: Final = 0.02  # nearest visible distance in m

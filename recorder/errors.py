@@ -5,16 +5,13 @@ from __future__ import annotations
 import io
 import os
 import sys
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final, TextIO
 
 from recorder import notebook
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from pathlib import Path
-    from typing import TextIO
 
 _MAX_SUGGESTED: Final = 3
 _MAX_LISTED: Final = 40  # a hint lists at most this many names, such as the joints of a kitchen

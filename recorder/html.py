@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from functools import singledispatch
-from typing import TYPE_CHECKING, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+from typing import Final
 
 MAX_ROWS: Final = 20  # a table shows at most this many rows
 _MAX_CELL: Final = 80  # a cell shows at most this many characters

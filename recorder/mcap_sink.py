@@ -15,31 +15,25 @@ import re
 import stat
 import sys
 import threading
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final, TypeAlias
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import Message
 
 from recorder import system
 from recorder.errors import RecordingError
 from recorder.mcap_writer import MAGIC, MODELS_METADATA, McapWriter, SharedModels
 from recorder.packages import versions
-from recorder.records import TOPICS, Keyframe, Mutation, Query, Run, Task, escaped, format_number
+from recorder.records import TOPICS, Keyframe, Mutation, Query, Record, Run, Task, escaped, format_number
 from recorder.records.motion import FrameTree
 from recorder.records.text import log_line
+from recorder.records.values import AssetFile
 from recorder.tracing.forking import own
 from recorder.tracing.journal import unrecorded
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
-
-    from google.protobuf.message import Message
-
-    from recorder.records import Record
-    from recorder.records.values import AssetFile
-
 
 _MAX_RECORDS: Final = 50  # a chunk has at most this many records
 _MAX_BYTES: Final = 1 << 20  # largest number of bytes in a chunk

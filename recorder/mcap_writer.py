@@ -13,8 +13,10 @@ import re
 import struct
 import zlib
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import BinaryIO, Final
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -35,12 +37,6 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-    from typing import BinaryIO
-
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 #: Inflated chunks have at most this many times the size of the file. Usual ratios are 3 to 13.

@@ -5,13 +5,11 @@ from __future__ import annotations
 import os
 import re
 import sys
+from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import PurePath
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
+from typing import Any, Final
 
 _CELL: Final = re.compile(r"In \[\d+\]")
 _FILE: Final = re.compile(r'(?<=File ")[^"\n]+(?=", line )')

@@ -10,13 +10,11 @@ import contextlib
 import importlib.util
 import platform
 import sys
+from collections.abc import Iterator, Mapping
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from recorder.tracing.interrupts import Uninterrupted
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 #: The extra that installs each module. trimesh is also in the extra "render", which the renderer requests by name.
 _EXTRAS: Final = {

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from linecache import getlines
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 
 def deciding(lines: Sequence[tuple[str, int]], text_of: Callable[[str], str] | None = None) -> int:

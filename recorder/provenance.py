@@ -9,19 +9,14 @@ import platform
 import subprocess
 import sys
 import time
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from recorder.records import Revision, escaped
+from recorder.records import Revision, Run, escaped
 from recorder.records.values import LEFT_OUT, is_secret, without_secrets
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from recorder.records import Run
-
 
 _TIMEOUT: Final = 2.0  # git must answer in this time, s
 _PACKAGES: Final = ("pycram", "recorder")  # these packages run plans

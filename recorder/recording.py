@@ -9,12 +9,12 @@ import threading
 import time
 import weakref
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from recorder import notebook, provenance
 from recorder.errors import RecordingError
@@ -27,14 +27,9 @@ from recorder.tracing.call_stack import failure_with_frames
 from recorder.tracing.context import current_name
 from recorder.tracing.forking import process
 from recorder.tracing.interrupts import Uninterrupted, drop_pending, interrupted_at, interrupted_by, terminable
-from recorder.tracing.journal import Journal
+from recorder.tracing.journal import Journal, Sink
 from recorder.tracing.output import recorded_output
 from recorder.viewer.live import RerunSink
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from recorder.tracing.journal import Sink
 
 #: The traceback of an error that ends a plan or thread has at most this many errors.
 _MAX_ERRORS: Final = 1000

@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from recorder import geometry
 from recorder.errors import suggestion
 from recorder.geometry import IDENTITY, Pose, Vector
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
 
 #: Largest number of cached documents. Loading and recording a model both parse the document.
 _CACHED: Final = 32

@@ -6,13 +6,12 @@ opens a folder of recordings as tables.
 """
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import recorder  # noqa: F401  limits the threads of NumPy, so it must come before NumPy
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
     from replay.recording import Recording
     from replay.runs.folder import Runs

@@ -11,13 +11,14 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Fluent, Mutation, Query, Refusal, Run, Task, without_addresses
+from recorder.records import Fluent, Mutation, Plain, Query, Record, Refusal, Run, Task, without_addresses
 from recorder.records.text import is_choice
 from replay.file.lifetimes import title
 from replay.history.summary import Summary, summary
@@ -25,15 +26,11 @@ from replay.history.tasks import causing_tasks
 from replay.report import phrases, report
 from replay.state.fold import state_at
 from replay.state.json_data import kind_of, record_data
-from replay.state.state import turn
+from replay.state.state import Attachment, Body, State, World, turn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from recorder.geometry import Pose
-    from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
-    from replay.state.state import Attachment, Body, State, World
 
 
 #: A body that moves by less than these m and rad isn't reported as moved: it settles in simulation.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 import numpy as np
@@ -17,27 +18,22 @@ from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from google.protobuf.message import Message
 
 from recorder import geometry
+from recorder.geometry import Pose, Vector
 from recorder.mcap_sink import definition
 from recorder.mcap_writer import McapWriter
 from recorder.packages import needed, versions
-from recorder.records import STEPS_PER_SECOND, Check, Keyframe, Mutation, Task, argument_values
+from recorder.records import STEPS_PER_SECOND, Check, Keyframe, LoadBody, Mutation, Record, Task, argument_values
 from recorder.records.motion import ROOT, FrameTree, changed_bodies, frame_name
 from recorder.records.text import has_line, text_of
 from recorder.records.values import first_position
 from recorder.tasks.lanes import Lanes
-from recorder.urdf import read_shapes
+from recorder.urdf import Shape, read_shapes
 from replay.errors import NONSENSE, Damaged, nonsense
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from google.protobuf.message import Message
-
-    from recorder.geometry import Pose, Vector
-    from recorder.records import LoadBody, Record
-    from recorder.urdf import Shape
     from replay.file.record_reader import RecordReader
 
 

@@ -6,31 +6,30 @@ It turns names of steps into numbers, because functions in other packages take o
 from __future__ import annotations
 
 import io
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import html
+from recorder.tasks import Tree
 from replay.errors import ReplayError
 from replay.file.lifetimes import title
 from replay.file.record_reader import RecordReader
 from replay.history.steps import moment_of, step_of
 from replay.state.fold import last_open_step, state_at
+from replay.state.state import RecordedBelief, State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from PIL import Image
 
     from pycram.world.world import BulletWorld
     from recorder.properties import Property
-    from recorder.tasks import Tree
     from replay.explain.check import CheckedProperty
     from replay.explain.why import Why
     from replay.history.blame import Blame
     from replay.report.question import QueryCall
     from replay.restore.ask import Move, QueryAnswer
     from replay.restore.render import DrawnWorld
-    from replay.state.state import RecordedBelief, State
 
 
 _SMALL: Final = (320, 240)  # size of a picture in a notebook in pixels

@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,10 +18,9 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import pytest
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+import recorder
 
-    import recorder
+if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
     from replay.recording import Recording
 

@@ -13,6 +13,7 @@ import os
 import tempfile
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from hashlib import file_digest, sha256
 from itertools import zip_longest
 from pathlib import Path
@@ -23,6 +24,7 @@ from rerun.experimental import ViewerClient
 
 import recorder.viewer
 from recorder.errors import RecordingError
+from recorder.geometry import Vector
 from recorder.records import Check
 from recorder.records.values import AssetFile
 from recorder.system import user
@@ -32,13 +34,9 @@ from recorder.viewer.rerun_stream import STEP, stream_to_file
 from recorder.viewer.translator import ORIGIN, Layout, Translator, acts, blueprint, side_by_side
 from replay.compare import divergence
 from replay.errors import NONSENSE, Damaged, ReplayError, nonsense
+from replay.file.record_reader import RecordReader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from recorder.geometry import Vector
-    from replay.file.record_reader import RecordReader
-
     Eye: TypeAlias = tuple[Vector, Vector] | None  # a viewpoint and the middle of its picture, m; None for an overview
 
 

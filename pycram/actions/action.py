@@ -8,23 +8,25 @@ from __future__ import annotations
 
 import inspect
 import re
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import wraps
-from typing import TYPE_CHECKING, Any, Final, ParamSpec, Protocol, TypeAlias, TypeVar, cast
+from typing import Any, Final, ParamSpec, Protocol, TypeAlias, TypeVar, cast
 
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import candidates_of, thing
 from pycram.foundation import checks, plugins
 from pycram.foundation.errors import qualified_name
 from pycram.foundation.failures import BadArgument
-from pycram.motions.designator import Designator, ResolvedDesignator
+from pycram.motions.designator import Designator, ResolvedDesignator, Resolver, Solution
 from pycram.motions.slots import (
     ARM,
     GRASP,
     ORIENTATION,
     POINT,
     POSITION,
+    Check,
     DesignatorError,
     Slot,
     SlotTable,
@@ -35,14 +37,6 @@ from pycram.motions.slots import (
 )
 from pycram.world.object import Object
 from recorder.errors import did_you_mean
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from contextlib import AbstractContextManager
-
-    from pycram.motions.designator import Resolver, Solution
-    from pycram.motions.slots import Check
-
 
 P = ParamSpec("P")
 Result_co = TypeVar("Result_co", covariant=True)

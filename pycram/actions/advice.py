@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -21,6 +22,7 @@ from pycram.foundation.failures import (
     ReasoningError,
     Unreachable,
 )
+from pycram.models.robots.description import Arm
 from pycram.projection.child import first_true
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.ray_cast import center
@@ -31,17 +33,14 @@ from pycram.reasoning.places import standing_places
 from pycram.reasoning.places.search import drives
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
+from recorder.geometry import Pose
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from pycram.actions.action import ActionDesignator
-    from pycram.models.robots.description import Arm
-    from pycram.world.object import Object
-    from recorder.geometry import Pose
 
 _TURNS: Final = (30, 60, 90, 120, 150)  # tried turns about the vertical, in degrees
 _FAR: Final = (90, 30)  # turns in degrees if the robot may drive; fewer, because each searches for a place of the robot

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from contextvars import ContextVar
 from typing import TYPE_CHECKING, Any, Final
@@ -18,23 +19,20 @@ from pycram.actions.performing import ActionFailed, perform
 from pycram.foundation.failures import Blocked, NoPlace, PerceptionError, PlanFailure, ReasoningError
 from pycram.knowledge import believed
 from pycram.language.retries import failure_handling
+from pycram.models.surfaces import Surface
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.places import PutDown, standing_places
+from pycram.reasoning.grasping.grasps import GraspSide
+from pycram.reasoning.places import FoundPlace, PutDown, standing_places
+from pycram.reasoning.places.goals import Target
 from pycram.reasoning.places.search import drives
 from pycram.reasoning.queries.reachability import blocking
 from pycram.scheduling.cancellation import Binding
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pycram.actions.containers import Access
-    from pycram.models.surfaces import Surface
-    from pycram.reasoning.grasping.grasps import GraspSide
-    from pycram.reasoning.places import FoundPlace
-    from pycram.reasoning.places.goals import Target
-    from pycram.world.object import Object
 
 
 _MAX_PLACES: Final = 6  # maximum number of places from which fetching is tried

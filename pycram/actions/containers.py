@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from pycram.actions.action import ActionDesignator, action
 from pycram.actions.performing import perform
 from pycram.foundation.failures import AccessFailed, BadArgument, NoPlace, PlanFailure, UnknownName
 from pycram.motions.designator import MotionDesignator
-from pycram.motions.slots import BODY, DISTANCE, NAME, POSITION, ValueKind
+from pycram.motions.slots import BODY, DISTANCE, NAME, POSITION, Check, ValueKind
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.handles import Handle
 from pycram.reasoning.places import Pull, standing_places
@@ -23,12 +24,6 @@ from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
 from recorder.geometry import convex_hull, margin_in_polygon
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from pycram.motions.slots import Check
-
 
 _PLACES: Final = 3  # number of places of the robot that are tried for each width
 _SAME: Final = (0.005, math.radians(0.5))  # maximum distance in m and rad of a robot from its place

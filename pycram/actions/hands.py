@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 from pycram.actions.action import action, place_for_an_object, portable
 from pycram.actions.containers import containers, enclosing_at
@@ -12,25 +13,20 @@ from pycram.actions.locations import LocationDesignator
 from pycram.actions.navigating import go
 from pycram.actions.objects import object_of
 from pycram.actions.performing import perform
-from pycram.foundation.failures import Blocked, MissingPart, NoPlace, PlaceFailed, ReasoningError
+from pycram.foundation.failures import Blocked, CollisionPair, MissingPart, NoPlace, PlaceFailed, ReasoningError
+from pycram.models.robots.description import Arm
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.slots import POINT
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing as settling
+from pycram.reasoning.grasping.grasps import GraspSide
 from pycram.reasoning.kinematics.inverse import postures
 from pycram.reasoning.places.search import drives
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from pycram.foundation.failures import CollisionPair
-    from pycram.models.robots.description import Arm
-    from pycram.reasoning.grasping.grasps import GraspSide
-    from pycram.world.object import Object
-    from recorder.geometry import Pose, PoseLike, Vector
+from recorder.geometry import Pose, PoseLike, Vector
 
 
 def arms() -> list[Arm]:

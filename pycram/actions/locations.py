@@ -3,29 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Final, TypeAlias
 
 from pycram.actions.objects import ObjectDesignator, object_of, thing
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoPlace, UnknownName
-from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.slots import ARM, ORIENTATION, POSITION, Slot, SlotTable, ValueKind, slot_name
-from pycram.reasoning.places import PutDown, free_places, standing_places
-from pycram.reasoning.places.free import SIDES
+from pycram.models.surfaces import Container, Surface
+from pycram.motions.designator import Designator, ResolvedDesignator, Resolver, Solution
+from pycram.motions.slots import ARM, ORIENTATION, POSITION, Description, Slot, SlotTable, ValueKind, slot_name
+from pycram.reasoning.places import FoundPlace, PutDown, free_places, standing_places
+from pycram.reasoning.places.free import SIDES, Side
 from pycram.scheduling.future import unwrap
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder.errors import suggestion
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from pycram.models.surfaces import Container, Surface
-    from pycram.motions.designator import Designator, Resolver, Solution
-    from pycram.motions.slots import Description
-    from pycram.reasoning.places import FoundPlace
-    from pycram.reasoning.places.free import Side
-
     On: TypeAlias = Surface | Object | str
     Thing: TypeAlias = Object | ObjectDesignator | str
 

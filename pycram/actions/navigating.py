@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.actions.action import ActionDesignator, action, place_for_the_robot
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.performing import perform
 from pycram.foundation import checks
 from pycram.foundation.failures import NoPath, PlanFailure, PostureInCollision
+from pycram.models.robots.description import Arm
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.execution import level
 from pycram.reasoning.places.search import check_drives
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from pycram.models.robots.description import Arm
-    from pycram.world.object import Object
-
 
 _THERE: Final = (1e-3, 1e-3)  # maximum distance in m and rad of a robot from its place
 _CARRIED: Final = ((0.5, 0.1, 0.0), (0.5, -0.1, 0.0), (0.6, 0.0, 0.0), (0.6, 0.0, -0.2))  # from the shoulder, m

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from pycram.foundation.failures import BadArgument, PerceptionError
 from pycram.knowledge import beliefs
-from pycram.motions.designator import ResolvedDesignator
-from pycram.motions.slots import BODY, NAME, DesignatorError, Slot, SlotTable
+from pycram.motions.designator import Designator, ResolvedDesignator, Resolver, Solution
+from pycram.motions.slots import BODY, NAME, Description, DesignatorError, Slot, SlotTable
 from pycram.scheduling.future import unwrap
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder.errors import suggestion
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from pycram.motions.designator import Designator, Resolver, Solution
-    from pycram.motions.slots import Description
-
 
 _SLOTS: Final = SlotTable(
     "object",

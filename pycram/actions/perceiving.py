@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.actions.action import ActionDesignator, action, looked_at
 from pycram.actions.containers import Access, containers
@@ -18,18 +19,12 @@ from pycram.foundation.failures import PerceptionError, PlanFailure
 from pycram.knowledge import beliefs
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.modules.perception import RECOGNISABLE
-from pycram.reasoning.places import standing_places
+from pycram.reasoning.places import FoundPlace, standing_places
 from pycram.reasoning.queries.visibility import in_sight, visible
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from pycram.reasoning.places import FoundPlace
-    from pycram.world.object import Object
-    from recorder.geometry import PoseLike, Quaternion, Vector
-
+from recorder.geometry import PoseLike, Quaternion, Vector
 
 _FAR: Final = 3.0  # maximum distance in m from the robot's present place to a point that it looks at
 _NEAR: Final = 1.6  # maximum distance in m from a place near a surface to a point that the robot looks at

@@ -6,6 +6,7 @@ In ``projecting()``, projections in forks first try the best choices; then the f
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from pycram.foundation.failures import BadArgument, PlanFailure, PycramError
 from pycram.foundation.refusals import refusing
 from pycram.language.branch import current_block
 from pycram.language.retries import FailureHandling
-from pycram.motions.designator import Designator, MotionDesignator, performing
+from pycram.motions.designator import Designator, MotionDesignator, Solution, performing
 from pycram.motions.process_module import current_environment
 from pycram.motions.slots import DesignatorError
 from pycram.process_module import ProcessModule
@@ -32,10 +33,7 @@ from recorder.records import Decision, format_error
 from recorder.tracing.span import Span
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pycram.actions.action import ActionType
-    from pycram.motions.designator import Solution
 
 
 BUDGET: Final = 20

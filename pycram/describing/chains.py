@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from recorder.urdf import Urdf, UrdfJoint
 
 ARM: Final = 4

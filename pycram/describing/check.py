@@ -3,28 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.describing.chains import ArmChain, JointTree
 from pycram.describing.grasps import picked_up
 from pycram.describing.grippers import Corners, guess_hand
+from pycram.models.robots.description import Arm, Gripper, RobotDescription
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.kinematics import pan_tilt
 from pycram.reasoning.kinematics.forward import Chain
 from pycram.reasoning.kinematics.inverse import Solver, halton_postures
+from pycram.world.object import Object
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.models.robots.description import Arm, Gripper, RobotDescription
-    from pycram.world.object import Object
-
     Array = NDArray[np.float64]
 
 _POSES: Final = 40  # number of tool poses that the check of reach tries

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Iterator, Mapping, Sized
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -15,19 +16,17 @@ from pycram.models import canonical_urdf, load, xacro_files
 from pycram.models.corrections import SUFFIX
 from pycram.models.files import ROBOT_URDFS, find, mount_gripper, parse_toml, read_bytes, with_absolute_meshes
 from pycram.models.furniture import find_furniture, furniture_of
+from pycram.models.load import Model
 from pycram.models.robots.description import RobotDescription
 from pycram.models.surfaces import Surface, closed_position
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
+from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator, Mapping, Sized
 
-    from pycram.models.load import Model
-    from pycram.models.surfaces import Surface
-    from recorder.urdf import Urdf
 
 _FINE, _FAILED, _WRONG_USAGE = 0, 1, 2  # exit codes
 _IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture, as of a drawer behind a door

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from typing import Final
 
 import numpy as np
 
 from pycram.foundation.failures import PlanFailure
+from pycram.models.robots.description import Arm
 from pycram.motions.designator import MotionDesignator
 from pycram.motions.modules.pick_up import PickUp
+from pycram.reasoning.kinematics.forward import Chain
 from pycram.reasoning.kinematics.inverse import halton_postures
 from pycram.world.object import Object
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from pycram.models.robots.description import Arm
-    from pycram.reasoning.kinematics.forward import Chain
-    from recorder.geometry import Pose, Vector
+from recorder.geometry import Pose, Vector
 
 OBJECTS: Final = ("cup", "bottle", "spoon")
 """Names of the objects that an arm picks up."""

@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.describing.chains import ArmChain, JointTree, fingers_of, limits
 from pycram.models.robots.description import Gripper
 from pycram.models.shapes import pieces_of
 from recorder import geometry
-from recorder.geometry import IDENTITY
+from recorder.geometry import IDENTITY, Pose, Quaternion
+from recorder.urdf import UrdfJoint
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from pycram.models.load import Model
-    from recorder.geometry import Pose, Quaternion
-    from recorder.urdf import UrdfJoint
 
     Array = NDArray[np.float64]
 

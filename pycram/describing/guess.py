@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -14,12 +15,10 @@ from pycram.describing.chains import ARM, ArmChain, JointTree
 from pycram.describing.grippers import TIPS, Corners, HandGuess, SuctionGuess, guess_hand, suction_cup
 from recorder import geometry
 from recorder.geometry import IDENTITY
+from recorder.urdf import UrdfJoint
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from pycram.models.load import Model
-    from recorder.urdf import UrdfJoint
 
 _WIDTH: Final = 110  # characters per line
 _DIGITS: Final = 4

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.surfaces import DOOR, DRAWER
 from pycram.vision import Camera, drawable
 from recorder import geometry
+from recorder.geometry import Vector
 from recorder.packages import needed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from pycram.world.object import Object
-    from recorder.geometry import Vector
 
 with needed():
     from PIL import Image, ImageDraw

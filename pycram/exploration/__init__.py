@@ -13,19 +13,20 @@ import math
 import os
 import re
 from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy.random  # noqa: F401  each run seeds NumPy, and would else import this module
 
 from pycram.foundation import checks
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
-from pycram.projection.child import GRACE, ChildPool, obstacle, run_from_start, usable_cores
+from pycram.projection.child import GRACE, Child, ChildPool, ChildResult, obstacle, run_from_start, usable_cores
 from pycram.running import seed_random_numbers
 from pycram.scheduling.order import ADDED, AppliedPrecedence, BranchLine, Precedence, text_of
 from pycram.scheduling.schedule import refuse_held, scheduler, seed_order
@@ -34,16 +35,20 @@ from recorder.mcap_sink import McapSink, free_path
 from recorder.plan_lines import deciding
 from recorder.provenance import look_up_revisions, metadata
 from recorder.recording import record, redirected
-from recorder.records import Check, Fluent, Keyframe, Mutation, Run, format_failure, without_addresses
-from recorder.tracing.journal import NullSink
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-
-    from pycram.projection.child import Child, ChildResult
-    from recorder.records import Attachment, BodyState, Effect, Record
-    from recorder.tracing.journal import Sink
-
+from recorder.records import (
+    Attachment,
+    BodyState,
+    Check,
+    Effect,
+    Fluent,
+    Keyframe,
+    Mutation,
+    Record,
+    Run,
+    format_failure,
+    without_addresses,
+)
+from recorder.tracing.journal import NullSink, Sink
 
 __all__ = [
     "DEADLOCK",

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import os
 import shlex
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram import running
-from pycram.exploration import DEADLOCK, DEPTH, LIMIT, SUCCEEDED, NotExplorable, explore_runs
+from pycram.exploration import (
+    DEADLOCK,
+    DEPTH,
+    LIMIT,
+    SUCCEEDED,
+    Ending,
+    EndingGroup,
+    Exploration,
+    NotExplorable,
+    explore_runs,
+)
+from pycram.running import RunSpec
+from pycram.scheduling.order import BranchLine
 from recorder.errors import RecordingError
 from recorder.terminal import ProgressLines
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
-    from pycram.exploration import Ending, EndingGroup, Exploration
-    from pycram.running import RunSpec
-    from pycram.scheduling.order import BranchLine
 
 _MAX_TOLD: Final = 6  # maximum number of printed differences of states, and of printed orders of two branches
 _WIDTH: Final = 200  # maximum number of characters of a printed failure

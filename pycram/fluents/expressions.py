@@ -19,9 +19,11 @@ import itertools
 import reprlib
 import weakref
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from enum import Enum
 from operator import methodcaller
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, cast
+from weakref import WeakValueDictionary
 
 from pycram.foundation.failures import WorldClosed
 from pycram.scheduling.schedule import Lock
@@ -31,9 +33,6 @@ from recorder.tracing.context import current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-    from weakref import WeakValueDictionary
-
     from pycram.scheduling.strikes import Clock
 
 

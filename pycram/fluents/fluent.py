@@ -28,15 +28,18 @@ from __future__ import annotations
 import operator
 import warnings
 from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Final
+from typing import Final, Self
 
 from pycram.fluents.expressions import (
     Behavior,
     Constant,
     Ended,
+    Expression,
     Operation,
     PulseCounter,
+    State,
     Value,
     Variable,
     assign,
@@ -57,13 +60,6 @@ from pycram.scheduling.schedule import Condition, scheduler
 from pycram.scheduling.strikes import Deadline
 from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import span
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from typing import Self
-
-    from pycram.fluents.expressions import Expression, State, Value
-
 
 __all__ = ["Behavior", "FalseEndsWait", "Fluent", "NotSettable", "NotTrueOrFalse", "network"]
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, overload
+from collections.abc import Callable, Iterator
+from typing import overload
 
-from pycram.fluents.expressions import PulseCounter
+from pycram.fluents.expressions import Expression, PulseCounter, Value
 from pycram.fluents.fluent import Fluent, first_value
 from pycram.foundation.failures import BadArgument
 from pycram.language.branch import lazy, run
@@ -12,11 +13,6 @@ from pycram.language.nesting import await_turn
 from pycram.scheduling.cancellation import checkpoint
 from pycram.scheduling.future import unwrap
 from recorder.tracing.span import span
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from pycram.fluents.expressions import Expression, Value
 
 
 @overload

@@ -15,26 +15,20 @@ Values are tuples in m and xyzw, floats in rad or m, or names. An unchanged valu
 from __future__ import annotations
 
 import weakref
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
-from pycram.fluents.expressions import Ended, Variable, assign, end
-from pycram.fluents.fluent import Derived
+from pycram.fluents.expressions import Ended, Value, Variable, assign, end
+from pycram.fluents.fluent import Derived, Fluent
 from pycram.foundation.failures import BadArgument
 from pycram.foundation.refusals import refusing
 from pycram.motions.process_module import CONTINUOUS, current_environment
 from pycram.reasoning.queries.contact import touches
 from pycram.reasoning.queries.query import world_of
 from pycram.scheduling.future import unwrap
+from pycram.world.object import Object
 from pycram.world.simulation import WorldClock
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from pycram.fluents.expressions import Value
-    from pycram.fluents.fluent import Fluent
-    from pycram.world.object import Object
-    from pycram.world.transaction import Transaction
-    from pycram.world.world import BulletWorld
+from pycram.world.transaction import Transaction
+from pycram.world.world import BulletWorld
 
 __all__ = ["contact", "holding", "joint", "pose", "position"]
 

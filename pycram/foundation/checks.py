@@ -9,15 +9,13 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Iterable, Mapping, Set as AbstractSet
-from typing import TYPE_CHECKING, SupportsFloat, TypeAlias, cast
+from typing import SupportsFloat, TypeAlias, cast
 
 import numpy as np
 
 from pycram.foundation.failures import BadArgument
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from recorder.geometry import Pose, Quaternion, Vector
+from recorder.geometry import Pose, Quaternion, Vector
 
 Table: TypeAlias = dict[str, object]
 

@@ -22,18 +22,15 @@ its message. An error of PyCRAM is a dataclass with a template for its message::
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, cast, dataclass_transform
+from pathlib import Path
+from typing import Any, ClassVar, NoReturn, TypeVar, cast, dataclass_transform
 
 from recorder import notebook
 from recorder.errors import nearest, suggestion
 from recorder.records import escaped
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
 
 Given = TypeVar("Given")
 ErrorType = TypeVar("ErrorType", bound=BaseException)

@@ -6,8 +6,9 @@ in the world frame, and orientations are quaternions xyzw.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.foundation.errors import (
     AssetError,
@@ -30,13 +31,8 @@ from pycram.foundation.errors import (
     floats,
     kept_as,
 )
+from recorder.geometry import PoseLike
 from recorder.records.text import pair_text
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from recorder.geometry import PoseLike
-
 
 __all__ = [
     "AccessFailed",

@@ -5,11 +5,9 @@ Code calls :func:`forced` before each decision. Decisions are forced only in a r
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, Protocol
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final, Protocol
 
 SKIPPED: Final = "skip"
 """The decision that a call isn't made."""

@@ -9,19 +9,16 @@ from __future__ import annotations
 import functools
 import inspect
 import sys
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from types import FunctionType
-from typing import TYPE_CHECKING, Final, ParamSpec, TypeVar
+from types import FrameType, FunctionType
+from typing import Final, ParamSpec, TypeVar
 
 from pycram.foundation.errors import UsageError
 from pycram.foundation.forcing import SKIPPED, decider, forced
 from recorder import records
 from recorder.tracing import journal, span
 from recorder.tracing.call_stack import is_plan
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
-    from types import FrameType
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -28,7 +28,8 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Final, TypeAlias, cast, overload
+from types import TracebackType
+from typing import Final, Self, TypeAlias, cast, overload
 
 from pycram.foundation.errors import OnError, chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure
@@ -42,10 +43,6 @@ from recorder.tasks import State
 from recorder.tracing import interrupts
 from recorder.tracing.context import current_branch, current_name, enter_branch
 from recorder.tracing.span import Cancelled, Span, current_call_stack
-
-if TYPE_CHECKING:
-    from types import TracebackType
-    from typing import Self
 
 Action: TypeAlias = Callable[..., Result]
 

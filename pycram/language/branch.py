@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import linecache
 import reprlib
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from contextvars import Context, copy_context
 from functools import partial
@@ -19,15 +20,12 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import body, raise_if_cancelled, wait
 from pycram.scheduling.future import branch_of, unwrap
-from pycram.scheduling.schedule import scheduler
+from pycram.scheduling.schedule import Condition, scheduler
 from recorder.tasks import State
 from recorder.tracing.span import Cancelled, Span
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
     from pycram.language.block import Block
-    from pycram.scheduling.schedule import Condition
 
 #: The result of an action: the value that its process module or function returns.
 Result: TypeAlias = Any

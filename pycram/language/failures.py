@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import functools
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Final
 
 from pycram.foundation.errors import PlanFailure, PycramError, UsageError, export
 from recorder import notebook
 from recorder.records import format_error
 from recorder.records.tracebacks import format_traceback
 from recorder.tracing.call_stack import call_site
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 #: Maximum number of nested failed blocks in a message, its data and a traceback; deeper nesting takes minutes to write.
 MAX_LEVELS: Final = 8

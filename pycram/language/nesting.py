@@ -9,28 +9,22 @@ from __future__ import annotations
 
 import sys
 from abc import ABC, abstractmethod
-from contextlib import ContextDecorator, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ContextDecorator, contextmanager
 from contextvars import ContextVar
 from functools import wraps
 from inspect import CO_ASYNC_GENERATOR, CO_COROUTINE, CO_GENERATOR
-from typing import TYPE_CHECKING, Any, Final, Generic, NamedTuple, ParamSpec, TypeVar
+from types import TracebackType
+from typing import Any, Final, Generic, NamedTuple, ParamSpec, TypeVar
 
 from pycram.foundation.errors import chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
 from pycram.language.branch import name_of, run
 from pycram.language.failures import NotCleanedUp, Retry
-from pycram.scheduling.cancellation import Binding, body as body_context, raise_if_cancelled, shielded
+from pycram.scheduling.cancellation import Binding, BlockBody, body as body_context, raise_if_cancelled, shielded
 from pycram.scheduling.schedule import scheduler
 from recorder.tracing import interrupts
 from recorder.tracing.span import Cancelled, span
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextlib import AbstractContextManager
-    from types import TracebackType
-
-    from pycram.scheduling.cancellation import BlockBody
-
 
 _RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR  # code that other functions can resume
 

@@ -34,9 +34,9 @@ import functools
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+from typing import Any, NoReturn, Self, TypeAlias
 
 from pycram.foundation.errors import OnError, chained, raise_unchanged
 from pycram.foundation.failures import BadArgument, PlanFailure, UsageError
@@ -47,10 +47,6 @@ from pycram.scheduling.cancellation import Binding, current_scope
 from recorder.records import format_error
 from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import Span
-
-if TYPE_CHECKING:
-    from contextlib import AbstractContextManager
-    from typing import Self
 
 Result: TypeAlias = Any
 Parameters: TypeAlias = Mapping[str, Any]

@@ -8,6 +8,7 @@ The body can't add a branch to a block around the timeout, because the branch wo
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -22,8 +23,6 @@ from recorder.records import STEPS_PER_SECOND
 from recorder.tracing.span import Cancelled, span
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from pycram.world.world import BulletWorld
 
 

@@ -9,20 +9,16 @@ become chains of joints that the engine supports. Each element starts a new line
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from contextlib import suppress
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from pycram.foundation.failures import AssetError
 from pycram.models.files import parse_urdf
-from recorder.urdf import finite
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from recorder.urdf import Urdf
+from recorder.urdf import Urdf, finite
 
 _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
     "robot": ("link", "joint", "material"),

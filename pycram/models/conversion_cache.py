@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import cache
 from hashlib import sha256
@@ -22,8 +23,6 @@ from pycram.models.texture import warn_of_missing
 from recorder.user_folders import cache_folder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
     Piece = tuple[str, bytes, Sequence[float] | None]
 
 _WORTH: Final = 50_000  # size in bytes below which a binary STL takes longer to look up than to convert

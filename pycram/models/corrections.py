@@ -21,10 +21,12 @@ Loading the model checks names of links and joints; finding its furniture checks
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.foundation import checks
 from pycram.foundation.failures import AssetError, BadArgument
@@ -33,12 +35,7 @@ from pycram.models.surfaces import DOOR, DRAWER, Container, Furniture, Surface, 
 from recorder import geometry
 from recorder.errors import did_you_mean, suggestion
 from recorder.records.values import AssetFile
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
-    from recorder.urdf import Urdf
+from recorder.urdf import Urdf
 
 SUFFIX: Final = ".furniture.toml"
 _SURFACES: Final = "surfaces"

@@ -17,9 +17,10 @@ import os
 import re
 import tomllib
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram.foundation.failures import AssetError, BadArgument
 from pycram.models import store
@@ -27,9 +28,6 @@ from recorder.errors import similar_files
 from recorder.packages import hint
 from recorder.records.values import AssetFile
 from recorder.urdf import Urdf, UrdfError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 _PACKAGE: Final = "package://"
 _VARIABLE: Final = "PYCRAM_PACKAGES"

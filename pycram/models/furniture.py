@@ -11,26 +11,22 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from functools import lru_cache
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from pycram.models.corrections import SUFFIX, correct, read
-from pycram.models.level_faces import THINGS, Face, faces, first_met, pieces
+from pycram.models.level_faces import THINGS, Face, Piece, faces, first_met, pieces
+from pycram.models.load import Model
 from pycram.models.store import stored_tree
 from pycram.models.surfaces import DOOR, DRAWER, Container, Furniture, Surface, closed_position, open_position
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from pycram.models.level_faces import Piece
-    from pycram.models.load import Model
-    from recorder.geometry import Pose, Quaternion
-    from recorder.urdf import Urdf, UrdfJoint
+from recorder.geometry import Pose, Quaternion
+from recorder.urdf import Urdf, UrdfJoint
 
 _HIGHEST: Final = 1.8  # height in m above the model's lowest point; higher surfaces are out of reach and out of sight
 _GROUND: Final = 10.0  # area in m^2; larger surfaces are floors

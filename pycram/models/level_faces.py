@@ -9,22 +9,19 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.shapes import convex_hulls, distinct, pieces_of
 from recorder import geometry
+from recorder.geometry import Pose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from recorder.geometry import Pose
-
     Array = NDArray[np.float64]
 
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 import os
 import re
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from hashlib import sha256
-from typing import TYPE_CHECKING, Final, NamedTuple
+from pathlib import Path
+from typing import Final, NamedTuple
 
 from pycram.foundation.failures import AssetError
 from pycram.models import canonical_urdf, conversion_cache, corrections, mesh, object_urdf, store, xacro_files
@@ -24,12 +26,7 @@ from pycram.models.texture import cover_shape, warn_of_missing
 from pycram.physics.loading import NOW, Loading
 from recorder.records.values import AssetFile
 from recorder.tracing.interrupts import Uninterrupted
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from recorder.urdf import Urdf
+from recorder.urdf import Urdf
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128

@@ -9,6 +9,8 @@ parts.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -23,9 +25,6 @@ from recorder.records import escaped
 from recorder.records.values import AssetFile
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
-
     import trimesh
 
 _MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fills; for open meshes, share of the area

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import copy
 import xml.etree.ElementTree as ET
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 from pycram.models import store
 from pycram.models.store import stored_tree
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-    from pathlib import Path
-
-    from recorder.geometry import Pose
+from recorder.geometry import Pose
 
 _INERTIA: Final = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
 _CACHED_MODELS: Final = 128

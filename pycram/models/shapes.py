@@ -7,25 +7,21 @@ group of a collision mesh. The planes of a hull are half spaces, so lines can be
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models import conversion_cache, mesh, store
 from recorder import geometry
 from recorder.packages import LazyModule, needed
-from recorder.urdf import shapes_in
+from recorder.urdf import Shape, shapes_in
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from recorder.urdf import Shape
-
     Array = NDArray[np.float64]
 
 Number = TypeVar("Number", np.float64, np.int64)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.urdf import UrdfJoint
+from recorder.geometry import Pose, Quaternion, Vector
+from recorder.urdf import UrdfJoint
 
 DRAWER: Final = "drawer"
 DOOR: Final = "door"

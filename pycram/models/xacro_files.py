@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram.foundation.failures import AssetError
 from pycram.models.files import find_package
 from recorder.packages import hint
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 _LOCK: Final = Lock()  # xacro keeps the state of an expansion in its modules
 SUFFIX: Final = ".xacro"

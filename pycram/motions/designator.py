@@ -19,26 +19,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeAlias, TypeVar
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar
 
 from pycram.foundation.errors import chained, qualified_name
 from pycram.foundation.failures import BadArgument, UnknownName
 from pycram.foundation.forcing import forced
 from pycram.foundation.refusals import refusing
 from pycram.motions import motion_types
+from pycram.motions.resources import Resources
 from pycram.motions.slots import Description, DesignatorError, SolutionSlots, Value, own, pairs, same, slot_name
 from pycram.reasoning.choosing import Question
 from pycram.scheduling.cancellation import Binding
-from pycram.scheduling.future import Future, branches_in, unwrap
+from pycram.scheduling.future import Future, Pending, branches_in, unwrap
 from recorder.tracing import journal
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import Self
-
-    from pycram.motions.resources import Resources
-    from pycram.scheduling.future import Pending
-
 
 __all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesignator", "Solution"]
 

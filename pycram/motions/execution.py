@@ -9,31 +9,25 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from contextvars import ContextVar
 from functools import partial
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 from pycram import planning
 from pycram.foundation.failures import Blocked, Displaced, NoPath, PlanFailure, WorldClosed
+from pycram.models.robots.description import Arm
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.grasping import fingers
 from pycram.world import attachment, driving, simulation
+from pycram.world.object import Object
 from pycram.world.simulation import RestDetector
+from pycram.world.trajectory import Trajectory
+from pycram.world.world import BulletWorld
 from recorder import geometry
+from recorder.geometry import Pose, Vector
 from recorder.records import STEPS_PER_SECOND
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-    from contextlib import AbstractContextManager
-
-    from pycram.models.robots.description import Arm
-    from pycram.world.object import Object
-    from pycram.world.trajectory import Trajectory
-    from pycram.world.world import BulletWorld
-    from recorder.geometry import Pose, Vector
-
 
 #: A function that follows a plan.
 Step: TypeAlias = Callable[[], None]

@@ -6,6 +6,7 @@ dictionaries with ``cmd`` and all parameters of the process module.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -18,8 +19,6 @@ from pycram.scheduling.future import branch_of, unwrap
 from pycram.world.world import BulletWorld
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from pycram.motions.designator import ResolvedDesignator, Solution
 
 

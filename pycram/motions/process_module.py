@@ -10,12 +10,12 @@ from __future__ import annotations
 import threading
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Final, Protocol, Self, TypeAlias, runtime_checkable
 
 from pycram.foundation import checks, plugins
 from pycram.foundation.errors import export, qualified_name
@@ -30,25 +30,17 @@ from pycram.foundation.failures import (
 )
 from pycram.foundation.refusals import refusing
 from pycram.language.branch import current_block, run
-from pycram.models.robots.description import find_description
-from pycram.motions.designator import Designator, DesignatorError, Resolvers, performing, unfinished
-from pycram.motions.execution import INSTANT, LEVEL
+from pycram.models.robots.description import Arm, RobotDescription, find_description
+from pycram.motions.designator import Designator, DesignatorError, Resolvers, Solution, performing, unfinished
+from pycram.motions.execution import INSTANT, LEVEL, Execution
 from pycram.motions.resources import ResourceQueue, Resources, Ticket, forget_tickets
 from pycram.scheduling.cancellation import Binding, checkpoint, uninterruptible
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder.packages import require
 from recorder.records import Decision
 from recorder.tracing.span import Span, span
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from typing import Self
-
-    from pycram.models.robots.description import Arm, RobotDescription
-    from pycram.motions.designator import Solution
-    from pycram.motions.execution import Execution
-    from pycram.world.object import Object
 
 
 @runtime_checkable

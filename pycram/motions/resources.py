@@ -22,19 +22,16 @@ because it looks at a place in the world. Detecting needs the whole robot at res
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Set as AbstractSet
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.scheduling.cancellation import Binding, wait
 from pycram.scheduling.schedule import Condition
 from recorder.tracing.context import current_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Set as AbstractSet
 
 #: The name that represents all resources of a robot.
 WHOLE_ROBOT: Final = "the whole robot"

@@ -15,6 +15,7 @@ import numpy as np
 from pycram.foundation import checks
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
+from pycram.models.robots.description import Arm
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping.grasps import GRASPS
 from pycram.scheduling.future import unwrap
@@ -22,7 +23,6 @@ from pycram.world.world import BulletWorld, Object
 from recorder.errors import did_you_mean
 
 if TYPE_CHECKING:
-    from pycram.models.robots.description import Arm
     from pycram.motions.designator import ResolvedDesignator
 
 #: The form in which plans write slots, constraints and properties.

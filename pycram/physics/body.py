@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from recorder.geometry import Pose, Vector
+from recorder.geometry import Pose, Vector
 
 _SUPPORT_SLOPE: Final = 0.5  # minimum z of a contact's unit normal; steeper contacts than 60 degrees support nothing
 

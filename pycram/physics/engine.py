@@ -8,28 +8,23 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation.failures import AssetError
 from pycram.foundation.redirect import silenced
 from pycram.physics.body import ClosestPoint, Contact, LoadedBody, MovableJoint, Snapshot
-from pycram.physics.loading import MOTOR_GAIN, NOW, Load, holding_forces, least_forces
+from pycram.physics.loading import MOTOR_GAIN, NOW, Load, Loading, holding_forces, least_forces
 from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, Vector
 from recorder.packages import needed
 from recorder.records import STEPS_PER_SECOND
 from recorder.tracing import journal
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.physics.loading import Loading
 
 with needed(), silenced(1, 2):  # the import of PyBullet prints its build time
     import pybullet as bullet

@@ -7,18 +7,14 @@ option has the value of release 0.1.0.
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
+from pycram.physics.body import MovableJoint
+from recorder.geometry import Vector
 from recorder.records import LoadBody, Loading as LoadingRecord
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from pycram.physics.body import MovableJoint
-    from recorder.geometry import Vector
-    from recorder.urdf import Urdf
-
+from recorder.urdf import Urdf
 
 MOTOR_GAIN: Final = 0.1
 """Share of a joint's error that a motor corrects in a step. It is PyBullet's default, for bodies that aren't robots."""

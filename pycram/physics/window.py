@@ -8,15 +8,12 @@ import os
 import sys
 import time
 import weakref
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram.foundation.failures import DisplayError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from pycram.physics.engine import Engine
+from pycram.physics.engine import Engine
 
 _POLL_PERIOD: Final = 1 / 30  # s
 

@@ -3,38 +3,35 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, InCollision, PostureInCollision, Unreachable
+from pycram.models.robots.description import Arm
 from pycram.planning import path, timing
 from pycram.planning.path import PlannedMotion, given, search_record, trajectory_of
 from pycram.planning.space import MARGIN, Clearance, Space, nearest_turns
 from pycram.planning.timing import base_rates, joint_rates, stacked
 from pycram.reasoning.choosing import choosing
-from pycram.reasoning.collision.checker import CollisionChecker
+from pycram.reasoning.collision.checker import CollisionChecker, PostureCandidate
 from pycram.reasoning.kinematics.forward import Chain, rotation_error
 from pycram.reasoning.kinematics.inverse import search_postures
 from pycram.reasoning.places.search import check_drives, check_ground
 from pycram.reasoning.rejections import Touching
 from pycram.world.joints import checked_positions, coupled
+from pycram.world.object import Object
 from pycram.world.trajectory import BaseFrame
 from recorder import geometry
+from recorder.geometry import Pose, PoseLike
 from recorder.records.motion import BASE_COORDINATES
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.models.robots.description import Arm
     from pycram.planning.path import Path
     from pycram.planning.timing import Rates
-    from pycram.reasoning.collision.checker import PostureCandidate
-    from pycram.world.object import Object
-    from recorder.geometry import Pose, PoseLike
 
     Array = NDArray[np.float64]
 

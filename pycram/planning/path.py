@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation.failures import NoPath
 from pycram.planning import timing
+from pycram.reasoning.choosing import Choice
 from pycram.reasoning.rejections import Touching, Unreached
 from pycram.scheduling.schedule import run_seed
 from pycram.world.trajectory import Trajectory
 from recorder import records
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from pycram.planning.space import Clearance, Space
     from pycram.planning.timing import Knots, Rates
-    from pycram.reasoning.choosing import Choice
 
     Array = NDArray[np.float64]
 

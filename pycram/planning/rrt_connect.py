@@ -7,23 +7,19 @@ objects, so earlier queries don't affect its result.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pycram.planning.space import between
+from pycram.planning.space import Clearance, Space, between
 from recorder.packages import needed
 
 with needed():
     from ompl import base, geometric, util
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from numpy.typing import NDArray
-
-    from pycram.planning.space import Clearance, Space
-
     Array = NDArray[np.float64]
 
 _RANGE: Final = 1.0  # maximum weighted distance by which a tree grows in a step

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
+
+from pycram.foundation.failures import CollisionPair
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.foundation.failures import CollisionPair
     from pycram.reasoning.collision.checker import CollisionChecker, Pair, PostureCandidate
 
     Array = NDArray[np.float64]

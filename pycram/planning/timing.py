@@ -9,25 +9,22 @@ from __future__ import annotations
 import logging
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.robots.description import MotionLimits
 from pycram.planning.space import between
+from pycram.world.object import Object
 from recorder.packages import needed
 from recorder.tracing.call_stack import call_site
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.world.object import Object
-
     Array = NDArray[np.float64]
 
 SPACINGS: Final = (0.3, 0.1, 0.03)  # distances in rad or m of the spline's way points; small ones round corners less

@@ -16,7 +16,8 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeAlias
+from pathlib import Path
+from typing import Any, Final, Literal, TypeAlias
 
 from pycram.foundation import checks
 from pycram.foundation.errors import export
@@ -43,9 +44,6 @@ from recorder.records.tracebacks import text_or
 from recorder.tracing import journal
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 __all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "ProjectionDied", "project", "project_all"]
 

@@ -12,10 +12,11 @@ import signal
 import sys
 import time
 from collections import deque
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Generic, NoReturn, TypeVar
+from typing import Any, Final, Generic, NoReturn, TypeVar
 
 from pycram.language.nesting import nothing_open
 from pycram.motions.process_module import forget_claims
@@ -23,10 +24,6 @@ from pycram.scheduling.cancellation import begin_alone, checkpoint
 from pycram.scheduling.schedule import MISSED_SIGNALS_EVERY, is_held
 from pycram.world.world import number_anew, open_worlds
 from recorder.tracing import forking, interrupts
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Sequence
-
 
 Job = TypeVar("Job")
 

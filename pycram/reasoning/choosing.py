@@ -7,6 +7,7 @@ question is answered, its world is locked and refuses changes.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
@@ -15,13 +16,11 @@ from pycram.foundation.failures import UsageError
 from pycram.foundation.forcing import decider, forced
 from recorder import records
 from recorder.tracing import journal, span
+from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-
     from pycram.reasoning.rejections import Rejection
     from pycram.world.world import BulletWorld
-    from recorder.tracing.journal import Journal
 
 _MAX_GROUPS: Final = 8  # maximum number of groups of candidates in a record; other candidates are only counted
 _MAX_NAMES: Final = 4  # maximum number of names in a recorded group of candidates

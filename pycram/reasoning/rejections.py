@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
 from pycram.foundation.failures import CollisionPair
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Mapping, Sequence
 
 _DIGITS: Final = 6  # decimals of recorded numbers, which are only read
 _MAX_PAIRS: Final = 3

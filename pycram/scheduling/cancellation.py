@@ -7,20 +7,14 @@ A cancel scope is a part of the plan that can be cancelled or has a deadline; sc
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
-from typing import TYPE_CHECKING, Final, Generic, Protocol, TypeVar
+from contextvars import ContextVar, Token
+from typing import Final, Generic, Protocol, TypeVar
 
-from pycram.scheduling.schedule import Condition, Waiter, is_held, schedule_alone, scheduler, unknown_reason
-from pycram.scheduling.strikes import Deadline
+from pycram.scheduling.schedule import Condition, Reason, Waiter, is_held, schedule_alone, scheduler, unknown_reason
+from pycram.scheduling.strikes import Clock, Deadline, Limit
 from recorder.tracing.span import Cancelled
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from contextvars import Token
-
-    from pycram.scheduling.schedule import Reason
-    from pycram.scheduling.strikes import Clock, Limit
 
 Value = TypeVar("Value")
 

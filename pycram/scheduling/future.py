@@ -9,13 +9,10 @@ from __future__ import annotations
 import copy
 import operator
 import os
-from typing import TYPE_CHECKING, Any, Final, Protocol, TypeAlias
+from collections.abc import Callable, Iterator
+from typing import Any, Final, Protocol, TypeAlias
 
 from recorder.tasks import State
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
 
 Result: TypeAlias = Any
 

@@ -17,14 +17,12 @@ from __future__ import annotations
 import random
 import re
 from collections import deque
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
 
 #: If a branch takes this many turns in a row, for example because it polls, all other branches run next.
 MOST_IN_A_ROW: Final = 100

@@ -24,34 +24,30 @@ import sys
 import threading
 import time
 from collections import OrderedDict
+from collections.abc import Callable, Collection, Iterator
 from contextlib import suppress
+from contextvars import Context
 from copy import copy
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, TypeAlias
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Final, Self, TypeAlias
 
 from greenlet import getcurrent, greenlet
 
 from pycram.foundation.errors import UsageError
 from pycram.foundation.forcing import decider, forced
 from pycram.foundation.refusals import refused
-from pycram.scheduling.order import BlockedWait, BranchLine, DeadlockedBranches, order_of
+from pycram.scheduling.order import BlockedWait, BranchLine, DeadlockedBranches, Order, Ranked, order_of
 from recorder import notebook
 from recorder.plan_lines import deciding
 from recorder.tracing import context, forking, interrupts, journal
-from recorder.tracing.call_stack import plan_frame, plan_frames, recorded_file
+from recorder.tracing.call_stack import CallSite, plan_frame, plan_frames, recorded_file
 from recorder.tracing.context import enter_branch, new_branch
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-    from contextvars import Context
-    from types import FrameType, TracebackType
-    from typing import Self
-
-    from pycram.scheduling.order import Order, Ranked
     from pycram.scheduling.strikes import StrikeSource
-    from recorder.tracing.call_stack import CallSite
 
 
 _BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  ids of threads that existed before the plan

@@ -5,15 +5,10 @@ from __future__ import annotations
 import math
 import time
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol, Self
 
 from pycram.foundation.forcing import forced
-from pycram.scheduling.schedule import Condition, scheduler
-
-if TYPE_CHECKING:
-    from typing import Self
-
-    from pycram.scheduling.schedule import RecordedStrikes
+from pycram.scheduling.schedule import Condition, RecordedStrikes, scheduler
 
 
 class Clock(Protocol):

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from contextvars import copy_context
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from pycram.scheduling.cancellation import join, raise_if_cancelled
 from pycram.scheduling.schedule import refuse_held, scheduler
 from pycram.scheduling.strikes import StrikeSource
 from recorder.tracing.context import current_name
 from recorder.tracing.span import span
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 Result = TypeVar("Result")
 

@@ -14,10 +14,11 @@ import re
 import shlex
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram import plan_parameters
 from pycram.foundation import checks
@@ -32,9 +33,6 @@ from pycram.world.world import open_worlds
 from recorder import system
 from recorder.errors import similar_files
 from recorder.tracing import forking
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 __all__ = ["LIMIT", "RunLost", "RunOutcome", "Sweep", "SweepRefused", "sweep"]
 

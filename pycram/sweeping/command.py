@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 import sys
 import time
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import UsageError
 from pycram.plan_parameters import listed, sampled
 from pycram.running import FAILED, INTERRUPTED, SUCCEEDED, WRONG_USAGE, tell
-from pycram.sweeping import sweep
+from pycram.sweeping import RunOutcome, Sweep, sweep
 from recorder.terminal import ProgressLines
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator, Sequence
-
     from rich.progress import Progress
 
-    from pycram.sweeping import RunOutcome, Sweep
 
 _SHOWN: Final = 5  # maximum number of printed failures
 _WIDTH: Final = 160  # maximum number of characters of a printed failure

@@ -19,19 +19,29 @@ import subprocess
 import sys
 import time
 from collections import deque
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache, partial
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from pycram import running
 from pycram.failures import PlanFailure
 from pycram.foundation.errors import call_all, export
 from pycram.models import load, store
 from pycram.plan_parameters import Variations
-from pycram.projection.child import GRACE, ChildPool, die_with, limit_memory, run_from_start, usable_cores
+from pycram.projection.child import (
+    GRACE,
+    Child,
+    ChildPool,
+    ChildResult,
+    die_with,
+    limit_memory,
+    run_from_start,
+    usable_cores,
+)
 from pycram.running import MAX_SEED, RunSpec
 from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink
@@ -39,16 +49,9 @@ from recorder.mcap_writer import SharedModels, share_models
 from recorder.packages import versions
 from recorder.provenance import look_up_revisions, metadata
 from recorder.recording import record, redirected
-from recorder.records import Mutation, Query, Run, Task, format_failure
+from recorder.records import Mutation, Query, Record, Run, Task, format_failure
 from recorder.records.values import LEFT_OUT, is_secret
-from recorder.tracing.journal import NullSink
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-
-    from pycram.projection.child import Child, ChildResult
-    from recorder.records import Record
-    from recorder.tracing.journal import Sink
+from recorder.tracing.journal import NullSink, Sink
 
 HOOKS: Final = "pycram.runs"
 """Group of entry points: functions that a run's process calls with the path of its recording.

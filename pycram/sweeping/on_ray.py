@@ -12,18 +12,16 @@ import logging
 import os
 import shutil
 import tempfile
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.sweeping import SWEEP, Sweep, SweepRefused, begin, facts_of, locked, write
 from pycram.sweeping.local import RunOutcome, SweepSpec, Worker
 from recorder.mcap_writer import MODELS_NAME
 from recorder.packages import needed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
 
 with needed():
     import fsspec

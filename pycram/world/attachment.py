@@ -12,23 +12,22 @@ Supported bodies move with drawers. If a hand takes a body, bodies in or on it a
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import AttachmentError
+from pycram.models.robots.description import Arm
+from pycram.physics.body import ClosestPoint
 from pycram.world.overlaps import DEEP
+from pycram.world.transaction import Transaction
 from recorder import geometry, records
+from recorder.geometry import Pose
+from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from pycram.models.robots.description import Arm
-    from pycram.physics.body import ClosestPoint
     from pycram.world.object import Object
-    from pycram.world.transaction import Transaction
-    from recorder.geometry import Pose
-    from recorder.urdf import Urdf
 
 _CONTACT_GAP: Final = 0.003  # largest distance in m between a resting body and its support; half a millimetre is usual
 _DROP_HEIGHT: Final = 0.03  # largest height in m of a body above the floor of the drawer that contains it

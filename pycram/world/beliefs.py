@@ -5,19 +5,18 @@ Beliefs are a part of the world's state, so forked processes, saved states and k
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
 
+from pycram.world.transaction import Transaction
 from recorder.records import Belief, beliefs as fold
+from recorder.records.beliefs import Key
 from recorder.tracing import journal as journals
+from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
-    from recorder.records.beliefs import Key
-    from recorder.tracing.journal import Journal
 
     #: The step of one record in each recording.
     Steps: TypeAlias = Mapping[Journal, int]

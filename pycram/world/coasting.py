@@ -7,21 +7,19 @@ positions at the end of the interval. The engine's steps would take ten times as
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.world import attachment, simulation
+from pycram.world.object import Object
 from recorder import geometry
+from recorder.geometry import Pose
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.world.object import Object
     from pycram.world.world import BulletWorld
-    from recorder.geometry import Pose
 
     Array = NDArray[np.float64]
 

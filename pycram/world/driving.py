@@ -8,26 +8,25 @@ objects. Everything else is physics: pushed objects move, and obstacles keep joi
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 
 from pycram.foundation.errors import FollowsTrajectory
 from pycram.foundation.failures import BadArgument, CollisionPair, TrackingLost, TrajectoryEnded, UnknownName
 from pycram.foundation.refusals import refusing
+from pycram.physics.body import MovableJoint
 from pycram.scheduling.cancellation import raise_if_cancelled, shielded, uninterruptible
 from pycram.world import attachment, simulation
 from pycram.world.coasting import Coasting
 from pycram.world.joints import with_followers
+from pycram.world.object import Object
 from pycram.world.trajectory import BaseFrame, Trajectory
+from pycram.world.transaction import Transaction
 from recorder import geometry, records
 from recorder.records.motion import has_ended, time_of
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from pycram.physics.body import MovableJoint
-    from pycram.world.object import Object
-    from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
 
 

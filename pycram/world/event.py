@@ -8,8 +8,9 @@ change any world.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Self, TypeAlias
 
 from pycram.foundation.errors import OnError, call_all, chained, qualified_name
 from pycram.foundation.failures import BadArgument, UnknownName
@@ -17,13 +18,9 @@ from pycram.foundation.refusals import mark_recorded, refusing
 from recorder import records
 from recorder.tracing import journal, span
 from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from typing import Self
-
-    from recorder.tracing.journal import Journal
-
     Handler: TypeAlias = Callable[..., object]
     Envelope: TypeAlias = Callable[[], tuple[str, int]]
 

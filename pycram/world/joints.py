@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation import checks
@@ -10,12 +10,10 @@ from pycram.foundation.failures import BadArgument, JointLimitError
 from pycram.world import attachment
 from pycram.world.trajectory import Trajectory
 from recorder import records
+from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     from pycram.world.object import Object
-    from recorder.urdf import Urdf
 
 _LIMIT_TOLERANCE: Final = 1e-3  # tolerance in rad or m of limits; motors and splines exceed limits a little
 _MIMIC_TOLERANCE: Final = 1e-3  # tolerance in rad or m of positions in a mimic group; files contain rounded values

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -13,25 +15,21 @@ from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldC
 from pycram.foundation.refusals import refusing, refusing_methods
 from pycram.models import load
 from pycram.models.furniture import furniture_of, tops_of
+from pycram.models.load import Model
 from pycram.models.robots.description import Misfitting, RobotDescription, find_description
-from pycram.models.surfaces import NONE, Surface
+from pycram.models.surfaces import NONE, Container, Surface
+from pycram.physics.body import LoadedBody
 from pycram.scheduling.future import unwrap
 from pycram.world import attachment, joints, overlaps, sizes
+from pycram.world.attachment import BodyAttachment
 from pycram.world.transaction import ReadOnlyAttributes, update
 from recorder import geometry, records
+from recorder.geometry import Pose, Quaternion, Vector
 from recorder.tracing.call_stack import call_site
+from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from pycram.models.load import Model
-    from pycram.models.surfaces import Container
-    from pycram.physics.body import LoadedBody
-    from pycram.world.attachment import BodyAttachment
     from pycram.world.world import BulletWorld
-    from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.urdf import Urdf
 
 #: None where a world, robot or description may be missing. Type checkers accept any use, so plans need no assertions.
 MaybeNone: TypeAlias = Any

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry, records
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 

@@ -7,24 +7,22 @@ the robot and the robots' beliefs. Values are restored exactly, but the engine n
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument, ObjectsChanged, WorldClosed
 from pycram.world import attachment
-from pycram.world.transaction import update
+from pycram.world.object import Object
+from pycram.world.transaction import Transaction, update
 from recorder import records
+from recorder.records.beliefs import Key
+from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
     from pycram.world.beliefs import Steps
-    from pycram.world.object import Object
-    from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
-    from recorder.records.beliefs import Key
-    from recorder.tracing.journal import Journal
 
 _AT_REST: Final = (0.0,) * 6  # m/s and rad/s
 

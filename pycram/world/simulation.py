@@ -10,29 +10,25 @@ import math
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Collection, Mapping, Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation.failures import ChangeRefused, WorldClosed
-from pycram.scheduling.cancellation import current_scope, join, raise_if_cancelled, uninterruptible
+from pycram.physics.body import Snapshot
+from pycram.scheduling.cancellation import CancelScope, current_scope, join, raise_if_cancelled, uninterruptible
 from pycram.scheduling.schedule import Condition, Waiter, scheduler
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.overlaps import DEEP, sunk
-from pycram.world.transaction import state_delta, take_snapshot, update
+from pycram.world.transaction import Transaction, state_delta, take_snapshot, update
 from recorder import geometry, records
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.physics.body import Snapshot
-    from pycram.scheduling.cancellation import CancelScope
-    from pycram.world.object import Object
-    from pycram.world.transaction import Transaction
     from pycram.world.world import BulletWorld
 
 SLOW: Final = 2e-3

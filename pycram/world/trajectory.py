@@ -7,19 +7,15 @@ fixed order of operations, so that a recorded trajectory gives the same targets,
 from __future__ import annotations
 
 from bisect import bisect_right
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import isfinite
-from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import BadArgument
 from recorder import geometry, records
+from recorder.geometry import Pose, Quaternion
 from recorder.records.motion import BASE_COORDINATES
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from recorder.geometry import Pose, Quaternion
 
 
 @dataclass(frozen=True, slots=True)

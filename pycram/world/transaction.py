@@ -12,30 +12,29 @@ lock::
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 from pycram.foundation.errors import call_all, chained
 from pycram.foundation.failures import ChangeRefused, ReadOnly, WorldClosed
 from pycram.foundation.refusals import refused
+from pycram.physics.body import Snapshot
 from pycram.scheduling.cancellation import before_change
 from pycram.scheduling.schedule import Lock
+from pycram.world.event import Event
 from recorder import records
 from recorder.tracing import context, journal, span
 from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from types import TracebackType
-
-    from pycram.physics.body import Snapshot
     from pycram.world.attachment import BodyAttachment
-    from pycram.world.event import Event
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
-    from recorder.tracing.journal import Journal
 
 #: A keyframe follows after this number of changes, but not before they have changed as many objects as the world has.
 #: So its costs, 0.3 ms and 3 kB for 10 objects, hardly depend on the number of objects, as a share of a change.

@@ -9,9 +9,10 @@ from __future__ import annotations
 import itertools
 import threading
 import warnings
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, nullcontext
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final, cast
+from typing import TYPE_CHECKING, Final, Self, cast
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
@@ -24,25 +25,17 @@ from pycram.world.attachment import end
 from pycram.world.beliefs import WorldBeliefs
 from pycram.world.driving import Trajectories
 from pycram.world.event import Event
-from pycram.world.object import Object
+from pycram.world.object import MaybeNone, Object
 from pycram.world.overlaps import overlaps
+from pycram.world.saved_state import SavedState
 from pycram.world.simulation import RealtimeClock, Restless, Waits
-from pycram.world.transaction import ReadOnlyAttributes, TransactionManager, update
+from pycram.world.trajectory import Trajectory
+from pycram.world.transaction import ReadOnlyAttributes, TransactionManager, WorldLock, update
 from recorder import html, records
 from recorder.tracing import context, journal
 from recorder.tracing.call_stack import call_site
 from recorder.tracing.context import current_name
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from typing import Self
-
-    from pycram.world.object import MaybeNone
-    from pycram.world.saved_state import SavedState
-    from pycram.world.trajectory import Trajectory
-    from pycram.world.transaction import WorldLock
-    from recorder.tracing.journal import Journal
-
+from recorder.tracing.journal import Journal
 
 __all__ = ["BulletWorld", "Object"]
 

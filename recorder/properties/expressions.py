@@ -15,6 +15,7 @@ import operator
 import re
 import tomllib
 import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -24,12 +25,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, NoReturn, Protocol, Ty
 
 from recorder import geometry
 from recorder.errors import PortableError, did_you_mean
+from recorder.records.fold import FoldedWorld
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from recorder.records.fold import FoldedWorld
-
     Function: TypeAlias = "Callable[[Scene], Any]"
 
 UNITS: Final[Mapping[str, tuple[float, str]]] = {

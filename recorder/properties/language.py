@@ -12,14 +12,12 @@ The default word is "always". Words in quotes or brackets belong to expressions.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NoReturn
+from typing import Final, NoReturn
 
 from recorder.properties.expressions import NUMBER, UNITS, BadProperty, PropertyExpression
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 ALWAYS, NEVER, EVENTUALLY, AT_END = "always", "never", "eventually", "at end"
 _KINDS: Final = (ALWAYS, NEVER, EVENTUALLY, AT_END)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -18,15 +19,12 @@ from recorder import geometry
 from recorder.errors import did_you_mean, suggestion
 from recorder.properties.expressions import BadProperty, NoValue, Scene, Truth
 from recorder.properties.language import ALWAYS, AT_END, EVENTUALLY, NEVER
-from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Record, Task
 from recorder.records.fold import FoldedBody, FoldedWorld, apply
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
     from recorder.properties.expressions import Geometry, PropertyExpression
     from recorder.properties.language import Moments, Property
-    from recorder.records import Record
 
 _BEST, _WORST = Truth(math.inf, True), Truth(-math.inf, False)
 FOLLOWED: Final = (Task, Mutation, Keyframe)

@@ -6,6 +6,7 @@ Recordings have the number of definitions in their metadata, and the definitions
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from typing import TYPE_CHECKING, Final, TypeAlias
 
@@ -87,8 +88,6 @@ from recorder.records.values import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
     from google.protobuf.descriptor_pb2 import DescriptorProto
 
 Record: TypeAlias = (

@@ -7,15 +7,13 @@ beliefs about objects that it has neither seen nor held. A reset clears beliefs;
 
 from __future__ import annotations
 
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Belief, Mutation, Query
+from recorder.records import Belief, Mutation, Plain, Query
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping
-
     from recorder.geometry import PoseLike
-    from recorder.records import Plain
 
 #: The names of a robot and an object.
 Key: TypeAlias = tuple[str, str]

@@ -6,16 +6,15 @@ Effects have the exact values of the engine, so folded worlds are exact. No phys
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from recorder import records
 from recorder.records import Following, Keyframe, Mutation, Query, argument_values, beliefs
 from recorder.records.motion import has_ended
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from recorder import records
     from recorder.geometry import Quaternion, Vector
 
 FAR: Final = 1e9

@@ -8,17 +8,15 @@ of records (``[:]``): protobuf's iterators take three times as long.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
-from recorder.records import STEPS_PER_SECOND, Keyframe, LoadBody, Mutation
+from recorder.records import STEPS_PER_SECOND, BodyState, Following, Keyframe, LoadBody, Mutation, Record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
     from recorder.geometry import Pose
-    from recorder.records import BodyState, Following, Record
     from recorder.urdf import Urdf, UrdfJoint
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -15,7 +16,11 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from recorder.records import (
     STEPS_PER_SECOND,
+    Argument,
+    BeginTrajectory,
+    Candidate,
     Check,
+    Decision,
     Envelope,
     Event,
     Fluent,
@@ -23,8 +28,10 @@ from recorder.records import (
     Mutation,
     Output,
     Query,
+    Record,
     Refusal,
     Run,
+    Simulate,
     Subscription,
     Task,
     argument_values,
@@ -33,10 +40,6 @@ from recorder.records import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from recorder.records import Argument, BeginTrajectory, Candidate, Decision, Record, Simulate
-
     Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text and its level in the log
 
 _NS: Final = 1_000_000_000

@@ -6,19 +6,18 @@ Each task that an error ends records the error with its causes. So the text of e
 from __future__ import annotations
 
 import traceback
+from collections.abc import Callable, Iterable, Iterator
 from contextvars import ContextVar
 from functools import partial
 from itertools import groupby
 from operator import attrgetter
 from traceback import TracebackException
+from types import CodeType, TracebackType
 from typing import TYPE_CHECKING, Final, TypeAlias, TypeVar
 
 from recorder import notebook
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from types import CodeType, TracebackType
-
     Formatter: TypeAlias = Callable[[BaseException], str]
 
 Other = TypeVar("Other")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from html import escape as escape_quotes
@@ -15,7 +16,7 @@ from itertools import groupby, islice
 from operator import attrgetter
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Task, format_failure
+from recorder.records import Output, Query, Task, format_failure
 from recorder.records.text import (
     chosen_name,
     decision_text,
@@ -28,9 +29,6 @@ from recorder.records.text import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from recorder.records import Output, Query
     from recorder.tasks.tree import Moment, Node, Tree
 
 

@@ -9,20 +9,14 @@ import json
 import math
 import threading
 from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 from recorder import html, notebook
-from recorder.records import STEPS_PER_SECOND, Task, argument_values
+from recorder.records import STEPS_PER_SECOND, Decision, Failure, Output, Plain, Query, Task, argument_values
 from recorder.tasks import rendering
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from recorder.records import Decision, Failure, Output, Plain, Query
-
 
 # module variables, because attributes of protobuf's classes are slow
 _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED

@@ -11,26 +11,20 @@ from __future__ import annotations
 import enum
 import re
 import sys
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from enum import Enum, auto
 from itertools import groupby, islice
 from pathlib import Path, PurePosixPath
-from types import BuiltinFunctionType, FunctionType, ModuleType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from types import BuiltinFunctionType, FrameType, FunctionType, ModuleType
+from typing import Any, Final, NamedTuple, TypeAlias
 
 from recorder import notebook
-from recorder.records import SourceLine, StackFrame, Variable, escaped, failure
+from recorder.records import Failure, SourceLine, StackFrame, Variable, escaped, failure
 from recorder.records.tracebacks import MAX_ERRORS
 from recorder.records.values import LEFT_OUT, AssetFile, is_secret
 from recorder.tracing import journal
 from recorder.tracing.context import current_ident
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from types import FrameType
-
-    from recorder.records import Failure
-
 
 CallSite: TypeAlias = "tuple[str, int]"  # a file and a line number, from 1
 

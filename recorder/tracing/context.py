@@ -13,13 +13,11 @@ import itertools
 import sys
 import threading
 import weakref
+from collections.abc import Collection
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from recorder.records import escaped
-
-if TYPE_CHECKING:
-    from collections.abc import Collection
 
 
 class BranchIdentity(NamedTuple):

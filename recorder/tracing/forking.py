@@ -14,15 +14,12 @@ import stat
 import sys
 import threading
 import weakref
+from collections.abc import Callable
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from warnings import catch_warnings, simplefilter
 
 from recorder.tracing import journal
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 
 #: These signals are blocked during a fork, because Python drops errors of signal handlers during a fork.
 _INTERRUPTS: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))

@@ -17,13 +17,10 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final, Protocol
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-    from types import FrameType
-    from typing import Self
+from types import FrameType
+from typing import Any, Final, Protocol, Self
 
 _SIGINT: Final = int(signal.SIGINT)
 _OURS: Final = ("pycram", "recorder", "replay", "_signal")  # handlers of these packages only interrupt the plan

@@ -10,20 +10,18 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from contextvars import ContextVar
+from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from recorder.records import TOPICS, Keyframe, Mutation, Output, Record, Strike
 from recorder.records.values import AssetFile
 from recorder.tracing import context
 from recorder.tracing.context import KnownWorld, current_name
 from recorder.tracing.interrupts import Uninterrupted
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
 
 class Sink(Protocol):

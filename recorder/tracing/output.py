@@ -9,9 +9,10 @@ from __future__ import annotations
 import logging
 import re
 import sys
+from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TextIO
 
 from recorder.errors import discard
 from recorder.records import Output, escaped, format_error
@@ -19,12 +20,7 @@ from recorder.records.tracebacks import text_or
 from recorder.tracing import context, journal
 from recorder.tracing.call_stack import CallSite, call_site
 from recorder.tracing.context import current_ident, current_name
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
-    from typing import TextIO
-
-    from recorder.tracing.journal import Journal
+from recorder.tracing.journal import Journal
 
 MAX_CHARACTERS: Final = 10_000  # longer lines are split into several records
 

@@ -12,26 +12,35 @@ import itertools
 import sys
 import threading
 import time
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar, Token
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, TypeAlias, cast
+from types import TracebackType
+from typing import TYPE_CHECKING, Final, Self, TypeAlias, cast
 
-from recorder.records import Decision, Task, arguments, escaped, failure, to_json
+from recorder.records import (
+    Decision,
+    Event,
+    Fluent,
+    Mutation,
+    Query,
+    Refusal,
+    Subscription,
+    Task,
+    arguments,
+    escaped,
+    failure,
+    to_json,
+)
 from recorder.tasks import Tree
 from recorder.tracing import context, journal
 from recorder.tracing.call_stack import CallStack, call_site, failure_with_frames, walk
 from recorder.tracing.context import current_name
 from recorder.tracing.interrupts import Uninterrupted
+from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from contextvars import ContextVar, Token
-    from types import TracebackType
-    from typing import Self
-
-    from recorder.records import Event, Fluent, Mutation, Query, Refusal, Subscription
-    from recorder.tracing.journal import Journal
-
     #: Records that contain the plan's line.
     Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent
 

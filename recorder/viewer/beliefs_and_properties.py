@@ -7,23 +7,20 @@ The curve of a property is the margin of its expression, which is negative while
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
+from recorder.geometry import Pose
 from recorder.properties.expressions import BadProperty, NoValue, PropertyExpression, Scene
 from recorder.properties.language import parse
-from recorder.records import Belief, Check, Mutation
+from recorder.records import Belief, Check, Keyframe, Mutation, Query
 from recorder.records.fold import FoldedWorld, apply, quaternion, vector
 from recorder.viewer.marks import Marks, points_at
-from recorder.viewer.rerun_stream import VIOLET
+from recorder.viewer.rerun_stream import VIOLET, Columns, TimePoint
+from recorder.viewer.scene import ViewerScene
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from recorder.geometry import Pose
-    from recorder.records import Keyframe, Query
-    from recorder.viewer.rerun_stream import Columns, TimePoint
-    from recorder.viewer.scene import ViewerScene
     from recorder.viewer.tables_and_plots import Plots
 
 GHOSTS: Final = "beliefs"

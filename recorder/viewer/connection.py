@@ -12,19 +12,16 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Final
+from typing import IO, Final
 from urllib.parse import urlsplit
 
 from recorder.errors import RecordingError
 from recorder.system import user
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
 
 PORT: Final = 9876  # the default port of viewers
 _POLL_PERIOD: Final = 0.2  # time between attempts to reach a viewer, s

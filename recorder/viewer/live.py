@@ -24,6 +24,7 @@ import threading
 import time
 import traceback
 from collections import OrderedDict, deque
+from collections.abc import Iterator
 from enum import Enum
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
@@ -31,7 +32,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.errors import RecordingError
-from recorder.records import TOPICS, Event, Fluent, Mutation, Output
+from recorder.records import TOPICS, Event, Fluent, Mutation, Output, Record
 from recorder.records.values import AssetFile
 from recorder.tracing.forking import own
 from recorder.tracing.journal import unrecorded
@@ -46,11 +47,8 @@ from recorder.viewer.connection import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import rerun as rr
 
-    from recorder.records import Record
     from recorder.viewer.translator import Translator
 
 

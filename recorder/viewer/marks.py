@@ -10,27 +10,20 @@ trajectory, with the planned part in grey.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import rerun as rr
 
 from recorder import geometry
-from recorder.records import Following, Keyframe, Run, Task, argument_values
+from recorder.geometry import Vector
+from recorder.records import Attachment, Following, Keyframe, Mutation, Run, Task, argument_values
 from recorder.records.motion import BASE_COORDINATES
 from recorder.records.values import first_position, position, vector
-from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW
-from recorder.viewer.scene import offset, table
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from recorder.geometry import Vector
-    from recorder.records import Attachment, Mutation
-    from recorder.viewer.rerun_stream import Color, Columns, TimePoint
-    from recorder.viewer.scene import SceneBody, ViewerScene
-
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW, Color, Columns, TimePoint
+from recorder.viewer.scene import SceneBody, ViewerScene, offset, table
 
 FAILURES: Final = "failures"
 _PAIRS: Final = "pairs"

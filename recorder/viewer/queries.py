@@ -11,35 +11,31 @@ from __future__ import annotations
 import math
 import re
 import zlib
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyarrow as pa
 import rerun as rr
+from numpy.typing import NDArray
 
-from recorder.records import argument_values, format_failure
+from recorder.records import Query, argument_values, format_failure
 from recorder.records.text import NOT_TRIED, TAKEN, by_name, fates, fates_text, rejection_lines, values
 from recorder.records.values import name_of, position
 from recorder.viewer.marks import (
     LINK,
     Marks,
+    Values,
     camera_position,
     line_through,
     points_at,
     target_position,
 )
-from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, Color, Columns, TimePoint
+from recorder.viewer.scene import ViewerScene
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from recorder.records import Query
     from recorder.records.log_pb2 import Grid
-    from recorder.viewer.marks import Values
-    from recorder.viewer.rerun_stream import Color, Columns, TimePoint
-    from recorder.viewer.scene import ViewerScene
 
 
 QUERIES: Final = "queries"

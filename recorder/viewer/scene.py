@@ -7,6 +7,7 @@ A removed body has no shapes, but its frames stay, because the viewer needs a pa
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain
@@ -18,18 +19,13 @@ import pyarrow as pa
 import rerun as rr
 
 from recorder import geometry
-from recorder.records import Keyframe
-from recorder.records.motion import ROOT, FrameTree, changed_bodies, frame_name
-from recorder.urdf import GREY, read_shapes
+from recorder.geometry import Pose, Vector
+from recorder.records import Keyframe, LoadBody, Mutation
+from recorder.records.motion import ROOT, BodyMotion, Frame, FrameTree, changed_bodies, frame_name
+from recorder.records.values import AssetFile
+from recorder.urdf import GREY, Color, Shape, Urdf, read_shapes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from recorder.geometry import Pose, Vector
-    from recorder.records import LoadBody, Mutation
-    from recorder.records.motion import BodyMotion, Frame
-    from recorder.records.values import AssetFile
-    from recorder.urdf import Color, Shape, Urdf
     from recorder.viewer.rerun_stream import Columns, Series, TimePoint
 
 

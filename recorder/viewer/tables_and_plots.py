@@ -8,6 +8,7 @@ margins of properties.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import chain
 from operator import attrgetter
@@ -26,6 +27,7 @@ from recorder.records import (
     Mutation,
     Output,
     Query,
+    Record,
     Refusal,
     Run,
     Subscription,
@@ -34,16 +36,12 @@ from recorder.records import (
     from_json,
 )
 from recorder.records.text import by_name, has_line, values
-from recorder.viewer.rerun_stream import RED, YELLOW
+from recorder.viewer.rerun_stream import RED, YELLOW, Columns, Series, TimePoint
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
     from google.protobuf.internal.enum_type_wrapper import EnumTypeWrapper
 
-    from recorder.records import Record
     from recorder.records.motion import BodyMotion
-    from recorder.viewer.rerun_stream import Columns, Series, TimePoint
     from recorder.viewer.scene import SceneBody
 
 

@@ -8,24 +8,18 @@ last task's children.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import rerun as rr
 
 from recorder.records import Task
 from recorder.records.text import is_timed_out
-from recorder.tasks import State, Tree
+from recorder.tasks import Node, State, Tree
 from recorder.tasks.lanes import Lane, Lanes
 from recorder.tasks.rendering import COLORS
-from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from recorder.tasks import Node
-    from recorder.viewer.rerun_stream import Color, Columns, Series, TimePoint
-
+from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW, Color, Columns, Series, TimePoint
 
 LANES: Final = "level"  # titles of lanes contain this name
 _MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013", State.SUCCEEDED: " \u2713"}

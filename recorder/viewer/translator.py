@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+import rerun as rr
 import rerun.blueprint as rrb
 from rerun import new_entity_path
 from rerun.blueprint.components import PlayState
 
-from recorder.records import Check, Fluent, Keyframe, Mutation, Output, Query, Run, Task
+from recorder.geometry import Vector
+from recorder.records import Check, Fluent, Keyframe, Mutation, Output, Query, Record, Run, Task
 from recorder.records.beliefs import is_look
 from recorder.records.motion import ROOT
 from recorder.records.text import text_of
+from recorder.records.values import AssetFile
 from recorder.viewer.beliefs_and_properties import FoldedWorlds
 from recorder.viewer.marks import FAILURES, Attachments, CameraFrustums, TaskMarks, TrajectoryPaths
 from recorder.viewer.queries import PAGE, PICTURE, QUERIES, QueryMarks, QueryPage, QueryPicture, QueryPlaces
@@ -32,16 +36,6 @@ from recorder.viewer.tables_and_plots import (
     RecordTables,
 )
 from recorder.viewer.tasks import GRAPH, LANES, TaskGraph, TaskTimeline
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    import rerun as rr
-
-    from recorder.geometry import Vector
-    from recorder.records import Record
-    from recorder.records.values import AssetFile
-
 
 _BATCH: Final = 20_000  # number of records in a batch; smaller batches take more time, larger batches more memory
 _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neither add nor remove bodies

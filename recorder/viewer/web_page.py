@@ -21,22 +21,19 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from http import HTTPStatus
 from http.client import OK, HTTPConnection, HTTPException
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 from urllib.parse import quote, urlsplit
 
 import rerun as rr
 import rerun_cli
 
 from recorder.viewer.connection import HOST, ViewerGone, free_port
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
 
 _PORT: Final = 9090  # preferred port of pages
 _MAX_TRIES: Final = 5

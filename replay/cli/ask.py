@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 from typing import TYPE_CHECKING
 
+from recorder.records import Plain
 from replay.cli.console import native_output_to_stderr, numbers, print_message, print_moment, print_result
 from replay.errors import ReplayError
 from replay.history.steps import HINT
 
 if TYPE_CHECKING:
-    import argparse
-
-    from recorder.records import Plain
     from replay.recording import Recording
     from replay.restore.ask import Move, QueryAnswer
 

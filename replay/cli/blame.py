@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from typing import TYPE_CHECKING
 
 from replay.cli.console import print_result
@@ -10,8 +11,6 @@ from replay.history.steps import HINT
 from replay.report import report
 
 if TYPE_CHECKING:
-    import argparse
-
     from replay.recording import Recording
 
 

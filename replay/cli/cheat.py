@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator
+from typing import Final
 
 from replay.cli.console import print_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 #: Verbs by heading. Each verb has two examples: arguments, and the result of the command.
 SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {

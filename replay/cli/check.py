@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
+import argparse
 import re
 import shlex
 from collections import Counter
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from recorder.properties import BadProperty, parse, parse_file
+from recorder.properties import BadProperty, Property, parse, parse_file
 from replay.cli.console import print_message, print_result, print_text
 from replay.errors import ReplayError
-from replay.explain.check import lines
+from replay.explain.check import CheckedProperty, lines
 from replay.recording import Recording
 from replay.report import report
 from replay.report.phrases import plural
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Sequence
-
-    from recorder.properties import Property
-    from replay.explain.check import CheckedProperty
     from replay.runs.folder import Runs
 
 

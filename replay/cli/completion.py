@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from recorder.terminal import files_ending
+from recorder.records import LoadBody
+from recorder.terminal import Parser, files_ending
 from recorder.user_folders import cache_folder
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator
-
-    from recorder.records import LoadBody
-    from recorder.terminal import Parser
     from replay.recording import Recording
 
 _LIMIT: Final = 0.1  # names that take longer to read aren't completed, s

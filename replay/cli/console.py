@@ -11,17 +11,13 @@ import math
 import os
 import re
 import sys
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from recorder.terminal import messages, painted
 from replay.errors import ReplayError
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-
-    from replay.recording import Recording
-
+from replay.recording import Recording
 
 _STDOUT, _STDERR = 1, 2
 #: Texts with a colour on a terminal.

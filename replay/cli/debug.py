@@ -6,6 +6,7 @@ stdin.
 
 from __future__ import annotations
 
+import argparse
 import cmd
 import contextlib
 import inspect
@@ -13,11 +14,12 @@ import linecache
 import re
 import shlex
 import sys
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.plan_lines import deciding
-from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
+from recorder.records import STEPS_PER_SECOND, Output, Record, Run, format_failure
 from recorder.terminal import coloured, has_colours
 from recorder.user_folders import cache_folder
 from replay.cli import main
@@ -27,17 +29,13 @@ from replay.cli.retrace import AGAIN, add_source_and_arguments
 from replay.errors import ReplayError
 from replay.history.steps import HINT
 from replay.history.tasks import uncaught_failure
+from replay.recording import Recording
 from replay.report import phrases
 from replay.state.json_data import kind_of
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterable, Iterator
-
-    from recorder.records import Record
     from replay.debug.guided_plan import GuidedPlan
     from replay.debug.session import Halt, Session
-    from replay.recording import Recording
 
 
 _HISTORY: Final = 1000  # the history of commands has at most this many lines

@@ -16,31 +16,27 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias, cast
 
-from recorder.records import Output, Query, Task, argument_values
+from recorder.records import Failure, Output, Query, Task, argument_values
 from replay.cli import main
 from replay.cli.console import print_message, visible
 from replay.cli.debug import Prompt, first_step, new_session
 from replay.cli.main import FINE
 from replay.debug.guided_plan import GuidedPlan, PlanEnded
-from replay.debug.session import breakpoint_at
+from replay.debug.session import Halt, Session, breakpoint_at
 from replay.errors import NoSuchName, ReplayError
 from replay.recording import Recording
 from replay.report import phrases
 from replay.retrace.plan_process import PlanProcess
+from replay.state.state import Body, World
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Sequence
-
-    from recorder.records import Failure
-    from replay.debug.session import Halt, Session
-    from replay.state.state import Body, World
-
     _Lister = Callable[[], Iterable["_Variable"]]
 
 Message: TypeAlias = "dict[str, Any]"

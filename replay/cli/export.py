@@ -7,35 +7,32 @@ pose.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import io
 import json
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, get_type_hints
 
+import numpy as np
+from numpy.typing import NDArray
+
 from recorder import geometry
-from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation
-from recorder.records.fold import apply
+from recorder.records import STEPS_PER_SECOND, BeginTrajectory, BodyState, Keyframe, Mutation
+from recorder.records.fold import FoldedWorld, apply
 from recorder.records.motion import BASE_COORDINATES, has_ended, time_of
 from replay.cli.console import print_message, print_result
 from replay.cli.repair import write_copy
 from replay.errors import Damaged, ReplayError
+from replay.file.record_reader import RecordReader
+from replay.recording import Recording
 from replay.state.fold import world_of
+from replay.state.state import Body, World
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterable, Iterator, Sequence
-
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from recorder.records import BeginTrajectory, BodyState
-    from recorder.records.fold import FoldedWorld
-    from replay.file.record_reader import RecordReader
-    from replay.recording import Recording
     from replay.runs.folder import Runs
     from replay.runs.lerobot import Draw
-    from replay.state.state import Body, World
 
 
 _FORMATS: Final = ("csv", "parquet")

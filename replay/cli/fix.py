@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import difflib
 import shlex
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,17 +15,14 @@ from replay.cli.main import FAILED, FINE
 from replay.cli.minimise import add_trials
 from replay.cli.retrace import AGAIN
 from replay.errors import ReplayError
+from replay.recording import Recording
 from replay.report import phrases
 from replay.report.page import write
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
     from replay.fix.last_chance import LastChance
     from replay.fix.search import SearchResult
     from replay.fix.trials import Trials
-    from replay.recording import Recording
 
 _BUDGET: Final = 80
 _MAX_OTHERS: Final = 3  # largest number of candidates with other failures that are listed

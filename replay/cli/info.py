@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import shlex
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Run
+from recorder.records import Revision, Run
 from replay.cli.console import print_result, print_text
 from replay.file.lifetimes import title
-from replay.history.summary import summary
+from replay.history.summary import Summary, summary
+from replay.recording import Recording
 from replay.report.phrases import one_line
 from replay.state.json_data import record_data
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
-    from recorder.records import Revision
-    from replay.history.summary import Summary
-    from replay.recording import Recording
     from replay.runs.folder import Runs
 
 _MAX_WORLDS: Final = 8  # at most this many worlds are listed

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_message, print_result
@@ -9,15 +11,12 @@ from replay.cli.fix import difference, existing_folder
 from replay.cli.main import FAILED, FINE
 from replay.cli.minimise import add_trials
 from replay.cli.retrace import AGAIN
+from replay.recording import Recording
 from replay.report import phrases
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
     from replay.fix.last_chance import LastChance
     from replay.fix.trials import Trials
-    from replay.recording import Recording
 
 _BUDGET: Final = 80
 _MAX_OTHERS: Final = 3  # largest number of listed choices that don't help

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 import textwrap
 import threading
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
+from recorder.records import STEPS_PER_SECOND, Keyframe, LoadBody, Mutation, Plain, Record, Task
 from replay.cli.console import print_json, print_json_list, print_message, print_result, print_text
 from replay.errors import NoSuchName
 from replay.file.chunks import KINDS
 from replay.history.source import PlanSource, is_file
 from replay.history.steps import HINT
+from replay.recording import Recording
 from replay.report import phrases
 from replay.state.json_data import kind_of, mentions, record_data
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Collection, Iterator
-
-    from recorder.records import LoadBody, Plain, Record
-    from replay.recording import Recording
-
 
 _POLL_PERIOD: Final = 0.2  # time between reads of a growing recording, s
 _FIELD_WIDTH: Final = 100  # longer values take several lines

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
+import argparse
 import functools
 import importlib
 import io
 import os
 import sys
 import time
-from contextlib import ExitStack, contextmanager, nullcontext
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -18,13 +20,9 @@ from recorder.packages import NotInstalled, needed
 from recorder.terminal import Parser, complete, paged, typed_words
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
+from replay.recording import Recording
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from contextlib import AbstractContextManager
-
-    from replay.recording import Recording
     from replay.runs.folder import Runs
 
 #: The file of a verb is imported when the verb is called, because some verbs need further libraries.

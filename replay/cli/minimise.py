@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE
 from replay.cli.retrace import AGAIN
 from replay.errors import ReplayError
+from replay.recording import Recording
 from replay.report.page import write
-
-if TYPE_CHECKING:
-    import argparse
-
-    from replay.recording import Recording
 
 _BUDGET: Final = 200
 

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import numbers, print_message, print_moment, print_result
 from replay.errors import ReplayError
 from replay.history.steps import HINT
+from replay.recording import Recording
 from replay.report.phrases import names
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
     from PIL import Image
 
-    from replay.recording import Recording
 
 _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 

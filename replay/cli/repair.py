@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, TypeVar
+from typing import BinaryIO, TypeVar
 
 from recorder.mcap_sink import open_output
 from recorder.mcap_writer import MAGIC
 from replay.cli.console import print_message, print_result
 from replay.errors import ReplayError
 from replay.file.record_reader import is_locked
-from replay.file.repair import range_text
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator
-
-    from replay.file.repair import Losses
-    from replay.recording import Recording
-
+from replay.file.repair import Losses, range_text
+from replay.recording import Recording
 
 R = TypeVar("R")
 

@@ -2,32 +2,28 @@
 
 from __future__ import annotations
 
+import argparse
 import shlex
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from recorder.html import sections
 from recorder.records import STEPS_PER_SECOND, Mutation
+from recorder.tasks import Node, Tree
 from replay.cli.check import checked
 from replay.cli.console import print_message, print_result
 from replay.compare import compare_recordings, comparison_lines
 from replay.errors import ReplayError
 from replay.explain import check, why_report
-from replay.history.source import PlanSource
+from replay.explain.why import Why
+from replay.history.source import Line, PlanSource
 from replay.history.summary import summary
 from replay.recording import Recording
 from replay.report import phrases
 from replay.report.page import embedded, page, write
 from replay.state.fold import last_open_step
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator, Sequence
-
-    from recorder.tasks import Node, Tree
-    from replay.explain.why import Why
-    from replay.history.source import Line
 
 _FILM: Final = 24  # number of pictures in the film
 _FILM_SIZE: Final = (400, 300)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import code
 import contextlib
 import keyword
@@ -9,24 +10,21 @@ import re
 import runpy
 import sys
 import traceback
+from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from recorder.records import STEPS_PER_SECOND
+from recorder.records import STEPS_PER_SECOND, Plain
 from replay.cli.console import native_output_to_stderr, print_json, print_message, print_moment, visible
 from replay.cli.main import FAILED, FINE
 from replay.errors import ReplayError
+from replay.file.record_reader import RecordReader
 from replay.history.steps import HINT
+from replay.recording import Recording
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Mapping
-
     from pycram.world.world import BulletWorld
-    from recorder.records import Plain
-    from replay.file.record_reader import RecordReader
-    from replay.recording import Recording
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -16,8 +17,6 @@ from replay.recording import Recording
 from replay.report import phrases
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from replay.retrace.fork import Fork
     from replay.retrace.retrace import Retracing
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import shlex
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE
 from replay.errors import ReplayError
 from replay.report.phrases import percent, plural
-from replay.runs.separation import LEVEL, separate
+from replay.runs.separation import LEVEL, Claim, Separation, separate
 from replay.runs.statistics import causes, names_of, plan_of
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator
-
     from replay.runs.folder import Runs
-    from replay.runs.separation import Claim, Separation
 
 _MAX_CLAIMS: Final = 5
 _MAX_ALSO: Final = 5

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from replay.cli.console import print_json, print_result, print_text
 from replay.errors import NoSuchName, ReplayError
 from replay.history.source import name_of
-
-if TYPE_CHECKING:
-    import argparse
-
-    from replay.recording import Recording
+from replay.recording import Recording
 
 _SHORT = 8  # number of printed digits of a hash
 

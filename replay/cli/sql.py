@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import csv
 import sys
 from decimal import Decimal
@@ -14,8 +15,6 @@ from replay.report.phrases import plural
 from replay.runs.schema import RUN, TABLES
 
 if TYPE_CHECKING:
-    import argparse
-
     from replay.runs.folder import Answer, Runs
 
 _WIDEST: Final = 60  # cells with more characters are shortened

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
+import argparse
 import math
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
-from recorder.records import STEPS_PER_SECOND
+from recorder.records import STEPS_PER_SECOND, Plain
 from recorder.records.motion import time_of
 from replay.cli.console import print_message, print_result
 from replay.compare import NOTABLE_METRES
 from replay.history.steps import HINT
+from replay.recording import Recording
 from replay.report import phrases
 from replay.state.fold import last_open_step
 from replay.state.json_data import state_data
+from replay.state.state import Body, State, World
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Collection, Iterator
-
     from recorder.geometry import Pose
-    from recorder.records import Plain
-    from replay.recording import Recording
-    from replay.state.state import Body, State, World
 
 
 def add(parser: argparse.ArgumentParser) -> None:

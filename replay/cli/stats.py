@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import io
 import os
 import shlex
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
@@ -19,17 +21,13 @@ from replay.errors import ReplayError
 from replay.recording import Recording
 from replay.report.page import embedded, page, write
 from replay.report.phrases import one_line, percent, plural, short
-from replay.runs.statistics import plan_of, statistics
+from replay.runs.statistics import FailureCause, Share, Slow, Statistics, plan_of, statistics
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterator, Sequence
-
     from PIL import Image
 
     from replay.runs.folder import Runs
     from replay.runs.separation import Separation
-    from replay.runs.statistics import FailureCause, Share, Slow, Statistics
 
 
 _MAX_CAUSES: Final = 10

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
-from typing import TYPE_CHECKING
 
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
 from replay.cli.minimise import add_output, output
 from replay.errors import ReplayError
 from replay.history.steps import HINT
+from replay.recording import Recording
 from replay.report.page import write
-
-if TYPE_CHECKING:
-    import argparse
-
-    from replay.recording import Recording
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from replay.cli.console import native_output_to_stderr, print_result
 from replay.cli.main import FAILED, FINE, INCOMPLETE
+from replay.recording import Recording
 from replay.report.phrases import plural
-from replay.state.integrity import verify_static
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Iterator
-
-    from replay.recording import Recording
-    from replay.state.integrity import Deviation, Verification
+from replay.state.integrity import Deviation, Verification, verify_static
 
 _PERIOD: Final = 0.2  # time between messages of progress, s
 

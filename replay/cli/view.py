@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import threading
 import webbrowser
+from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -16,9 +18,6 @@ from replay.history.steps import HINT
 from replay.recording import Recording
 
 if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Sequence
-
     from recorder.geometry import Vector
     from replay.runs.folder import Runs
 

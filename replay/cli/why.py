@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -12,16 +13,14 @@ from replay.cli.main import FINE, INCOMPLETE, USAGE
 from replay.cli.retrace import AGAIN
 from replay.errors import Damaged, ReplayError
 from replay.explain import why_report
+from replay.explain.why import Why
 from replay.history.steps import HINT
+from replay.recording import Recording
 from replay.report import report
 from replay.report.phrases import percent, plural
 
 if TYPE_CHECKING:
-    import argparse
-
-    from replay.explain.why import Why
     from replay.origins.origin import Origins
-    from replay.recording import Recording
     from replay.runs.folder import Runs
 
 

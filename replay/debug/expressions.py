@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from recorder.errors import suggestion
@@ -13,8 +14,6 @@ from replay.report.question import written
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from replay.file.record_reader import RecordReader
 
 

@@ -11,25 +11,19 @@ import os
 import select
 import signal
 import socket
+import subprocess
 import tempfile
 import threading
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NoReturn
+from typing import Any, Final, NoReturn, Self
 
-from replay.debug.stopped_plan import PAUSE, Channel
+from replay.debug.stopped_plan import PAUSE, Channel, Message, WatchedExpression
 from replay.errors import Damaged, ReplayError
-from replay.retrace.plan_process import FirstDifference
+from replay.retrace.plan_process import FirstDifference, PlanProcess
 from replay.retrace.retrace import likely_reasons
-
-if TYPE_CHECKING:
-    import subprocess
-    from collections.abc import Iterator, Sequence
-    from typing import Self
-
-    from replay.debug.stopped_plan import Message, WatchedExpression
-    from replay.retrace.plan_process import PlanProcess
 
 _MAX_WAITING: Final = 64  # largest number of waiting copies
 _SHOWN: Final = 2000  # this many last characters on stderr of an ended process are shown

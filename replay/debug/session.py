@@ -12,24 +12,21 @@ from __future__ import annotations
 import re
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.errors import suggestion
-from recorder.records import Envelope, Event, Keyframe, Output, Run, Task
-from replay.debug.expressions import NoQuantity, value_changes
+from recorder.records import Envelope, Event, Keyframe, Output, Record, Run, Task
+from replay.debug.expressions import NoQuantity, ValueChange, value_changes
 from replay.debug.stopped_plan import WatchedExpression
 from replay.errors import NoSuchName, NoSuchStep, ReplayError
+from replay.file.record_reader import RecordReader
 from replay.history.source import is_file, name_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from recorder.records import Record
-    from replay.debug.expressions import ValueChange
     from replay.debug.guided_plan import Arrival, GuidedPlan
-    from replay.file.record_reader import RecordReader
     from replay.recording import Recording
 
 Site: TypeAlias = "tuple[str, int]"  # a file and a line number

@@ -19,6 +19,7 @@ import socket
 import sys
 import time
 import traceback
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -26,27 +27,19 @@ from io import StringIO
 from itertools import islice
 from multiprocessing.connection import Connection
 from pathlib import Path
-from types import BuiltinFunctionType, FunctionType, ModuleType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from types import BuiltinFunctionType, FrameType, FunctionType, ModuleType
+from typing import Any, Final, NamedTuple, NoReturn, TypeAlias
 
 from pycram.projection.child import Child, die_with, has_children, obstacle
 from pycram.scheduling.future import is_future
 from pycram.scheduling.schedule import is_held, scheduler
-from recorder.records import Task, format_error
+from recorder.records import Record, Task, format_error
 from recorder.records.tracebacks import text_or
 from recorder.tracing import forking, interrupts, journal
 from recorder.tracing.call_stack import is_plan, plan_frames
 from recorder.tracing.journal import NullSink
 from replay.retrace.guided_run import GuidedRun
-from replay.retrace.plan_process import Guidance
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from types import FrameType
-    from typing import NoReturn
-
-    from recorder.records import Record
-    from replay.retrace.plan_process import FirstDifference
+from replay.retrace.plan_process import FirstDifference, Guidance
 
 Message: TypeAlias = "dict[str, Any]"
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 from recorder import html
 from recorder.records import Keyframe, argument_values
 from replay.history.blame import Blame, Carried, commanded
+from replay.history.source import Line
 from replay.history.tasks import CausingTask, CausingTasks
 from replay.report import phrases, report
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from recorder.geometry import Pose
-    from replay.history.source import Line
 
 _MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
 

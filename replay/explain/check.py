@@ -5,27 +5,22 @@ from __future__ import annotations
 import math
 import re
 import shlex
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder import html
-from recorder.properties.expressions import RANGE
+from recorder.properties import Property, PropertyVerdict
+from recorder.properties.expressions import RANGE, Geometry
 from recorder.properties.language import AT_END
-from recorder.properties.monitor import FOLLOWED, NEVER_HELD, Monitor
-from recorder.records import Task
+from recorder.properties.monitor import FOLLOWED, NEVER_HELD, CheckedMoment, Monitor
+from recorder.records import Record, Task
 from replay.explain.blame_report import because
-from replay.history.tasks import causing_tasks
+from replay.history.tasks import CausingTasks, causing_tasks
 from replay.report import phrases, report
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from recorder.properties import Property, PropertyVerdict
-    from recorder.properties.expressions import Geometry
-    from recorder.properties.monitor import CheckedMoment
-    from recorder.records import Record
     from replay.file.record_reader import RecordReader
-    from replay.history.tasks import CausingTasks
 
 _UNITS: Final = {"m": phrases.length, "rad": phrases.degrees, "s": "{:.3f} s".format, "m/s": "{:.3f} m/s".format}
 

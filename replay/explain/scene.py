@@ -3,26 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
+from recorder.geometry import Pose
+from recorder.records import Plain
+from recorder.tasks import Node
 from replay.errors import NoSuchName
 from replay.explain.causes import find
-from replay.explain.causes.case import FailureCase, objects_in
+from replay.explain.causes.case import Cause, FailureCase, objects_in
+from replay.history.source import Line
 from replay.history.tasks import failures
 from replay.report import phrases
 from replay.state.fold import state_at
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from recorder.geometry import Pose
-    from recorder.records import Plain
-    from recorder.tasks import Node
-    from replay.explain.causes.case import Cause
-    from replay.history.source import Line
-    from replay.state.state import Attachment, Body
+from replay.state.state import Attachment, Body
 
 _ENDS = (("mover", "link"), ("body", "body_link"))
 

@@ -8,35 +8,31 @@ from __future__ import annotations
 
 import builtins
 import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import html
 from recorder.records import Failure, Query, Run, argument_values
 from recorder.records.text import fates_text, foreseen, is_choice
+from recorder.tasks import Node
 from replay.compare import Difference, difference
 from replay.errors import NoSuchStep
 from replay.explain.causes import decides, find
-from replay.explain.causes.case import FailureCase, bodies_in
+from replay.explain.causes.case import Cause, FailureCase, bodies_in
+from replay.explain.causes.trials import Proof
 from replay.explain.scene import FailedBranch, InvolvedBody, bodies, branches
 from replay.history.flow import Flow
-from replay.history.summary import summary
-from replay.history.tasks import RootCause, choices, failed_threads, failures, root_cause
+from replay.history.source import Line, ParsedException
+from replay.history.summary import Summary, summary
+from replay.history.tasks import Failures, RootCause, choices, failed_threads, failures, root_cause
 from replay.report import phrases
 from replay.state.fold import state_at
 from replay.state.json_data import mentions
+from replay.state.state import Body, State, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-
-    from recorder.tasks import Node
-    from replay.explain.causes.case import Cause
-    from replay.explain.causes.trials import Proof
     from replay.file.record_reader import RecordReader
-    from replay.history.source import Line, ParsedException
-    from replay.history.summary import Summary
-    from replay.history.tasks import Failures
-    from replay.state.state import Body, State, World
 
 
 _MAX_QUERIES: Final = 8

@@ -4,29 +4,24 @@ from __future__ import annotations
 
 import builtins
 import shlex
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import zip_longest
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from recorder.records import Query, format_failure
 from recorder.records.text import chosen_name, decision_text, fates_text, foreseen, rejection_lines
+from recorder.tasks import Node
 from replay.compare import difference_lines
 from replay.explain.causes.case import Cause
-from replay.explain.causes.trials import TriedTrial
+from replay.explain.causes.trials import Proof, TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.scene import InvolvedBody, facing
-from replay.explain.why import TriedAction
+from replay.explain.why import ChangesSince, TriedAction, Why
+from replay.history.source import Line
 from replay.report import phrases, report
 from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of
 from replay.report.report import section
 from replay.state.json_data import record_data
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from recorder.tasks import Node
-    from replay.explain.causes.trials import Proof
-    from replay.explain.why import ChangesSince, Why
-    from replay.history.source import Line
 
 _FIRST, _LAST = 2, 5  # this many first and last attempts are listed
 _MAX_ROWS: Final = 3  # at most this many rows of local variables are listed

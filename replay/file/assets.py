@@ -11,8 +11,9 @@ import io
 import os
 import stat
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, suppress
+from io import BufferedReader
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -23,14 +24,10 @@ from recorder import system
 from recorder.mcap_writer import MODELS_METADATA, MODELS_NAME
 from replay.errors import Damaged, MissingModels, NoSuchName
 from replay.file.index import Index
-from replay.file.mcap_format import DAMAGE, describe
+from replay.file.mcap_format import DAMAGE, Extent, describe
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-    from io import BufferedReader
-
     from recorder.urdf import Urdf
-    from replay.file.mcap_format import Extent
 
 
 class Assets(Mapping[str, bytes]):

@@ -12,14 +12,17 @@ import math
 import struct
 from bisect import bisect_right
 from collections import OrderedDict
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
 from recorder.records import PACKAGE, TOPICS, Envelope, Keyframe, Mutation, Query, Record, known_definitions
 from recorder.records.beliefs import is_look
+from replay.file.index import Index
+from replay.file.lifetimes import Owner
 from replay.file.mcap_format import (
     CHUNK_DAMAGE,
     HEADER,
@@ -30,13 +33,6 @@ from replay.file.mcap_format import (
     describe,
     framed,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-
-    from replay.file.index import Index
-    from replay.file.lifetimes import Owner
-
 
 Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 

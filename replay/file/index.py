@@ -11,7 +11,8 @@ import os
 import re
 import zlib
 from collections import Counter, defaultdict
-from typing import TYPE_CHECKING, BinaryIO, Final
+from collections.abc import Container
+from typing import BinaryIO, Final
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -36,10 +37,6 @@ from replay.file.mcap_format import (
     framed,
     indexed_chunk,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Container
-
 
 _BLOCK: Final = 1 << 20  # number of bytes of a read
 _MAX_LENGTH: Final = 1 << 32  # a record with more bytes is damaged

@@ -7,14 +7,13 @@ an early release, the changes are read.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 from recorder.records import Keyframe, Mutation, Query, Record
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
     from replay.file.chunks import Chunks
 
 Owner: TypeAlias = "tuple[str, int]"  # name of a world, and number of the lifetime, from 1

@@ -8,19 +8,16 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterator
 from functools import cache
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from recorder.records import Record
-
+from recorder.records import Record
 
 MAGIC: Final = b"\x89MCAP0\r\n"  # the first and the last bytes of a file
 HEADER: Final = 9  # bytes of opcode and length before each MCAP record

@@ -10,10 +10,12 @@ import contextlib
 import os
 import re
 import stat
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeVar, overload
+from types import TracebackType
+from typing import Any, BinaryIO, Final, Self, TypeVar, overload
 
 from recorder import system
 from recorder.errors import similar_files
@@ -29,6 +31,7 @@ from recorder.records import (
     Mutation,
     Output,
     Query,
+    Record,
     Refusal,
     Run,
     Subscription,
@@ -43,14 +46,6 @@ from replay.file.index import Index
 from replay.file.lifetimes import Lifetime, closes_world, lifetimes_of
 from replay.file.mcap_format import MAGIC
 from replay.file.repair import Losses, lost_before, range_text, write_sound
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from types import TracebackType
-    from typing import Self
-
-    from recorder.records import Record
-
 
 __all__ = ["KINDS", "RecordReader"]
 

@@ -8,25 +8,21 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, BinaryIO, Final
+from typing import BinaryIO, Final
 
 from google.protobuf.message import DecodeError
 from mcap.opcode import Opcode
 
 from recorder.mcap_writer import MODELS_METADATA, McapWriter
+from recorder.records import Record
 from replay.errors import Damaged
-from replay.file.chunks import kinds_of
+from replay.file.assets import Assets
+from replay.file.chunks import Chunks, kinds_of
+from replay.file.index import Index
 from replay.file.mcap_format import CHUNK_DAMAGE, decode, describe, framed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
-    from recorder.records import Record
-    from replay.file.assets import Assets
-    from replay.file.chunks import Chunks
-    from replay.file.index import Index
 
 _METADATA: Final = "pycram.repair"
 _MESSAGE: Final = struct.Struct("<HIQQ")  # fields: channel, sequence, log time, publish time

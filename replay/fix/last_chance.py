@@ -11,13 +11,14 @@ from __future__ import annotations
 import ast
 import math
 import shutil
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram.foundation.forcing import SKIPPED
 from pycram.projection.child import usable_cores
@@ -26,21 +27,15 @@ from recorder.records import Mutation, Query, Run, Task, argument_values
 from recorder.records.text import NOT_TRIED, TAKEN, chosen_name, fates
 from replay.compare import compare_recordings
 from replay.errors import ReplayError
+from replay.explain.causes.case import FailureCase
 from replay.explain.causes.trials import NONE, Trial, TriedTrial, restored
-from replay.fix.search import SearchResult, reaches_goal, required, search
-from replay.history.source import PlanSource
+from replay.fix.search import Repair, SearchResult, reaches_goal, required, search
+from replay.fix.trials import Trials
+from replay.history.source import Line, PlanSource
 from replay.recording import Recording
 from replay.report.question import written
 from replay.retrace.decisions import candidate_names
 from replay.retrace.prove import Prover
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from replay.explain.causes.case import FailureCase
-    from replay.fix.search import Repair
-    from replay.fix.trials import Trials
-    from replay.history.source import Line
 
 _ALTERNATIVES: Final = 2  # largest number of other candidates of a choice, except places, that are forced
 _SHARES: Final = (2, 1, 3)  # places at these quarters of the order of distances from the taken place are forced

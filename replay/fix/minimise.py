@@ -10,20 +10,16 @@ import ast
 import itertools
 import re
 import textwrap
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from pycram.exploration import Ending
 from pycram.projection.child import usable_cores
 from replay.errors import ReplayError
-from replay.fix.trials import Version, alike
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
-
-    from pycram.exploration import Ending
-    from replay.fix.trials import Trials
+from replay.fix.trials import Trials, Version, alike
 
 _INDENT: Final = re.compile(r"\s*")
 

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from itertools import count, islice
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
 from recorder.properties import BadProperty
-from recorder.records import Check, Mutation
-from recorder.tasks import State
+from recorder.records import Check, Mutation, Plain
+from recorder.tasks import Node, State
 from replay.errors import ReplayError
 from replay.explain.causes.case import hands
+from replay.file.record_reader import RecordReader
 from replay.fix.edits import Edit, Editor
-from replay.fix.trials import Version, alike
+from replay.fix.trials import Trials, Version, alike
 from replay.history.blame import commanded
 from replay.history.flow import Flow
 from replay.history.source import PlanSource
@@ -32,15 +35,8 @@ from replay.retrace.plan_process import CantRetrace
 from replay.state.fold import last_open_step
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from recorder.records import Plain
-    from recorder.tasks import Node
     from replay.explain.check import CheckedProperty
     from replay.explain.why import Why
-    from replay.file.record_reader import RecordReader
-    from replay.fix.trials import Trials
 
 CHECKS: Final = (5, 3)  # a repair is checked in this many runs with other seeds, and with displaced objects
 _AWAY: Final = 0.1  # largest final distance of a placed object from its target, m

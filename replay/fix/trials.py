@@ -10,11 +10,12 @@ import re
 import sys
 import tempfile
 from collections import deque
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self
+from typing import Any, Final, Self
 
 from pycram.exploration import Ending, EndingSink
 from pycram.models import store
@@ -24,18 +25,13 @@ from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Run
-from recorder.tracing.journal import NullSink
+from recorder.tracing.journal import NullSink, Sink
 from recorder.user_folders import cache_folder
 from replay.errors import ReplayError
+from replay.file.record_reader import RecordReader
 from replay.history.source import PlanSource
 from replay.retrace.guided_run import run_plan, spec_of
 from replay.retrace.plan_process import CantRetrace, PlanProcess, lay
-
-if TYPE_CHECKING:
-    from collections.abc import Generator, Iterable, Iterator, Sequence
-
-    from recorder.tracing.journal import Sink
-    from replay.file.record_reader import RecordReader
 
 _DISPLACED: Final = 0.01  # m
 LIMIT: Final = 10.0  # longest duration of a trial, as a multiple of the recorded run's duration,

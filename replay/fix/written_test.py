@@ -6,23 +6,21 @@ import keyword
 import os
 import re
 import textwrap
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
-from recorder.records import Check, Run
+from recorder.records import Check, Plain, Run
+from recorder.tasks import Node
 from replay.errors import ReplayError
 from replay.report import phrases
 from replay.restore.recorded_world import world_state
+from replay.state.state import Body, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
     from pycram.running import RunSpec
-    from recorder.records import Plain
-    from recorder.tasks import Node
     from replay.recording import Recording
-    from replay.state.state import Body, World
 
 _DIGITS: Final = 6  # number of significant digits of poses and joint positions
 _ZERO: Final = 1e-6  # joint positions below this value (rad or m) are left out

@@ -7,6 +7,7 @@ returned, too.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -15,14 +16,11 @@ from recorder.records import Keyframe, Mutation
 from replay.errors import Damaged, NoSuchName
 from replay.history.tasks import CausingTasks, causing_tasks
 from replay.state.fold import state_at
-from replay.state.state import turn
+from replay.state.state import Attachment, State, World, turn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from recorder.geometry import Pose
     from replay.file.record_reader import RecordReader
-    from replay.state.state import Attachment, State, World
 
 
 #: An object with smaller changes in simulation settles: m or rad for positions, rad for turns.

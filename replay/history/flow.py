@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import ast
 from collections import defaultdict
+from collections.abc import Iterator, Mapping
 from heapq import heappop, heappush
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from recorder.plan_lines import syntax_nodes
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
 
 _FUNCTIONS: Final = (ast.FunctionDef, ast.AsyncFunctionDef)
 _CHANGING: Final = ("add", "append", "clear", "extend", "insert", "pop", "popleft", "remove", "set_value", "update")

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 from recorder import notebook
 from recorder.plan_lines import syntax_nodes
-from recorder.records import Envelope, Keyframe, Output, Run
+from recorder.records import Envelope, Keyframe, Output, Record, Run
 from replay.errors import Damaged
 
 if TYPE_CHECKING:
-    from recorder.records import Record
     from replay.file.record_reader import RecordReader
 
 

@@ -5,16 +5,13 @@ from __future__ import annotations
 import math
 import re
 from bisect import bisect_left
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from recorder.errors import suggestion
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
 from replay.errors import NoSuchStep
-from replay.file.lifetimes import closes_world
-
-if TYPE_CHECKING:
-    from replay.file.lifetimes import Lifetime
-    from replay.file.record_reader import RecordReader
+from replay.file.lifetimes import Lifetime, closes_world
+from replay.file.record_reader import RecordReader
 
 HINT: Final = "a number (negative: from the end), last, failure, a simulated time (12.5s), or task:PATH@start or @end"
 _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>start|end)")

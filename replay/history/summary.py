@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from recorder.records import STEPS_PER_SECOND, Run, format_failure
 from replay.errors import Unreadable
+from replay.file.record_reader import RecordReader
 from replay.history.tasks import INTERRUPT, failed_threads
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from replay.file.record_reader import RecordReader
 
 #: Recordings up to this size in bytes are read completely. Only both ends of larger recordings are read.
 MAX_CHECKED: Final = 16 << 20

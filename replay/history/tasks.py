@@ -9,19 +9,17 @@ kept: failures, motions, and the last task of each kind and name.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Output, Query, Run, Task
+from recorder.records import Failure, Output, Query, Record, Run, Task
 from recorder.records.text import is_choice
 from recorder.tasks import Node, Tree, decisive
 from replay.errors import Damaged
+from replay.file.record_reader import RecordReader
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from recorder.records import Failure, Record
-    from replay.file.record_reader import RecordReader
     from replay.history.source import Line, ParsedException
 
 

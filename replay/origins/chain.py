@@ -7,22 +7,18 @@ import inspect
 import math
 from bisect import bisect_right
 from collections import defaultdict, deque
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain as joined, islice, pairwise
 from types import FunctionType, ModuleType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder.tracing.call_stack import described
-from replay.origins.noting import FUNCTIONS, Held, bound_names
+from replay.origins.noting import FUNCTIONS, Held, Note, ValueNotes, bound_names
 from replay.origins.origin import Origin
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator
-    from typing import TypeAlias
-
-    from replay.origins.noting import Note, ValueNotes
-
     Facts: TypeAlias = Iterator[Origin]
 
 _MAX_FACTS: Final = 400  # largest number of facts of a value

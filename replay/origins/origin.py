@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from replay.history.source import Line
 from replay.report import phrases
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 _MAX_ROWS: Final = 12  # largest number of lines of the plan that are shown
 _EARLIER: Final = 1.5  # rank of calls before the failed one; if they decided, they come before it

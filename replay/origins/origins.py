@@ -8,26 +8,24 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import Mutation
 from replay.explain.causes import decides
-from replay.explain.causes.case import CausingChange, hands, joints_of
+from replay.explain.causes.case import Cause, CausingChange, hands, joints_of
 from replay.explain.causes.changed import HandState
 from replay.explain.causes.out_of_reach import ObstructingBody
+from replay.file.record_reader import RecordReader
 from replay.history.blame import Blame, blame
 from replay.origins.origin import Origin, Origins
 from replay.origins.relating import guesses, with_moves
 from replay.retrace.plan_process import CantRetrace, PlanProcess
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from replay.explain.causes.case import Cause
     from replay.explain.why import Why
-    from replay.file.record_reader import RecordReader
 
 _MAX_CAUSES: Final = 3  # largest number of causes whose calls are explained
 _SHOWN: Final = 2000

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder import geometry
+from recorder.records import Plain
+from replay.file.record_reader import RecordReader
 from replay.history.blame import blame
 from replay.history.source import PlanSource
-from replay.origins.origin import PossibleMistake
+from replay.origins.origin import Origin, PossibleMistake
 from replay.report import phrases
 from replay.state.fold import state_at
+from replay.state.state import Body, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from recorder.records import Plain
     from replay.explain.why import Why
-    from replay.file.record_reader import RecordReader
-    from replay.origins.origin import Origin
-    from replay.state.state import Body, World
 
 _MOVED: Final = 0.001  # in m; smaller moves are ignored
 _CLOSE: Final = 0.15  # in m, near an object

@@ -7,20 +7,15 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from pycram.projection.child import die_with
-from recorder.records import Run, Task
+from recorder.records import Record, Run, Task
 from recorder.tracing.journal import NullSink
 from replay.origins.chain import Tracer, nearest
-from replay.origins.noting import ValueNotes
+from replay.origins.noting import Note, ValueNotes
 from replay.retrace.guided_run import GuidedRun
-from replay.retrace.plan_process import Guidance
-
-if TYPE_CHECKING:
-    from recorder.records import Record
-    from replay.origins.noting import Note
-    from replay.retrace.plan_process import FirstDifference
+from replay.retrace.plan_process import FirstDifference, Guidance
 
 _MAX_FACTS = 40  # largest number of facts about a step
 

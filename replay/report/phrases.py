@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from itertools import takewhile
@@ -11,16 +12,25 @@ from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder import notebook
-from recorder.records import STEPS_PER_SECOND, Event, Query, Refusal, Task, argument_values, format_failure, from_json
+from recorder.records import (
+    STEPS_PER_SECOND,
+    Event,
+    Failure,
+    Plain,
+    Query,
+    Record,
+    Refusal,
+    Task,
+    argument_values,
+    format_failure,
+    from_json,
+)
 from recorder.records.text import is_choice, link_text, pair_text, rejection_lines, rejections, text_of
+from recorder.tasks import Node
+from replay.state.state import Attachment, Sampled
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from recorder.records import Failure, Plain, Record
-    from recorder.tasks import Node
     from replay.history.source import Line
-    from replay.state.state import Attachment, Sampled
 
 
 _WIDTH: Final = 100  # values have at most this many characters

@@ -10,16 +10,13 @@ import ast
 import json
 import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from keyword import iskeyword
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
+from recorder.records import Plain, Query
 from replay.errors import ReplayError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from recorder.records import Plain, Query
 
 
 @dataclass(frozen=True, slots=True)

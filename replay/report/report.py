@@ -6,19 +6,15 @@ Records, tasks, lines of the plan and dataclasses have the same form everywhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import singledispatch
-from typing import TYPE_CHECKING
 
 from google.protobuf.message import Message
 
 from recorder.tasks import Node
 from replay.history.source import Line
 from replay.state.json_data import message_data, record_data
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Sequence
 
 
 @singledispatch

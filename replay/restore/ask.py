@@ -10,29 +10,26 @@ import inspect
 import json
 import math
 import shlex
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from pycram import bullet_world_reasoning as btr
 from pycram.foundation.failures import PycramError
-from pycram.reasoning.queries.query import RECORDED_AS, Verdict
+from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
 from recorder import html, properties
-from recorder.records import Query, format_error, to_json
+from recorder.geometry import Quaternion, Vector
+from recorder.records import Plain, Query, format_error, to_json
 from replay.errors import NoSuchName, ReplayError
 from replay.report.question import BadQuestion, Name, QueryCall, parse, question_of
 from replay.restore.world import temporary_world
 from replay.state.fold import state_at
+from replay.state.state import State
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from pycram.reasoning.queries.query import Found
-    from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
-    from recorder.geometry import Quaternion, Vector
-    from recorder.records import Plain
     from replay.file.record_reader import RecordReader
-    from replay.state.state import State
 
 BELIEVED: Final = "believed"
 """The query for a robot's recorded belief. ``away`` is the distance of the object from the believed position in m."""

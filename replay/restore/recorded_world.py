@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import AssetError
 from pycram.models import load
+from pycram.models.load import Model
 from pycram.models.robots.description import RobotDescription
 from pycram.physics.loading import Loading
+from recorder.records import LoadBody
 from replay.errors import Damaged, NotRestored
 from replay.state.fold import last_open_step, state_at
+from replay.state.state import World
 
 if TYPE_CHECKING:
-    from pycram.models.load import Model
     from pycram.reasoning.queries.measured import ContactClient
-    from recorder.records import LoadBody
     from replay.file.record_reader import RecordReader
-    from replay.state.state import World
 
 
 def world_state(log: RecordReader, step: int, name: str | None = None, moment: float | None = None) -> World:

@@ -10,30 +10,25 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from pathlib import Path
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation.failures import PycramError
+from pycram.vision import Camera, Drawable, Rendering
 from recorder import geometry
+from recorder.geometry import Pose, Quaternion, Vector
 from recorder.packages import needed
 from replay.errors import Damaged, NoSuchName, ReplayError
 from replay.explain.why import Why, why
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from pycram.vision import Camera, Drawable, Rendering
-    from recorder.geometry import Pose, Quaternion, Vector
-    from replay.file.record_reader import RecordReader
-    from replay.state.state import Body
-
+from replay.file.record_reader import RecordReader
+from replay.state.state import Body
 
 with needed("render"):
     from PIL import Image

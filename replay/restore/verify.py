@@ -8,10 +8,12 @@ deviation. In a world that began before its recording, changes without physics a
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import PycramError
 from pycram.world.transaction import restore_snapshot, take_snapshot
+from pycram.world.world import BulletWorld
 from recorder.packages import other_versions
 from recorder.records import Keyframe, Mutation
 from recorder.records.text import text_of
@@ -20,13 +22,10 @@ from replay.errors import Damaged, ReplayError
 from replay.restore.world import Reexecution, reading
 from replay.state.integrity import Deviation, Problem, Verification, Verifier, first_deviation
 from replay.state.json_data import record_data
+from replay.state.state import World
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from pycram.world.world import BulletWorld
     from replay.file.record_reader import RecordReader
-    from replay.state.state import World
 
 OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
 """Tolerance of effects on another computer or with another build of the engine, m or rad."""

@@ -13,8 +13,10 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
 
 from pycram.foundation.failures import DisplayError, PycramError
 from pycram.physics.body import Snapshot
@@ -23,21 +25,16 @@ from pycram.world.trajectory import Trajectory
 from pycram.world.transaction import restore_snapshot, update
 from pycram.world.world import BulletWorld, Object, open_worlds
 from recorder import records
-from recorder.records import Keyframe, Mutation
+from recorder.records import BeginTrajectory, Keyframe, LoadBody, Mutation, Record
 from recorder.tracing import journal
 from recorder.tracing.journal import Journal, NullSink
 from replay.errors import Damaged, NotRestored
 from replay.restore.recorded_world import description_of, model_of, world_state
 from replay.state.fold import fold, state_at
+from replay.state.state import Body, RecordedBelief, Sampled, World
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
-    from types import TracebackType
-    from typing import Self
-
-    from recorder.records import BeginTrajectory, LoadBody, Record
     from replay.file.record_reader import RecordReader
-    from replay.state.state import Body, RecordedBelief, Sampled, World
 
 
 def world_at(

@@ -18,6 +18,7 @@ import json
 import math
 import re
 import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextvars import Context
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, NoReturn
@@ -27,31 +28,26 @@ from pycram.fluents.expressions import Variable
 from pycram.fluents.fluent import Fluent
 from pycram.foundation.failures import PycramError
 from pycram.foundation.forcing import SKIPPED
+from pycram.reasoning.choosing import Question as Asked
 from pycram.reasoning.grasping.fingers import close_around
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
 from pycram.running import MAX_SEED
 from pycram.scheduling.schedule import is_held
-from pycram.world.world import open_worlds
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld, open_worlds
 from recorder import geometry, records
-from recorder.records import Change, Mutation, Query, from_json
+from recorder.records import Change, LoadBody, Mutation, Plain, Query, Record, from_json
 from recorder.tracing import interrupts, journal
 from recorder.tracing.forking import process
 from replay.errors import NoSuchName
-from replay.report.question import BadQuestion, Name, QueryCall, parse, unquoted
+from replay.report.question import BadQuestion, Name, QueryCall, Term, parse, unquoted
 from replay.restore.recorded_world import description_of
 from replay.retrace.decisions import BadChange, ForcedDecision, is_same, on_record, parse_decision, text_of
 from replay.state.fold import state_at
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from pycram.reasoning.choosing import Question as Asked
-    from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
-    from recorder.records import LoadBody, Plain, Record
     from replay.file.record_reader import RecordReader
-    from replay.report.question import Term
     from replay.retrace.guide import Guide
 
 _COUNTS: Final = {"position": (3, 7), "orientation": (4,), "color": (4,), "gravity": (3,)}

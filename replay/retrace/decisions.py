@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,13 +18,10 @@ from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder.records import Query, Task
 from replay.errors import NoSuchName, ReplayError
-from replay.report.question import BadQuestion, Name, parse, question_of
+from replay.report.question import BadQuestion, Name, Term, parse, question_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
     from replay.file.record_reader import RecordReader
-    from replay.report.question import Term
 
 _FORM: Final = re.compile(r"\s*([\w-]+)(?:\.([\w-]+))?\s*\((.*)\)\s*=\s*(.+?)\s*", re.DOTALL)
 _NUMBER: Final = re.compile(r"#([1-9]\d*)")

@@ -6,10 +6,11 @@ are the same. A fork may also change the world after the step, answers of querie
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from recorder.records import Change, Run
 from recorder.records.values import LEFT_OUT
@@ -22,15 +23,8 @@ from replay.retrace.changes import (
     settings as settings_of,
 )
 from replay.retrace.decisions import BadChange
-from replay.retrace.plan_process import PlanProcess
-from replay.retrace.retrace import compared, reads_before
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
-
-    from replay.retrace.plan_process import FirstDifference
-    from replay.retrace.retrace import Retracing
+from replay.retrace.plan_process import FirstDifference, PlanProcess
+from replay.retrace.retrace import Retracing, compared, reads_before
 
 
 class NotForked(ReplayError):

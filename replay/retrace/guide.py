@@ -8,25 +8,19 @@ from __future__ import annotations
 
 import re
 import threading
-from pathlib import PurePath
-from typing import TYPE_CHECKING, Final, TypeAlias
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from pathlib import Path, PurePath
+from typing import Final, TypeAlias
 
-from recorder.records import Keyframe, Mutation, Run, Task, format_failure
+from google.protobuf.message import Message
+
+from recorder.records import Keyframe, LoadBody, Mutation, Plain, Record, Run, Task, format_failure
 from recorder.records.text import text_of, values
-from recorder.tracing.journal import NullSink
+from recorder.records.values import AssetFile
+from recorder.tracing.journal import NullSink, Sink
 from replay.compare import differing
+from replay.file.record_reader import RecordReader
 from replay.retrace.plan_process import FirstDifference
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-    from pathlib import Path
-
-    from google.protobuf.message import Message
-
-    from recorder.records import LoadBody, Plain, Record
-    from recorder.records.values import AssetFile
-    from recorder.tracing.journal import Sink
-    from replay.file.record_reader import RecordReader
 
 #: Fields with the files of an object. If a different file matters, then a pose, a contact or an answer differs, too.
 _FILES: Final = re.compile(r"(?:load_body|loaded\[(\d+)\])\.(?:assets|robot_description)\b")

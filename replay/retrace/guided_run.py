@@ -13,10 +13,11 @@ import contextlib
 import json
 import os
 import sys
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 from pycram import running
 from pycram.foundation.forcing import decided_by
@@ -32,17 +33,12 @@ from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Change, Check, Run, escaped, format_error
 from recorder.tracing.forking import process
-from recorder.tracing.journal import NullSink
+from recorder.tracing.journal import NullSink, Sink
 from replay.file.record_reader import RecordReader
 from replay.retrace.changes import AnswerOracle, PendingChanges, change_text, parse_setting
 from replay.retrace.decisions import BadChange
 from replay.retrace.guide import Guide, GuidedSink
 from replay.retrace.plan_process import FirstDifference, Guidance
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from recorder.tracing.journal import Sink
 
 _STDOUT, _STDERR = 1, 2
 

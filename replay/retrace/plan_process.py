@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -20,15 +21,12 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 from recorder.packages import other_versions
 from recorder.provenance import pycram_revision
-from recorder.records import Change, Mutation, Output, Run, Task
+from recorder.records import Change, Mutation, Output, Plain, Record, Run, Task
 from recorder.records.values import LEFT_OUT
 from replay.errors import ReplayError
 from replay.history.source import name_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-
-    from recorder.records import Plain, Record
     from replay.file.record_reader import RecordReader
 
 _SHOWN: Final = 2000  # largest number of characters that are shown from the end of a failed process's stderr

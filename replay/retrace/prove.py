@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import threading
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
@@ -16,24 +17,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Run, Task, argument_values
+from recorder.records import Failure, Run, Task, argument_values
 from replay.errors import ReplayError
-from replay.explain.causes.trials import CONFIRMED, REFUTED, UNTESTED, Proof, TriedTrial
+from replay.explain.causes.trials import CONFIRMED, REFUTED, UNTESTED, Proof, Trial, TriedTrial
 from replay.file.record_reader import RecordReader
 from replay.history.source import PlanSource, parse_traceback
 from replay.history.tasks import uncaught_failure
 from replay.report import phrases
 from replay.retrace.fork import changes_of
 from replay.retrace.plan_process import CantRetrace, PlanProcess
-from replay.retrace.retrace import compared
+from replay.retrace.retrace import Retracing, compared
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from recorder.records import Failure
-    from replay.explain.causes.trials import Trial
     from replay.explain.why import Why
-    from replay.retrace.retrace import Retracing
 
 _BUDGET: Final = 12  # largest number of forks
 _AT_ONCE: Final = 2  # number of parallel forks

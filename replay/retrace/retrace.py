@@ -10,19 +10,17 @@ from __future__ import annotations
 
 import ast
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from recorder.plan_lines import syntax_nodes
 from recorder.records import Run, Task
-from replay.retrace.plan_process import PlanProcess
+from replay.retrace.plan_process import FirstDifference, PlanProcess
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from replay.file.record_reader import RecordReader
-    from replay.retrace.plan_process import FirstDifference
 
 
 _MAX_LINES: Final = 3  # at most this many lines of a file are named

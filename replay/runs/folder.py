@@ -17,11 +17,13 @@ import re
 import shutil
 import tempfile
 from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from glob import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import duckdb
 import pyarrow as pa
@@ -34,10 +36,6 @@ from replay.runs.rows import FOLDER, NEW, partial_rows, read_rows, tables_of, wr
 from replay.runs.schema import RUN, TABLES, VERSION, arrow_schema
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from types import TracebackType
-    from typing import Self
-
     import pandas as pd
     import polars as pl
 

@@ -14,13 +14,16 @@ import math
 import os
 import shutil
 import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias, cast
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 from pyarrow import parquet
 
 from recorder.packages import needed
@@ -28,14 +31,9 @@ from replay.errors import ReplayError
 from replay.file.record_reader import RecordReader
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-    from types import TracebackType
-    from typing import Self
-
     import av
     from av.container import OutputContainer
     from av.video.stream import VideoStream
-    from numpy.typing import NDArray
 
     from replay.runs.folder import Runs
 

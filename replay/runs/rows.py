@@ -10,22 +10,29 @@ so coordinates and seeds don't split a cause.
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final
+from pathlib import Path
+from typing import Any, Final
 
 import pyarrow as pa
 
 from recorder.records import (
     STEPS_PER_SECOND,
+    Argument,
+    BodyState,
     Check,
     Event,
+    Failure,
     Fluent,
     Keyframe,
     Mutation,
     Query,
+    Record,
     Refusal,
     Run,
     Task,
@@ -36,17 +43,8 @@ from recorder.records import (
 from recorder.records.text import chosen_name, mutation_text, pair_text
 from replay.errors import Damaged
 from replay.file.record_reader import RecordReader
-from replay.history.tasks import INTERRUPT, root_cause, uncaught_failure
+from replay.history.tasks import INTERRUPT, RootCause, root_cause, uncaught_failure
 from replay.runs.schema import COLUMNS, TABLES, VERSION, arrow_schema
-
-if TYPE_CHECKING:
-    import os
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from recorder.records import Argument, BodyState, Failure, Record
-    from replay.history.tasks import RootCause
-
 
 FOLDER: Final = "tables"
 """Name of the subfolder with the tables in a folder of recordings."""

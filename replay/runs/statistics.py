@@ -10,8 +10,10 @@ import dataclasses
 import math
 import shlex
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import from_json
@@ -20,9 +22,6 @@ from replay.report import report
 from replay.report.phrases import percent, plural
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
     from replay.runs.folder import Runs, Skipped
 
 

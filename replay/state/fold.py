@@ -7,21 +7,17 @@ keyframe. No physics runs.
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterable, Mapping
+from typing import Final
 
+from recorder import records
 from recorder.records import STEPS_PER_SECOND, Belief, Keyframe, Mutation, Query, beliefs
 from recorder.records.fold import FoldedBody, FoldedWorld, apply, quaternion, vector
 from replay.errors import Damaged
-from replay.file.lifetimes import closes_world
+from replay.file.lifetimes import Lifetime, closes_world
+from replay.file.record_reader import RecordReader
 from replay.file.repair import range_text
 from replay.state.state import Body, RecordedBelief, Sampled, State, World
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-
-    from recorder import records
-    from replay.file.lifetimes import Lifetime
-    from replay.file.record_reader import RecordReader
 
 CHANGES: Final = (Mutation, Keyframe, Query)
 """The kinds of records that change a state. A query changes the state if it updates a robot's beliefs."""

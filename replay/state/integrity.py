@@ -9,21 +9,16 @@ also executes the recorded changes again.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from recorder.records import Envelope, Event, Keyframe, Mutation, Query, Run, Task
-from recorder.records.fold import apply
+from recorder.records import Envelope, Event, Keyframe, Mutation, Plain, Query, Record, Run, Task
+from recorder.records.fold import FoldedWorld, apply
+from replay.file.record_reader import RecordReader
 from replay.state.fold import world_of
 from replay.state.json_data import message_data, world_data
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-
-    from recorder.records import Plain, Record
-    from recorder.records.fold import FoldedWorld
-    from replay.file.record_reader import RecordReader
-    from replay.state.state import World
+from replay.state.state import World
 
 
 @dataclass(frozen=True, slots=True)

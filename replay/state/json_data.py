@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from recorder.records import TOPICS, UNKNOWN, Argument, Keyframe, Mutation, argument_values, from_json
+from google.protobuf.message import Message
+
+from recorder.records import TOPICS, UNKNOWN, Argument, Keyframe, Mutation, Plain, Record, argument_values, from_json
+from replay.state.state import Body, State, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from google.protobuf.descriptor import FieldDescriptor
-    from google.protobuf.message import Message
 
-    from recorder.records import Plain, Record
-    from replay.state.state import Body, State, World
 
 _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns"))
 

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 from recorder import html
-from recorder.records import STEPS_PER_SECOND
-from recorder.records.fold import Attachment as Attachment  # noqa: PLC0414, TC001  a part of a state
+from recorder.records import STEPS_PER_SECOND, Following, LoadBody
+from recorder.records.fold import Attachment as Attachment  # noqa: PLC0414  a part of a state
 from replay.errors import NoSuchName
+from replay.file.assets import Assets
 from replay.file.lifetimes import title
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-
     from recorder.geometry import Pose, Quaternion, Vector
-    from recorder.records import Following, LoadBody
     from recorder.urdf import Urdf
-    from replay.file.assets import Assets
 
 
 @dataclass(frozen=True, slots=True, repr=False)

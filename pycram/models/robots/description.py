@@ -8,23 +8,18 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram.foundation import checks, plugins
 from pycram.foundation.failures import AssetError, BadArgument, MissingPart, UnknownName
 from pycram.models.files import parse_toml, read_text
 from recorder import geometry
-from recorder.urdf import UrdfError
-
-if TYPE_CHECKING:
-    from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-
-    from recorder.geometry import Pose, PoseLike, Vector
-    from recorder.urdf import Urdf
-
+from recorder.geometry import Pose, PoseLike, Vector
+from recorder.urdf import Urdf, UrdfError
 
 _MIN_RATE, _MAX_RATE = 1e-3, 1e3
 _MAX_SIGHT: Final = 1e4  # m

@@ -5,20 +5,15 @@ The modules serve two execution environments, with different executions of motio
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
-from pycram.motions.execution import INSTANT
+from pycram.motions.execution import INSTANT, Execution
 from pycram.motions.modules.container import Accessing
 from pycram.motions.modules.perception import Detecting, WorldStateDetecting
 from pycram.motions.modules.pick_up import PickUp
 from pycram.motions.modules.place import Place
 from pycram.motions.modules.robot_parts import MoveGripper, MoveHead, MoveJoints, MoveTCP, Navigation
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from pycram.motions.execution import Execution
-    from pycram.motions.process_module import ProcessModule
+from pycram.motions.process_module import ProcessModule
 
 __all__ = [
     "Accessing",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING, Final
+from collections.abc import Iterator, Sequence
+from typing import Final
 
 from pycram.foundation.failures import (
     AccessFailed,
@@ -17,14 +18,17 @@ from pycram.foundation.failures import (
     PostureInCollision,
     phrases,
 )
+from pycram.models.robots.description import Arm
 from pycram.models.shapes import shapes_of
+from pycram.motions.designator import Designator
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
-from pycram.reasoning.choosing import choosing
+from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision.checker import DEPTH
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.handles import (
     DeadEnd,
     Handle,
+    HandlePath,
     arms_in_the_way,
     plan_path,
     plan_path_with_torso,
@@ -32,16 +36,8 @@ from pycram.reasoning.grasping.handles import (
 )
 from pycram.reasoning.rejections import Touching
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from pycram.models.robots.description import Arm
-    from pycram.motions.designator import Designator
-    from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.grasping.handles import HandlePath
-    from pycram.world.object import Object
 
 _STEP: Final = 0.1  # maximum motion in m or rad of the joint between two postures
 _STILL: Final = 0.01  # maximum motion in m or rad of the joint while the hand approaches

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterable
+from typing import Any, Final
 
 from pycram.foundation.failures import MissingPart, PerceptionError
+from pycram.motions.designator import Designator
 from pycram.motions.process_module import SimulatedModule
 from pycram.reasoning.choosing import choosing
 from pycram.reasoning.queries.visibility import visible
 from pycram.reasoning.rejections import Inferior, Unseen
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
+from recorder.records import Plain
 from recorder.records.beliefs import sightings
 from recorder.records.text import unseen_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from pycram.motions.designator import Designator
-    from pycram.world.object import Object
-    from recorder.records import Plain
 
 RECOGNISABLE: Final = 0.5
 """Minimum visible share of an object that the robot can recognise."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 from pycram.foundation.failures import (
     Blocked,
+    CollisionPair,
     DoesNotFit,
     GraspFailed,
     GripperBlocked,
@@ -16,28 +18,22 @@ from pycram.foundation.failures import (
     PostureInCollision,
     Unreachable,
 )
+from pycram.models.robots.description import Arm
+from pycram.motions.designator import Designator
+from pycram.motions.execution import Step
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
-from pycram.reasoning.choosing import choosing
+from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
 from pycram.reasoning.grasping.choice import holding_grasps
 from pycram.reasoning.rejections import Touching, Unreached, short
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.overlaps import DEEP
 from pycram.world.world import BulletWorld
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from pycram.foundation.failures import CollisionPair
-    from pycram.models.robots.description import Arm
-    from pycram.motions.designator import Designator
-    from pycram.motions.execution import Step
-    from pycram.reasoning.choosing import Choice
-    from pycram.world.object import Object
-    from recorder.geometry import PoseLike
+from recorder.geometry import PoseLike
 
 _MAX_SEARCHED: Final = 3  # number of grasps without a path after which the search ends
 _MOVING: Final = (0.3, 3.0)  # speeds in m/s and rad/s above which an object falls or rolls; a rocking object is slower

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from pycram.foundation.failures import (
     CollisionPair,
@@ -17,27 +18,21 @@ from pycram.foundation.failures import (
     Unreachable,
     phrases,
 )
-from pycram.motions.execution import TIMEOUT
+from pycram.models.robots.description import Arm
+from pycram.motions.designator import Designator
+from pycram.motions.execution import TIMEOUT, Step
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
-from pycram.reasoning.choosing import choosing
+from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing
 from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.rejections import OutOfReach, Unreached, short
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.overlaps import sunk
 from pycram.world.world import BulletWorld
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-
-    from pycram.models.robots.description import Arm
-    from pycram.motions.designator import Designator
-    from pycram.motions.execution import Step
-    from pycram.reasoning.choosing import Choice
-    from pycram.world.object import Object
-    from recorder.geometry import Pose, PoseLike
+from recorder.geometry import Pose, PoseLike
 
 _AWAY: Final = 0.02  # maximum distance in m of the object from the place of its release
 _TURNED: Final = math.radians(10)  # maximum turn from the given orientation, or from upright

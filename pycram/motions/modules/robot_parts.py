@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.foundation.errors import export
 from pycram.foundation.failures import (
     BadArgument,
     Blocked,
+    CollisionPair,
     GripperBlocked,
     InCollision,
     LookingFailed,
@@ -20,9 +22,11 @@ from pycram.foundation.failures import (
     PostureInCollision,
     Unreachable,
 )
-from pycram.motions.execution import LEAN, level
+from pycram.models.robots.description import Arm, CameraDescription
+from pycram.motions.designator import Designator
+from pycram.motions.execution import LEAN, Step, level
 from pycram.motions.process_module import AS_ASKED, FOLLOWING, SimulatedModule
-from pycram.reasoning.choosing import choosing
+from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
@@ -30,19 +34,10 @@ from pycram.reasoning.kinematics import inverse, pan_tilt
 from pycram.reasoning.places.search import check_drives, check_ground
 from pycram.reasoning.rejections import OutOfReach, Touching, Unfit, short
 from pycram.world import attachment, simulation
+from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from pycram.foundation.failures import CollisionPair
-    from pycram.models.robots.description import Arm, CameraDescription
-    from pycram.motions.designator import Designator
-    from pycram.motions.execution import Step
-    from pycram.reasoning.choosing import Choice
-    from pycram.world.object import Object
-    from recorder.geometry import Vector
+from recorder.geometry import Vector
 
 
 class Navigation(SimulatedModule):

@@ -7,29 +7,27 @@ Manocha: OBBTree, SIGGRAPH 1996). If two boxes don't overlap, their pieces don't
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models import shapes
 from pycram.models.store import stored_tree
 from pycram.reasoning.kinematics.forward import Articulation, drivers
 from pycram.world import attachment
 from recorder import geometry
+from recorder.geometry import Pose
+from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
     from pycram.world.object import Object
-    from recorder.geometry import Pose
-    from recorder.urdf import Urdf
 
     Array = NDArray[np.float64]
     Indices = NDArray[np.intp]

@@ -7,25 +7,22 @@ checks these pairs with the engine in a simulation clone, one after the other wh
 from __future__ import annotations
 
 import itertools
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, TypedDict
+from typing import TYPE_CHECKING, Final, Self, TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation.failures import CollisionPair
+from pycram.physics.body import ClosestPoint, LoadedBody
 from pycram.reasoning.collision.boxes import Boxes, MovingLinks, joint_counts, overlaps
 from pycram.reasoning.collision.simulation_clone import clone_of
 from recorder import geometry
+from recorder.geometry import Pose
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-    from typing import Self
-
-    from numpy.typing import NDArray
-
-    from pycram.physics.body import ClosestPoint, LoadedBody
     from pycram.world.object import Object
-    from recorder.geometry import Pose
 
     #: A moving object and its link, then another object and its link.
     Pair = tuple[Object, str, Object, str]

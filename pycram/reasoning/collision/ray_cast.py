@@ -6,21 +6,19 @@ grow with rotations and include hollows. All lines are intersected with the mode
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.shapes import solids_of
 from recorder import geometry
+from recorder.geometry import Pose, Quaternion, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Quaternion, Vector
 
     Array = NDArray[np.float64]
 

@@ -8,22 +8,21 @@ from __future__ import annotations
 
 import threading
 import weakref
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, NamedTuple, TypeAlias, TypeVar, cast, overload
 
 from pycram.models import rigid_parts
+from pycram.models.rigid_parts import RigidPart
+from pycram.physics.body import LoadedBody, Snapshot
 from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes, concatenate, overlaps
+from pycram.world.attachment import BodyAttachment
 from pycram.world.transaction import take_snapshot
 from recorder import geometry
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from pycram.models.rigid_parts import RigidPart
-    from pycram.physics.body import LoadedBody, Snapshot
-    from pycram.world.attachment import BodyAttachment
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 

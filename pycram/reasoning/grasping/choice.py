@@ -4,32 +4,28 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import Blocked, DoesNotFit, GraspFailed, PlanFailure, Unreachable
+from pycram.foundation.failures import Blocked, CollisionPair, DoesNotFit, GraspFailed, PlanFailure, Unreachable
+from pycram.physics.body import ClosestPoint
 from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import fingers
+from pycram.reasoning.grasping.fingers import Closing
 from pycram.reasoning.grasping.grasps import FREE, Grasp, along, candidates, leaning
-from pycram.reasoning.kinematics.inverse import Solver
+from pycram.reasoning.kinematics.inverse import Posture, Solver
 from pycram.reasoning.rejections import Misfit, OutOfReach, Slips, Touching, Untried
 from recorder import geometry
-from recorder.geometry import IDENTITY
+from recorder.geometry import IDENTITY, Pose
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterator, Mapping, Sequence
-
-    from pycram.foundation.failures import CollisionPair
     from pycram.models.robots.description import Arm
-    from pycram.physics.body import ClosestPoint
     from pycram.reasoning.collision.checker import Collision, Pair
-    from pycram.reasoning.grasping.fingers import Closing
-    from pycram.reasoning.kinematics.inverse import Posture
     from pycram.world.object import Object
-    from recorder.geometry import Pose
 
     Touch = tuple[Pair, list[ClosestPoint]]
     Cost = tuple[bool, float, float, float]

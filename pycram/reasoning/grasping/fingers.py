@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from pycram.foundation.failures import CollisionPair
 from pycram.models.store import stored_tree
+from pycram.physics.body import LoadedBody
+from pycram.physics.engine import Engine
 from pycram.reasoning.collision.boxes import Boxes
 from pycram.reasoning.collision.checker import DEPTH, link_name
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.world.joints import coupled
 from recorder import geometry
+from recorder.geometry import Pose
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
-
     from pycram.models.robots.description import Arm, Gripper
-    from pycram.physics.body import LoadedBody
-    from pycram.physics.engine import Engine
     from pycram.reasoning.collision.simulation_clone import Part, PosingClone
     from pycram.world.object import Object
-    from recorder.geometry import Pose
 
     #: Depths of overlaps in m, by finger, object and the object's link.
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]

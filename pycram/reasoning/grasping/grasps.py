@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
@@ -17,19 +18,15 @@ import numpy as np
 from pycram.foundation import checks
 from pycram.foundation.failures import UnknownName
 from pycram.models.shapes import solids_of
-from pycram.reasoning.choosing import UNRECORDED
+from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
 from pycram.reasoning.rejections import Misfit, Uneven
 from recorder import geometry
-from recorder.geometry import IDENTITY
+from recorder.geometry import IDENTITY, Pose, Quaternion, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from pycram.models.robots.description import Arm
-    from pycram.reasoning.choosing import Choice
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Quaternion, Vector
 
 
 FREE: Final = 0.004

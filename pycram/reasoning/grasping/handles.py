@@ -9,38 +9,33 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation.failures import CollisionPair
 from pycram.models.shapes import shapes_of
 from pycram.models.surfaces import closed_position
-from pycram.reasoning.choosing import UNRECORDED
+from pycram.physics.body import LoadedBody
+from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision import checker
-from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker, PostureCandidate
 from pycram.reasoning.collision.ray_cast import half_extent
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping.grasps import grasp_orientation
 from pycram.reasoning.kinematics.inverse import Solver
-from pycram.reasoning.rejections import Contorted, OutOfReach, Touching
+from pycram.reasoning.rejections import Contorted, OutOfReach, Rejection, Touching
 from pycram.world import attachment
 from recorder import geometry
+from recorder.geometry import Pose, Quaternion, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from pycram.models.robots.description import Arm, Gripper
-    from pycram.physics.body import LoadedBody
-    from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.collision.checker import PostureCandidate
-    from pycram.reasoning.rejections import Rejection
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Quaternion, Vector
 
     Array = NDArray[np.float64]
 

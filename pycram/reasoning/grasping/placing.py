@@ -4,31 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import CollisionPair, PlaceFailed
-from pycram.reasoning.choosing import UNRECORDED
+from pycram.foundation.failures import CollisionPair, NoPath, PlaceFailed
+from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision import checker
-from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
+from pycram.reasoning.collision.checker import DEPTH, CollisionChecker, PostureCandidate
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.grasping import fingers, grasps
 from pycram.reasoning.kinematics import inverse
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching
 from recorder import geometry
+from recorder.geometry import Pose, Quaternion, Vector
 from recorder.records import STEPS_PER_SECOND
 from recorder.records.text import link_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-
-    from pycram.foundation.failures import NoPath
     from pycram.models.robots.description import Arm
-    from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.collision.checker import PostureCandidate
     from pycram.world.object import Object
-    from recorder.geometry import Pose, Quaternion, Vector
 
 
 _ABOVE: Final = 0.05  # height in m by which the support may be above the target

@@ -12,20 +12,18 @@ In the subproblems, points and vectors are columns of arrays (3, n) or (3, 1); a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.shapes import distinct
 from pycram.reasoning.kinematics import forward
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from numpy.typing import NDArray
-
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
     Hinge = tuple[Array, Array, Array]

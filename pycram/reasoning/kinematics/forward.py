@@ -7,25 +7,23 @@ with the weights 1, cosine, sine and position (Murray, Li, Sastry: A Mathematica
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.store import stored_tree
 from recorder import geometry
+from recorder.geometry import Pose
+from recorder.urdf import Urdf, UrdfJoint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
     from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
-    from recorder.geometry import Pose
-    from recorder.urdf import Urdf, UrdfJoint
 
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]

@@ -10,25 +10,22 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.reasoning.kinematics.closed_form import ClosedForm
 from pycram.reasoning.kinematics.forward import Chain, norms, rotation_error
 from recorder import geometry
-from recorder.geometry import IDENTITY
+from recorder.geometry import IDENTITY, Pose, PoseLike, Quaternion, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
     from pycram.world.object import Object
-    from recorder.geometry import Pose, PoseLike, Quaternion, Vector
 
     Array = NDArray[np.float64]
     Target = tuple[Sequence[float], Sequence[float] | None]

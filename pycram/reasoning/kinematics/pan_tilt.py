@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from recorder import geometry
+from recorder.geometry import Pose, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from pycram.models.robots.description import CameraDescription
-    from recorder.geometry import Pose, Vector
     from recorder.urdf import Urdf, UrdfJoint
 
 _ITERATIONS: Final = 30

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
+from pycram.models.robots.description import Arm
 from pycram.models.shapes import pieces_of
 from pycram.models.surfaces import Surface
 from pycram.reasoning.collision import checker
-from pycram.reasoning.collision.boxes import concatenate
+from pycram.reasoning.collision.boxes import Boxes, concatenate
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -26,22 +29,14 @@ from pycram.reasoning.places.goals import PutDown, PutDownGoal, description_of
 from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_generator, room
 from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
-from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Touching
+from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Rejection, Touching
 from pycram.scheduling.future import unwrap
 from pycram.world.attachment import held
+from pycram.world.object import Object
 from recorder import geometry
+from recorder.geometry import Polygon, Pose, Quaternion, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.models.robots.description import Arm
-    from pycram.reasoning.collision.boxes import Boxes
-    from pycram.reasoning.rejections import Rejection
-    from pycram.world.object import Object
-    from recorder.geometry import Polygon, Pose, Quaternion, Vector
-
     Array = NDArray[np.float64]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Protocol, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from pycram.foundation.failures import (
     PlanFailure,
     Unreachable,
 )
+from pycram.models.robots.description import Arm, RobotDescription
 from pycram.reasoning.choosing import UNRECORDED
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
@@ -30,16 +31,12 @@ from pycram.reasoning.grasping.handles import ANGLES, DeadEnd, Handle, plan_path
 from pycram.reasoning.grasping.placing import Refusals, placements
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.queries.query import world_of
-from pycram.reasoning.rejections import NoRoom, OutOfReach, Touching, Unfit
+from pycram.reasoning.rejections import NoRoom, OutOfReach, Rejection, Touching, Unfit
 from pycram.world import attachment
 from pycram.world.attachment import held
 from pycram.world.object import Object
 from recorder import geometry
-
-if TYPE_CHECKING:
-    from pycram.models.robots.description import Arm, RobotDescription
-    from pycram.reasoning.rejections import Rejection
-    from recorder.geometry import Pose, Quaternion, Vector
+from recorder.geometry import Pose, Quaternion, Vector
 
 _TURNS: Final = 6  # number of orientations about the vertical for an object without a given orientation
 _MAX_SINGLE: Final = 30  # maximum number of places that are checked one by one; for more, one search for all is faster

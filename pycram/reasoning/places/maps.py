@@ -5,29 +5,26 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from pycram.models.robots.description import Arm
+from pycram.reasoning.collision.boxes import Boxes
 from pycram.reasoning.collision.simulation_clone import clone_of
 from pycram.reasoning.kinematics.forward import Chain
 from pycram.scheduling.schedule import run_seed
 from pycram.world.attachment import held
+from pycram.world.object import Object
 from recorder import geometry
+from recorder.geometry import Vector
+from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from pycram.models.robots.description import Arm
-    from pycram.reasoning.collision.boxes import Boxes
-    from pycram.world.object import Object
-    from recorder.geometry import Vector
-    from recorder.urdf import Urdf
-
     Array = NDArray[np.float64]
 
 

@@ -6,32 +6,29 @@ import itertools
 import math
 import zlib
 from abc import ABC, abstractmethod
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation.failures import NoPlace, NotDrivable
 from pycram.reasoning.choosing import Choice
 from pycram.reasoning.collision.simulation_clone import clone_of
-from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Touching, Unseen
+from pycram.reasoning.grasping.grasps import GraspSide
+from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Rejection, Touching, Unseen
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
 from recorder import geometry, records
+from recorder.geometry import Pose, Quaternion, Vector
 from recorder.records.text import rejection_text
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.reasoning.places.maps import Grid
-    from pycram.reasoning.rejections import Rejection
-    from pycram.world.world import BulletWorld
-    from recorder.geometry import Pose, Quaternion, Vector
 
     Array = NDArray[np.float64]
-    from pycram.world.object import Object
 
 
 _UNEVEN: Final = 0.05  # largest difference in m of heights on one ground

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation import checks
 from pycram.foundation.failures import MissingPart, UnknownName
+from pycram.models.robots.description import Arm
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
-from pycram.reasoning.grasping.grasps import GRASPS
+from pycram.reasoning.grasping.grasps import GRASPS, GraspSide
 from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import PullGoal, TakeGoal, Target, description_of, goal_of, promising
@@ -20,22 +23,15 @@ from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_gen
 from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot, drives
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE, seen_share
-from pycram.reasoning.rejections import OutOfReach, Touching, Unseen, Untried
+from pycram.reasoning.rejections import OutOfReach, Rejection, Touching, Unseen, Untried
 from pycram.scheduling.future import unwrap
+from pycram.world.object import Object
 from pycram.world.trajectory import BaseFrame
 from recorder import geometry
+from recorder.geometry import Pose, Vector
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.models.robots.description import Arm
-    from pycram.reasoning.grasping.grasps import GraspSide
     from pycram.reasoning.places.goals import Goal
-    from pycram.reasoning.rejections import Rejection
-    from pycram.world.object import Object
-    from recorder.geometry import Pose, Vector
 
     Array = NDArray[np.float64]
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from pycram.physics.body import ClosestPoint
 from pycram.reasoning.queries.query import Verdict, query
-
-if TYPE_CHECKING:
-    from pycram.physics.body import ClosestPoint
-    from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
 
 MARGIN: Final = 1e-3
 """gap in m below which objects touch: the engine leaves up to half a millimetre between resting objects."""

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
+from pycram.models.load import Model
+from pycram.physics.body import ClosestPoint, LoadedBody
 from pycram.physics.engine import Engine
 from pycram.reasoning.queries.contact import MARGIN
 from recorder.properties.expressions import RANGE, Touch, Truth
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from pycram.models.load import Model
-    from pycram.physics.body import ClosestPoint, LoadedBody
-    from recorder.records import LoadBody
-    from recorder.records.fold import FoldedBody, FoldedWorld
+from recorder.records import LoadBody
+from recorder.records.fold import FoldedBody, FoldedWorld
 
 
 @dataclass(slots=True)

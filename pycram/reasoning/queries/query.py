@@ -8,23 +8,18 @@ from __future__ import annotations
 
 import functools
 import inspect
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, Generic, ParamSpec, Protocol, TypeVar
+from typing import Any, Final, Generic, ParamSpec, Protocol, Self, TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld
 from pycram.foundation.refusals import refused, refusing
-from pycram.reasoning.choosing import Question
+from pycram.reasoning.choosing import Choice, Question
 from pycram.scheduling.future import unwrap
 from pycram.world.world import BulletWorld, Object
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
-    from typing import Self
-
-    from pycram.reasoning.choosing import Choice
-    from recorder import records
+from recorder import records
 
 T = TypeVar("T")
 P = ParamSpec("P")

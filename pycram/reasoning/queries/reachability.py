@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
-from typing import TYPE_CHECKING, TypeVar
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TypeVar
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument
-from pycram.reasoning.choosing import considering
+from pycram.reasoning.choosing import Choice, considering
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.grasping import choice
 from pycram.reasoning.grasping.grasps import grasp_orientation
-from pycram.reasoning.kinematics.inverse import THRESHOLD, Solver
+from pycram.reasoning.kinematics.inverse import THRESHOLD, Posture, Solver
 from pycram.reasoning.queries.query import Found, Verdict, query
 from pycram.reasoning.rejections import OutOfReach, Touching
 from pycram.scheduling.future import unwrap
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from contextlib import AbstractContextManager
-
-    from pycram.reasoning.choosing import Choice
-    from pycram.reasoning.kinematics.inverse import Posture
-    from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
-    from recorder.geometry import Pose, Quaternion
-
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
+from recorder.geometry import Pose, Quaternion
 
 T = TypeVar("T")
 

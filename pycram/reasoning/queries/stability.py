@@ -20,32 +20,28 @@ body among hundreds costs little more than its own fall.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.models.shapes import shapes_of
-from pycram.reasoning.collision.simulation_clone import clone_of
+from pycram.physics.body import Contact, LoadedBody
+from pycram.physics.engine import Engine
+from pycram.reasoning.collision.simulation_clone import PlacedPart, clone_of
 from pycram.reasoning.queries.query import Verdict, query
 from pycram.world import attachment
+from pycram.world.object import Object
 from pycram.world.simulation import INTERVALS, SLOW, SLOW_TURN, at_rest
+from pycram.world.world import BulletWorld
 from recorder import geometry
+from recorder.geometry import Vector
 from recorder.records import STEPS_PER_SECOND
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
-
-    from numpy.typing import NDArray
-
-    from pycram.physics.body import Contact, LoadedBody
-    from pycram.physics.engine import Engine
-    from pycram.reasoning.collision.simulation_clone import PlacedPart
-    from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
-    from recorder.geometry import Vector
-
     Box = tuple[list[float], list[float]]
     Points = NDArray[np.float64]
 

@@ -10,10 +10,12 @@ from __future__ import annotations
 import itertools
 import math
 import zlib
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Final, cast
+from typing import Final, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, MissingPart, NoWorld
@@ -21,22 +23,13 @@ from pycram.models.shapes import distinct
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.kinematics import pan_tilt
 from pycram.reasoning.queries.query import Found, Verdict, query
-from pycram.vision import NEAR, Camera, Window
+from pycram.vision import NEAR, Camera, Rendering, Window
 from pycram.world.attachment import held
+from pycram.world.object import Object
+from pycram.world.world import BulletWorld
 from recorder import geometry
-from recorder.geometry import IDENTITY
+from recorder.geometry import IDENTITY, Pose, PoseLike
 from recorder.records import Picture
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping, Sequence
-
-    from numpy.typing import NDArray
-
-    from pycram.vision import Rendering
-    from pycram.world.object import Object
-    from pycram.world.world import BulletWorld
-    from recorder.geometry import Pose, PoseLike
-
 
 VISIBLE_SHARE: Final = 0.8
 """Share of an object's pixels above which the object is visible (thesis 4.4.3)."""

@@ -11,31 +11,25 @@ import math
 import re
 import tomllib
 from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
 from recorder.plan_lines import deciding, syntax_nodes
-from recorder.records import Mutation, argument_values, from_json
+from recorder.records import Failure, Keyframe, Mutation, Plain, Refusal, Task, argument_values, from_json
+from recorder.tasks import Node
 from replay.errors import NoSuchName
-from replay.history.blame import blame, commanded
-from replay.history.source import PlanSource, parse_traceback
-from replay.history.tasks import causing_tasks
+from replay.history.blame import Blame, blame, commanded
+from replay.history.source import Line, ParsedException, PlanSource, parse_traceback
+from replay.history.tasks import Failures, causing_tasks
 from replay.report import phrases
 from replay.state.fold import state_at
+from replay.state.state import Attachment, Body, State, World
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from typing import Self
-
-    from recorder.records import Failure, Keyframe, Plain, Refusal, Task
-    from recorder.tasks import Node
     from replay.explain.causes.trials import Trial
     from replay.file.record_reader import RecordReader
-    from replay.history.blame import Blame
-    from replay.history.source import Line, ParsedException
-    from replay.history.tasks import Failures
-    from replay.state.state import Attachment, Body, State, World
 
 
 _WITH_MOTIONS = ("motion", "process-module")

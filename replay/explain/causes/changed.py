@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
@@ -24,8 +25,6 @@ from replay.state.fold import state_at
 from replay.state.state import turn
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
     from replay.explain.causes.trials import Trial
 
 

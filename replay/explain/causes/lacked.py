@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import builtins
 import math
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -25,15 +26,13 @@ from replay.errors import Damaged, NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import HANDLER, Cause, FailureCase, about, joints_of, objects_in, values
 from replay.explain.causes.raised import is_mistake
+from replay.history.source import Line
 from replay.history.tasks import causing_tasks
 from replay.report import phrases
+from replay.state.state import Attachment
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-
     from replay.explain.causes.trials import Trial
-    from replay.history.source import Line
-    from replay.state.state import Attachment
 
 
 _TAKING: Final = ("pick-up", "accessing")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import argument_values
+from recorder.records import Plain, Query, argument_values
 from recorder.records.text import link_text, rejection_lines
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, joints_of, since
@@ -17,9 +18,6 @@ from replay.history.tasks import choices
 from replay.report import phrases
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from recorder.records import Plain, Query
     from replay.explain.causes.trials import Trial
 
 

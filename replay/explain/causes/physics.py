@@ -8,25 +8,24 @@ object let it move.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
+from recorder.geometry import Pose
 from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, about, objects_in, result
 from replay.history.blame import commanded, is_physics
+from replay.history.source import Line
 from replay.report import phrases
 from replay.state.fold import state_at
+from replay.state.state import Body, State
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from recorder.geometry import Pose
     from replay.explain.causes.trials import Trial
-    from replay.history.source import Line
-    from replay.state.state import Body, State
 
 
 _MOVED: Final = 0.05  # an object that moves less only settles, m

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Final
@@ -11,17 +12,15 @@ from typing import TYPE_CHECKING, Final
 from recorder import notebook
 from recorder.records import Fluent, Query, Refusal, Task, argument_values, from_json
 from recorder.records.text import is_choice
+from recorder.tasks import Node
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause
+from replay.history.source import Line
 from replay.report import phrases
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from recorder.tasks import Node
     from replay.explain.causes.case import FailureCase
     from replay.explain.causes.trials import Trial
-    from replay.history.source import Line
 
 
 _MAX_ANSWERS: Final = 3

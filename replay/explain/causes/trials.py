@@ -10,24 +10,22 @@ import ast
 import json
 import math
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
-from recorder.records import Mutation, argument_values
+from recorder.records import Mutation, Query, Refusal, Task, argument_values
+from recorder.tasks import Node
 from replay.errors import NoSuchStep
 from replay.history.blame import commanded
 from replay.report import phrases
 from replay.report.question import QueryCall, question_of, written
 from replay.state.fold import state_at
+from replay.state.state import Body
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from recorder.records import Query, Refusal, Task
-    from recorder.tasks import Node
     from replay.explain.causes.case import CausingChange, FailureCase
-    from replay.state.state import Body
 
 _MOVED: Final = 1e-6  # a joint with a larger change has moved, rad or m
 _FAR: Final = 30.0  # distance to which an obstacle is moved away, m

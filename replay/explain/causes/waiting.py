@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
@@ -16,14 +17,12 @@ from replay.errors import NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, FailureCase, objects_in
 from replay.explain.causes.raised import answers
+from replay.history.source import Line
 from replay.history.tasks import INTERRUPT
 from replay.report import phrases
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-
     from replay.explain.causes.trials import Trial
-    from replay.history.source import Line
 
 _NO_LEAF: Final = "timeout"  # the only parameter of a wait that doesn't name a fluent
 _MAX_CHANGES: Final = 5

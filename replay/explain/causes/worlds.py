@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -14,8 +15,6 @@ from replay.history.blame import commanded
 from replay.report import phrases
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from replay.explain.causes.trials import Trial
 
 _FORKED: Final = 10  # largest number of changes that a fork makes at a step
