@@ -1,4 +1,4 @@
-"""Pages of the reference that are made while the site is built: the public names, the records, the commands."""
+"""Pages of the reference that are made while the site is built: the names, records, tables and commands."""
 
 from __future__ import annotations
 
@@ -51,6 +51,7 @@ def pages() -> dict[str, str]:
     """Return the pages, and the notebooks of the tutorial, by their paths in the site."""
     made = {f"reference/names/{name}.md": _names(*entry) for name, entry in _NAMES.items()}
     made |= {"reference/records.md": _records(), "reference/commands.md": _commands()}
+    made["reference/tables.md"] = _tables()
     for chapter in sorted((_DOCS / "tutorial").glob("[1-9]*.md")):
         text = json.dumps(notebook(chapter.read_text(encoding="utf-8")), indent=1)
         made[f"tutorial/{chapter.stem}.ipynb"] = text
@@ -76,6 +77,26 @@ def _records() -> str:
         told = " ".join(line[3:] for line in comment.splitlines())
         shown = body.rstrip() if name == "Envelope" else _ENVELOPE.sub("", body.rstrip())
         parts += [f"## {name}\n", f"{told}\n" if told else "", f"```proto\n{shown}\n```\n"]
+    return "\n".join(parts)
+
+
+def _tables() -> str:
+    """Return the page of the tables of a folder of recordings."""
+    from replay.runs.schema import RUN, TABLES  # noqa: PLC0415  only this page needs it
+
+    parts = [
+        "# Tables of a folder of recordings\n",
+        "`pycram-replay sql` selects from these tables ([many runs](../guides/runs.md#sql)).",
+        f"Each table has the column `{RUN.name}` first: {RUN.meaning}.",
+    ]
+    for table in TABLES:
+        parts += [
+            f"\n## `{table.name}`\n",
+            f"One row: {table.meaning}.\n",
+            "| column | kind | meaning |",
+            "|---|---|---|",
+        ]
+        parts += [f"| `{column.name}` | {column.kind} | {column.meaning} |" for column in table.columns]
     return "\n".join(parts)
 
 

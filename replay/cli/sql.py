@@ -22,7 +22,7 @@ _WIDEST: Final = 60  # cells with more characters are shortened
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the statement, and the format."""
-    parser.epilog = "The statement must be a query (DuckDB's SQL); docs/guides/runs.md explains tables and columns."
+    parser.epilog = "The statement must be a query (DuckDB's SQL). --schema prints the tables and their columns."
     parser.add_argument("statement", metavar="SQL", nargs="?", help='"select outcome, count(*) from runs group by 1"')
     parser.add_argument("--schema", action="store_true", help="print the tables and their columns")
     parser.add_argument("--csv", action="store_true", help="print CSV with untruncated values")

@@ -471,7 +471,7 @@ class Runs:
         self.folder.close()
 
     def sql(self, statement: str, values: Sequence[object] = ()) -> Answer:
-        """Return the rows of a SELECT in DuckDB's SQL, with ? for values. The columns are in docs/guides/runs.md.
+        """Return the rows of a SELECT in DuckDB's SQL, with ? for values. The columns are in `replay.runs.schema`.
 
         Raises:
             Refused: The statement isn't a single SELECT, opens other files, or is invalid.

@@ -269,13 +269,3 @@ def arrow_schema(table: Table) -> pa.Schema:
         "map": pa.map_(pa.string(), pa.string()),
     }
     return pa.schema([(column.name, kinds[column.kind]) for column in table.columns])
-
-
-def documentation() -> str:
-    """Return the tables as Markdown."""
-    parts = [f"Each table has the column `{RUN.name}` first: {RUN.meaning}."]
-    for table in TABLES:
-        parts += ["", f"### `{table.name}`", "", f"One row: {table.meaning}.", "", "| column | kind | meaning |"]
-        parts += ["|---|---|---|"]
-        parts += [f"| `{column.name}` | {column.kind} | {column.meaning} |" for column in table.columns]
-    return "\n".join(parts)

@@ -1,6 +1,6 @@
 """All robots with arms in example-robot-data load, hold still and have the poses of their files.
 
-The table is that of ``docs/guides/models.md``; ``make test-long`` tells how long each takes to load.
+The table is that of ``docs/reference/robot_models.md``; ``make test-long`` tells how long each takes to load.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from tests.measures import seeded
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-GUIDE = (Path(__file__).parents[3] / "docs" / "guides" / "models.md").read_text()
+GUIDE = (Path(__file__).parents[3] / "docs" / "reference" / "robot_models.md").read_text()
 FOLDER = files.find("pr2.urdf").parents[2]
 ROWS = [[cell.strip(" `") for cell in line.split("|")[1:-1]] for line in GUIDE.splitlines() if ".urdf` |" in line]
 ROBOTS = [row for row in ROWS if len(row) == 5 and (FOLDER / row[0]).is_file()]

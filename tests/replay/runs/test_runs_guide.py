@@ -1,4 +1,4 @@
-"""docs/guides/runs.md: its commands print what it shows, and its tables are those of the code."""
+"""docs/guides/runs.md: its commands print what it shows."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from replay.runs.schema import documentation
 from tests.replay.documented import REPO, blocks, printed, without_numbers
 
 if TYPE_CHECKING:
@@ -20,7 +19,3 @@ def test_its_commands_print_what_it_shows(runs: Path) -> None:
     for shown in blocks(TEXT):
         lines = printed(shown.commands, runs.parent)
         assert [without_numbers(line) for line in lines] == [without_numbers(line) for line in shown.lines]
-
-
-def test_its_tables_are_those_of_the_code() -> None:
-    assert TEXT.endswith(f"## The tables\n\n{documentation()}\n"), "write them anew with replay.runs.schema"
