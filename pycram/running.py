@@ -27,7 +27,6 @@ from recorder.tracing.interrupts import Terminated
 if TYPE_CHECKING:
     from recorder import Recording
 
-
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
 MAX_SEED: Final = 2**32 - 1  # largest seed that PYTHONHASHSEED and NumPy accept
 _HASH: Final = "PYTHONHASHSEED"

@@ -20,7 +20,6 @@ from recorder.geometry import Pose, Vector
 if TYPE_CHECKING:
     from pycram.world.object import Object
 
-
 NEAR: Final = 0.02  # nearest visible distance in m
 FAR: Final = 20.0  # farthest visible distance in m
 _SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background at the top and at the bottom

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from replay.file.record_reader import RecordReader
 
-
 #: A body that moves by less than these m and rad isn't reported as moved: it settles in simulation.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)

@@ -36,7 +36,6 @@ from replay.errors import NONSENSE, Damaged, nonsense
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
-
 _NS: Final = 1_000_000_000
 _CHUNK: Final = 1 << 20  # a chunk with more bytes is closed
 _FAILURES: Final = "/failures"

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from replay.restore.ask import Move, QueryAnswer
     from replay.restore.render import DrawnWorld
 
-
 _SMALL: Final = (320, 240)  # size of a picture in a notebook in pixels
 
 

@@ -39,7 +39,6 @@ from replay.file.record_reader import RecordReader
 if TYPE_CHECKING:
     Eye: TypeAlias = tuple[Vector, Vector] | None  # a viewpoint and the middle of its picture, m; None for an overview
 
-
 _LOAD_TIMEOUT: Final = 20.0  # the viewer must load a file in this time, s
 _POLL_PERIOD: Final = 0.1  # seconds between checks
 

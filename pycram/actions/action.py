@@ -43,7 +43,6 @@ Result_co = TypeVar("Result_co", covariant=True)
 #: A function that is called with an action's slots; it yields values for the open slots.
 Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
 
-
 # --- checks of slots -------------------------------------------------------------------------------------------------
 
 
@@ -144,7 +143,6 @@ _COMMON: Final = (
     ),
     Slot("projected", _FLAG, text="whether to try the best choices in projections first; False by default"),
 )
-
 
 # --- types of actions ------------------------------------------------------------------------------------------------
 

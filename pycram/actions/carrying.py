@@ -34,7 +34,6 @@ from recorder import geometry
 if TYPE_CHECKING:
     from pycram.actions.containers import Access
 
-
 _MAX_PLACES: Final = 6  # maximum number of places from which fetching is tried
 _MOVED: Final = 0.05  # error in m above which a belief is wrong
 _IN_THE_WAY: Final = 2  # maximum number of times that obstacles are cleared away

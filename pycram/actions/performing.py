@@ -35,7 +35,6 @@ from recorder.tracing.span import Span
 if TYPE_CHECKING:
     from pycram.actions.action import ActionType
 
-
 BUDGET: Final = 20
 """Default number of tries of an action and its subactions that may fail."""
 

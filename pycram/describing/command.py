@@ -27,7 +27,6 @@ from recorder.urdf import Urdf
 if TYPE_CHECKING:
     import argparse
 
-
 _FINE, _FAILED, _WRONG_USAGE = 0, 1, 2  # exit codes
 _IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture, as of a drawer behind a door
 

@@ -89,7 +89,6 @@ _inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVa
 #: The designator that this branch executes, with the record of its resolution and of the choice of its module.
 _decided: ContextVar[tuple[Designator | None, Decision | None]] = ContextVar("pycram_decided", default=(None, None))
 
-
 # --- execution environments ------------------------------------------------------------------------------------------
 
 

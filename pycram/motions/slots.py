@@ -47,7 +47,6 @@ class DesignatorError(UsageError):
 
 export("pycram.designator", DesignatorError)
 
-
 # --- pairs -----------------------------------------------------------------------------------------------------------
 
 

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-
 _JOINT_STEP: Final = 0.05  # motion in rad or m of a joint between checked configurations in a search
 _THERE: Final = 1e-3  # distance to the goal below which a joint doesn't move, in rad or m; motors aren't more accurate
 _LINE_STEP: Final = 0.01  # motion in m of the tool between neighbouring postures

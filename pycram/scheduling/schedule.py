@@ -49,12 +49,10 @@ from recorder.tracing.context import enter_branch, new_branch
 if TYPE_CHECKING:
     from pycram.scheduling.strikes import StrikeSource
 
-
 _BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  ids of threads that existed before the plan
 #: Seconds; Python doesn't wake a thread for a signal that arrives just before the thread sleeps.
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
-
 
 #: A function that is called in a deadlock. It returns the text of what a wait waits for, the names of the branches that
 #: the wait depends on, and between them the words before these names ("" if the text contains the names).

@@ -20,7 +20,6 @@ from recorder.terminal import ProgressLines
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-
 _SHOWN: Final = 5  # maximum number of printed failures
 _WIDTH: Final = 160  # maximum number of characters of a printed failure
 _NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers count as one cause

@@ -29,7 +29,6 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
-
 LOST: Final = {"revolute": 0.1, "prismatic": 0.05}
 """Largest deviation of a joint from its trajectory, rad or m; without contacts, joints deviate by less than 1e-3."""
 _MAX_SECONDS: Final = 3600.0

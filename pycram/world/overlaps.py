@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 DEEP: Final = 5e-3
 """Depth in m above which an overlap is an error; the solver lets resting objects overlap a little."""
 
-
 _SUNK: Final = 0.015  # depth in m below a surface from which the engine doesn't push an object straight up
 
 

@@ -53,7 +53,6 @@ _MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # maximum number of step
 _PERIOD: Final = 1 / 30  # seconds of real time in one record
 _MAX_LAG: Final = 0.1  # largest lag in s that real time makes up for; a slow machine could never catch up with more
 
-
 # --- steps -----------------------------------------------------------------------------------------------------------
 
 

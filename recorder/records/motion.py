@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from recorder.urdf import Urdf, UrdfJoint
 
-
 ROOT: Final = "world"
 _FIRST_WORLD: Final = "world_1"
 _RERUN_PREFIX: Final = "tf#/"  # prefix of Rerun's own frames

@@ -174,7 +174,6 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
     Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
 }
 
-
 # Mutations
 
 
@@ -253,7 +252,6 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # details by command
     "stop_trajectory": lambda command: f"{command.number} of {command.body}",
     "restore": lambda command: f"the state of {command.sim_step / STEPS_PER_SECOND:.3f} s",
 }
-
 
 # Decisions
 
@@ -408,7 +406,6 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     "Excluded": lambda _: "excluded by the fork",
     "Unfit": lambda data: str(data["reason"]),
 }
-
 
 # Places of a robot, or of an object that is put down
 

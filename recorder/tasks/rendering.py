@@ -31,7 +31,6 @@ from recorder.records.text import (
 if TYPE_CHECKING:
     from recorder.tasks.tree import Moment, Node, Tree
 
-
 _MARKS: Final[Mapping[int, str]] = {
     Task.SUCCEEDED: "+",
     Task.FAILED: "X",

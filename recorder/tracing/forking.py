@@ -108,7 +108,6 @@ def _in_forked_child() -> None:
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_in_forked_child)
 
-
 _OPEN: Final = "/proc/self/fd"  # only Linux has this folder of open files
 _OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag against links; 0 on systems without this flag
 

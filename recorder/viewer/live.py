@@ -51,7 +51,6 @@ if TYPE_CHECKING:
 
     from recorder.viewer.translator import Translator
 
-
 _END_TIMEOUT: Final = 1.8  # the viewer must take the remaining records in this time, s
 #: Seconds for a viewer to start, even if the plan ends earlier.
 _START_TIMEOUTS: Final = {ViewerKind.SPAWN: 5.0, ViewerKind.CONNECT: 3.0, ViewerKind.SERVE: 3.0}
@@ -69,7 +68,6 @@ sys.path = [*filter(None, sys.path), sys.argv.pop(1)]  # the plan's folder may h
 from recorder.viewer.live import main
 main(sys.argv[1:])
 """
-
 
 _lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that still deliver records
 

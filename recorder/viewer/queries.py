@@ -37,7 +37,6 @@ from recorder.viewer.scene import ViewerScene
 if TYPE_CHECKING:
     from recorder.records.log_pb2 import Grid
 
-
 QUERIES: Final = "queries"
 PAGE: Final = "page"
 _ACTIVE: Final = re.compile(r"\\|(?<=!)\[|(?<=\])[\[(]|<")

@@ -22,7 +22,6 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     ColumnMaker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
-
 STEP: Final = "step number"
 """Time line of the records' numbers. The log's column is as wide as this name, so it fits numbers with 6 digits."""
 APPLICATION: Final = "pycram"  # viewers remember a layout for this name

@@ -28,7 +28,6 @@ from recorder.urdf import GREY, Color, Shape, Urdf, read_shapes
 if TYPE_CHECKING:
     from recorder.viewer.rerun_stream import Columns, Series, TimePoint
 
-
 BODIES: Final = "bodies"
 COLLISION: Final = "collision"
 _ROLES: Final = {BODIES: "visual", COLLISION: "collision"}

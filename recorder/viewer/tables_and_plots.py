@@ -44,7 +44,6 @@ if TYPE_CHECKING:
     from recorder.records.motion import BodyMotion
     from recorder.viewer.scene import SceneBody
 
-
 LOG: Final = "log"
 _COLORS: Final = {"ERROR": [RED], "WARN": [YELLOW]}  # the viewer's own colours are too dark
 _LEVELS: Final = {Log.DEBUG: "DEBUG", Log.INFO: "INFO", Log.WARNING: "WARN", Log.ERROR: "ERROR"}

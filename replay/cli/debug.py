@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from replay.debug.guided_plan import GuidedPlan
     from replay.debug.session import Halt, Session
 
-
 _HISTORY: Final = 1000  # the history of commands has at most this many lines
 _MAIN_THREAD: Final = "MainThread"
 _AROUND: Final = 5  # ``list`` shows this many lines before and after the current line, as in pdb

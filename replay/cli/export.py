@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
     from replay.runs.lerobot import Draw
 
-
 _FORMATS: Final = ("csv", "parquet")
 
 

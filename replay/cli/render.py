@@ -17,7 +17,6 @@ from replay.report.phrases import names
 if TYPE_CHECKING:
     from PIL import Image
 
-
 _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 
 

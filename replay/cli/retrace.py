@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from replay.retrace.fork import Fork
     from replay.retrace.retrace import Retracing
 
-
 AGAIN: Final = "effects outside of the plan's worlds (files, network) happen again"
 _MAX_FIELDS: Final = 4  # at most this many fields are listed
 _MAX_CALLERS: Final = 4

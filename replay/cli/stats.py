@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
     from replay.runs.separation import Separation
 
-
 _MAX_CAUSES: Final = 10
 _MAX_SLOW: Final = 5
 _SIZE: Final = (320, 240)

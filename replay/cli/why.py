@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from replay.origins.origin import Origins
     from replay.runs.folder import Runs
 
-
 _COMMONEST: Final = 3  # at most this many causes of a folder are explained
 
 

@@ -50,7 +50,6 @@ _MAX_NAMES: Final = 200  # largest number of completions of a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
 _NS: Final = 10**9
 
-
 # --- messages ---------------------------------------------------------------------------------------------------------
 
 

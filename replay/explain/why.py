@@ -34,7 +34,6 @@ from replay.state.state import Body, State, World
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
-
 _MAX_QUERIES: Final = 8
 _FIRST, _LAST = 5, 20  # this many first and last attempts have the robot's state
 _LISTED: Final = 3  # at most this many first choices and last choices are listed

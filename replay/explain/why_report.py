@@ -33,7 +33,6 @@ _NO_CAUSE: Final = (
 _MAX_LINES: Final = 12  # a difference of states is shown in at most this many lines
 _NEARER: Final = 0.35  # the suggested ``ask --move`` moves the object to this distance from the robot, m
 
-
 # --- as JSON data ----------------------------------------------------------------------------------------------------
 
 

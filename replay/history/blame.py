@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from replay.file.record_reader import RecordReader
 
-
 #: An object with smaller changes in simulation settles: m or rad for positions, rad for turns.
 SETTLING: Final = 5e-3, math.radians(5)
 #: Smaller changes (m, rad) are rounding: an object in a resting hand moves so little when the head turns.

@@ -22,7 +22,6 @@ from replay.file.record_reader import RecordReader
 if TYPE_CHECKING:
     from replay.history.source import Line, ParsedException
 
-
 _RUN_RECORDS: Final = 2  # a run in which no thread fails has this many run records
 #: The exception of an interrupted plan.
 INTERRUPT: Final = "KeyboardInterrupt"

@@ -32,7 +32,6 @@ from replay.state.state import Attachment, Sampled
 if TYPE_CHECKING:
     from replay.history.source import Line
 
-
 _WIDTH: Final = 100  # values have at most this many characters
 _MAX_NAMES: Final = 4  # at most this many names are listed
 _MAX_REASONS: Final = 3  # a line has at most this many reasons
@@ -221,7 +220,6 @@ def handler(started: Task) -> str:
 
 # --- the world: changes, attachments, beliefs -------------------------------------------------------------------------
 
-
 #: Verbs for each kind of change (``how`` in :class:`replay.history.blame.Blame` and in causes of failures).
 _CHANGES: Final[Mapping[str, str]] = {
     "command": "was moved",
@@ -328,7 +326,6 @@ def reasons(query: Query) -> str:
 
 
 # --- evidence of queries ----------------------------------------------------------------------------------------------
-
 
 _Evidence: TypeAlias = "Mapping[str, Plain]"
 

@@ -73,7 +73,6 @@ _ANSWERS: Final = {
     _OF_MANY: "a list of true and false, one for each target",
 }
 
-
 # --- settings and the seed --------------------------------------------------------------------------------------------
 
 

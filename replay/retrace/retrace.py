@@ -22,7 +22,6 @@ from replay.retrace.plan_process import FirstDifference, PlanProcess
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
-
 _MAX_LINES: Final = 3  # at most this many lines of a file are named
 _CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
 _PROGRAM, _RANDOM, _INPUT = "another program", "random numbers without a seed", "its input"

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
-
 _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
 _MODELS: Final = "models-"  # prefix of shared models of a sweep
 _CONTENTS: Final = "contents.json"

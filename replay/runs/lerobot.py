@@ -52,7 +52,6 @@ _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
 
-
 #: A function that draws the picture of a camera: (recording, step, world, moment within the next step or None, size).
 #: The moment is simulated time in s, the size is in pixels. This package doesn't import rendering.
 Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"

@@ -249,7 +249,6 @@ TABLES: Final = (
     ),
 )
 
-
 COLUMNS: Final = {table.name: {name: at for at, name in enumerate(table.names)} for table in TABLES}
 """Index of each column in a row without ``run``."""
 

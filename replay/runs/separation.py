@@ -32,7 +32,6 @@ from replay.runs.statistics import difference
 if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
-
 LEVEL: Final = 0.01
 """Probability of a claim if nothing separates the runs."""
 PRESENT: Final = frozenset({"happened", "reached"})

@@ -24,7 +24,6 @@ from replay.report.phrases import percent, plural
 if TYPE_CHECKING:
     from replay.runs.folder import Runs, Skipped
 
-
 _Z: Final = 1.959963984540054  # quantile of the normal distribution for a 95 % interval
 #: At most this many values of a parameter are listed. More values are split into quarters.
 _MAX_VALUES: Final = 8

@@ -15,7 +15,6 @@ from replay.state.state import Body, State, World
 if TYPE_CHECKING:
     from google.protobuf.descriptor import FieldDescriptor
 
-
 _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns"))
 
 

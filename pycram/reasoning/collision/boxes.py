@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     Indices = NDArray[np.intp]
     Owner = tuple[str, str]
 
-
 _MARGIN: Final = 1.5e-3  # margin in m on each side of a box, because the engine pads shapes by 1 mm
 _PARALLEL: Final = 1e-5  # number added to cosines, because cross products of parallel edges are zero, up to rounding
 _MAX_BOXES: Final = 8  # maximum number of boxes of a link; a link with more pieces, such as a bowl, has a single box

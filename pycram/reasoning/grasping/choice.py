@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     Touch = tuple[Pair, list[ClosestPoint]]
     Cost = tuple[bool, float, float, float]
 
-
 _FREE: Final = (False, 0, 0, 0.0)  # cost of a posture that touches nothing
 _INFINITE: Final = (True, math.inf, math.inf, math.inf)  # a higher cost than that of any posture
 _HAND: Final = -1  # replaces the posture's index while only the hand is checked

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.world.object import Object
 
-
 FREE: Final = 0.004
 """Part of the aperture in m that must stay free."""
 _CLEARANCE: Final = 0.002  # distance in m between the finger tips and the support of the object

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
 """Allowed turns of a gripper about the bar of a handle, in rad; at 0 the gripper comes from the front."""
 

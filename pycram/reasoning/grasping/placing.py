@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.world.object import Object
 
-
 _ABOVE: Final = 0.05  # height in m by which the support may be above the target
 _BELOW: Final = 0.10  # height in m by which the support may be below the target
 _STEP: Final = 0.005  # distance in m between tried heights; a gripper also stops at thinner objects

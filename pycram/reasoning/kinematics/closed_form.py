@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     Flags = NDArray[np.bool_]
     Hinge = tuple[Array, Array, Array]
 
-
 _ROUNDING: Final = 1e-9  # tolerance in rad beyond a limit
 _MEET: Final = 1e-6  # largest distance in m of axes that meet
 _SAMPLES: Final = 44  # number of samples of joint 1 for a pose

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
 
-
 _OPPOSITE: Final = 1e-6  # sine of half a turn; a smaller sine gives no axis of the rotation
 _CACHED: Final = 64
 

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     Target = tuple[Sequence[float], Sequence[float] | None]
     WorldTarget = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
 
-
 POSITION_TOLERANCE: Final = 1e-3  # m
 TURN_TOLERANCE: Final = 1e-2  # rad
 _DAMPING: Final = 1e-2

@@ -39,11 +39,9 @@ from recorder.geometry import Polygon, Pose, Quaternion, Vector
 if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
-
 #: A side of a surface or an object from the robot's view; "front" faces the robot.
 Side: TypeAlias = Literal["front", "back", "left", "right"]
 SIDES: Final = get_args(Side)
-
 
 _SPOTS: Final = 40  # places in a batch
 _BATCHES: Final = 3  # number of batches without a place after which the search on a surface ends

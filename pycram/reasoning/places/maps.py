@@ -27,7 +27,6 @@ from recorder.urdf import Urdf
 if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
-
 _UPRIGHT: Final = 0.999  # minimum vertical component of a unit axis of an upright box
 _LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the horizontal axes of a box by its vertical axis
 _DIRECTIONS: Final = 36

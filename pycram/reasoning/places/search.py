@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-
 _UNEVEN: Final = 0.05  # largest difference in m of heights on one ground
 _TILT: Final = math.radians(2)  # largest lean of a driving base
 #: Reasons and remedies, by the constraint that excludes a whole surface.

@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-
 _SPOTS: Final = (30, 120, 120)  # number of places in a batch, by the number of batches since the last found place
 _AT_FIRST: Final = 4  # number of places that are checked together; it doubles, as an early place is often good
 _TRIES: Final = 40  # number of places of a batch that are checked one by one; if these fail, others probably fail, too

@@ -45,7 +45,6 @@ if TYPE_CHECKING:
     Box = tuple[list[float], list[float]]
     Points = NDArray[np.float64]
 
-
 HORIZON: Final = 2 * STEPS_PER_SECOND  # number of steps in 2 s
 MOVED: Final = 0.01  # largest motion in m of a stable object
 TURNED: Final = math.radians(5)  # largest rotation of a stable object

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
     from replay.file.record_reader import RecordReader
 
-
 _WITH_MOTIONS = ("motion", "process-module")
 HANDLER = "handler"  # kind of the tasks that are calls of event handlers
 

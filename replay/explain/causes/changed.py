@@ -27,7 +27,6 @@ from replay.state.state import turn
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
 #: Queries that contradict a failure: by the answer yes, or for queries in ``_NOTHING`` by an empty answer.
 _YES: Final = {

@@ -34,7 +34,6 @@ from replay.state.state import Attachment
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-
 _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")

@@ -20,7 +20,6 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-
 _OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # these causes explain the causes in this module
 

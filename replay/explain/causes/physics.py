@@ -27,7 +27,6 @@ from replay.state.state import Body, State
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-
 _MOVED: Final = 0.05  # an object that moves less only settles, m
 _TILTED: Final = math.radians(15)
 _FELL: Final = 0.05  # smallest downward move of an object that fell, m

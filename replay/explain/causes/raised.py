@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from replay.explain.causes.case import FailureCase
     from replay.explain.causes.trials import Trial
 
-
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # this many changes of fluents are searched
 #: A ``raise`` or ``assert`` of a line, also after the head of a compound statement.
