@@ -152,13 +152,7 @@ class _RunSink(McapSink):
 
 
 def run_once(
-    spec: SweepSpec,
-    number: int,
-    attempt: int,
-    models: SharedModels | None,
-    began: float,
-    *,
-    lost: str = "",
+    spec: SweepSpec, number: int, attempt: int, models: SharedModels | None, began: float, *, lost: str = ""
 ) -> bytes:
     """Run the plan once in a child of the sweep, and return the outcome as JSON.
 

@@ -48,13 +48,7 @@ _ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT
 _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
-_LEVELS: Final = {
-    "DEBUG": _DEBUG,
-    "INFO": _INFO,
-    "WARNING": _WARNING,
-    "ERROR": _ERROR,
-    "CRITICAL": _ERROR,
-}
+_LEVELS: Final = {"DEBUG": _DEBUG, "INFO": _INFO, "WARNING": _WARNING, "ERROR": _ERROR, "CRITICAL": _ERROR}
 _LITTLE: Final = 0.005  # texts omit a smaller share of an object outside of the picture
 _NOTABLE_ERROR: Final = 0.01  # smaller errors of a motor aren't mentioned, rad or m
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # faster than a loop for the most frequent length
@@ -149,10 +143,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
     Task: _task,
     Mutation: lambda record: (mutation_text(record), _DEBUG),
     Query: _query,
-    Event: lambda record: (
-        f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers",
-        _INFO,
-    ),
+    Event: lambda record: (f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", _INFO),
     Subscription: lambda record: (
         f"handler {record.handler} {'removed from' if record.removed else 'added to'} event {record.name}"
         + (f" of {record.sender}" if record.sender else ""),

@@ -130,15 +130,7 @@ class TaskMarks:
             x, y, z = position_failed
             top = (x, y, z + _PIN)
             label = shorten(f"{record.name}: {message or kind}", _MAX_LETTERS, placeholder=" \u2026")
-            shapes += [
-                points_at(
-                    [top],
-                    RED,
-                    [label],
-                    _FAILURE,
-                ),
-                line_through([position_failed, top], RED),
-            ]
+            shapes += [points_at([top], RED, [label], _FAILURE), line_through([position_failed, top], RED)]
         self._failures.add(world, (FAILURES,), now, *shapes)
         self._show_pairs(record, world, now)
 

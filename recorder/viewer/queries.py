@@ -22,15 +22,7 @@ from numpy.typing import NDArray
 from recorder.records import Query, argument_values, format_failure
 from recorder.records.text import NOT_TRIED, TAKEN, by_name, fates, fates_text, rejection_lines, values
 from recorder.records.values import name_of, position
-from recorder.viewer.marks import (
-    LINK,
-    Marks,
-    Values,
-    camera_position,
-    line_through,
-    points_at,
-    target_position,
-)
+from recorder.viewer.marks import LINK, Marks, Values, camera_position, line_through, points_at, target_position
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, Color, Columns, TimePoint
 from recorder.viewer.scene import ViewerScene
 

@@ -113,12 +113,7 @@ class GrowingFile:
 RECORDS: Final = "records.rrd"
 INDEX: Final = "index.html"
 _REQUEST_TIMEOUT: Final = 10.0  # a client must send its request in this time, s
-_TYPES: Final = {
-    "html": "text/html",
-    "js": "text/javascript",
-    "wasm": "application/wasm",
-    "ico": "image/x-icon",
-}
+_TYPES: Final = {"html": "text/html", "js": "text/javascript", "wasm": "application/wasm", "ico": "image/x-icon"}
 _HEADERS: Final = {
     "Content-Security-Policy": (
         "default-src 'self' data: blob:; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; "

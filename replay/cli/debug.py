@@ -82,9 +82,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="serve an editor by the Debug Adapter Protocol; the editor names the recording",
     )
     parser.add_argument(
-        "--port",
-        type=int,
-        help="with --dap: listen on this port of this machine (0: any), instead of stdin and stdout",
+        "--port", type=int, help="with --dap: listen on this port of this machine (0: any), instead of stdin and stdout"
     )
     add_source_and_arguments(parser)
 

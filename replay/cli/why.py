@@ -29,10 +29,7 @@ _COMMONEST: Final = 3  # at most this many causes of a folder are explained
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the step of the failure, and the folder for pictures."""
     parser.add_argument(
-        "step",
-        metavar="STEP",
-        nargs="?",
-        help=f"a step of the failed task (default: the failure of the plan): {HINT}",
+        "step", metavar="STEP", nargs="?", help=f"a step of the failed task (default: the failure of the plan): {HINT}"
     )
     parser.add_argument(
         "--pictures",

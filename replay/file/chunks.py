@@ -23,16 +23,7 @@ from recorder.records import PACKAGE, TOPICS, Envelope, Keyframe, Mutation, Quer
 from recorder.records.beliefs import is_look
 from replay.file.index import Index
 from replay.file.lifetimes import Owner
-from replay.file.mcap_format import (
-    CHUNK_DAMAGE,
-    HEADER,
-    LENGTH,
-    ChunkExtent,
-    Extent,
-    decode,
-    describe,
-    framed,
-)
+from replay.file.mcap_format import CHUNK_DAMAGE, HEADER, LENGTH, ChunkExtent, Extent, decode, describe, framed
 
 Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 

@@ -72,13 +72,7 @@ class SearchResult:
 
 
 def search(
-    trials: Trials,
-    log: Recording,
-    folder: Path,
-    found: SearchResult,
-    *,
-    holds: Sequence[str] = (),
-    budget: int,
+    trials: Trials, log: Recording, folder: Path, found: SearchResult, *, holds: Sequence[str] = (), budget: int
 ) -> None:
     """Search for repairs of a failed plan, and add them to ``found``, which keeps them after an interrupt.
 

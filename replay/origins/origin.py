@@ -21,11 +21,7 @@ _LOADING: Final = 2.0  # by how much a line that loads an object comes after oth
 _FURTHER: Final = {"condition": 1.5, "before": 1.0}  # added to the rank of such a part
 _LAST: Final = 100.0  # added to the rank of the failed call, unless it has numbers
 _HARMLESS: Final = ("", "hides", "line", "lines")  # first words of remarks that don't raise a line
-_WORDS: Final = {
-    "default": " by default",
-    "read": ", read after step {}",
-    "answer": ", answered at step {}",
-}
+_WORDS: Final = {"default": " by default", "read": ", read after step {}", "answer": ", answered at step {}"}
 
 
 @dataclass(frozen=True, slots=True)

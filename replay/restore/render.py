@@ -395,11 +395,7 @@ class CutawayView:
     depth: float = 0.0  # depth of the cut, m along the camera's axis
 
     def draw(
-        self,
-        parts: Sequence[DrawnLink],
-        window: Window,
-        size: tuple[int, int],
-        numbers: Iterable[int] | None = None,
+        self, parts: Sequence[DrawnLink], window: Window, size: tuple[int, int], numbers: Iterable[int] | None = None
     ) -> Rendering:
         """Draw parts by number, by default all parts; the bodies of the rendering are numbers of parts."""
         drawn = range(len(parts)) if numbers is None else list(numbers)

@@ -16,12 +16,7 @@ from recorder.records import Change, Run
 from recorder.records.values import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.retrace.changes import (
-    change_text,
-    checked_answer,
-    seed_change,
-    settings as settings_of,
-)
+from replay.retrace.changes import change_text, checked_answer, seed_change, settings as settings_of
 from replay.retrace.decisions import BadChange
 from replay.retrace.plan_process import FirstDifference, PlanProcess
 from replay.retrace.retrace import Retracing, compared, reads_before

@@ -36,11 +36,7 @@ class Guide(NullSink):
     """
 
     def __init__(
-        self,
-        log: RecordReader,
-        report: Callable[[int, FirstDifference | None], None],
-        until: int | None,
-        path: Path,
+        self, log: RecordReader, report: Callable[[int, FirstDifference | None], None], until: int | None, path: Path
     ) -> None:
         self.path = path
         self._log = log
