@@ -13,11 +13,13 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from recorder.terminal import messages, painted
 from replay.errors import ReplayError
-from replay.recording import Recording
+
+if TYPE_CHECKING:
+    from replay.recording import Recording
 
 _STDOUT, _STDERR = 1, 2
 #: Texts with a colour on a terminal.

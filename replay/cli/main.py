@@ -20,9 +20,9 @@ from recorder.packages import NotInstalled, needed
 from recorder.terminal import Parser, complete, paged, typed_words
 from replay.cli.console import print_message
 from replay.errors import Damaged, ReplayError, Unreadable
-from replay.recording import Recording
 
 if TYPE_CHECKING:
+    from replay.recording import Recording
     from replay.runs.folder import Runs
 
 #: The file of a verb is imported when the verb is called, because some verbs need further libraries.
