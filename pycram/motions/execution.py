@@ -181,7 +181,7 @@ class ContinuousExecution(Execution):
         After a cancelled placement, a hand may surround an object. Path searches miss the narrow way out.
         """
         now = robot.get_joint_positions()
-        away = [joint for joint, at in positions.items() if abs(at - now[joint]) > _THERE]
+        away = [joint for joint, at in _unwound(robot, [positions])[0].items() if abs(at - now[joint]) > _THERE]
         arms = robot.description.arms.values() if robot.description else ()
         moving = [arm for arm in arms if not set(arm.joints).isdisjoint(away)]
         failure: NoPath | None = None

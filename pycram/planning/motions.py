@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from copy import copy
 from typing import TYPE_CHECKING, Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pycram.foundation import checks
-from pycram.foundation.failures import BadArgument, InCollision, PostureInCollision, Unreachable
+from pycram.foundation.failures import BadArgument, InCollision, NoPath, PostureInCollision, Unreachable
 from pycram.models.robots.description import Arm
 from pycram.planning import path, timing
 from pycram.planning.path import PlannedMotion, given, search_record, trajectory_of
@@ -25,6 +28,7 @@ from pycram.reasoning.rejections import Touching
 from pycram.world.joints import checked_positions, coupled
 from pycram.world.object import Object
 from pycram.world.trajectory import BaseFrame
+from pycram.world.transaction import take_snapshot
 from recorder import geometry
 from recorder.geometry import Pose, PoseLike
 from recorder.records.motion import BASE_COORDINATES
@@ -44,6 +48,9 @@ _ROOM: Final = 3.0  # margin in m around start and goal for a path
 _WIDER: Final = 9.0  # margin in m around start and goal for a second search, for example through the next door
 _METRES_A_TURN: Final = 0.5  # motion in m of a robot's outline during a turn of one radian
 _BASE_STEP: Final = 0.06  # distance in m between checked poses in a search
+
+#: Failed searches by robot and situation. Plans try again after other motions, and the same search fails again.
+_failures: WeakKeyDictionary[Object, dict[bytes, NoPath]] = WeakKeyDictionary()
 
 
 def joint_motion(
@@ -73,6 +80,7 @@ def joint_motion(
         PostureInCollision: The robot would touch something at the goal.
         NoPath: The search found no path within :data:`pycram.planning.path.MAX_CHECKS` checks.
     """
+    ignored = list(ignored)
     wanted = coupled(robot, checked_positions(robot, goal))
     changed = coupled(robot, checked_positions(robot, start or {}))
     with robot.world.lock, choosing("path", robot.world, joints=dict(goal), seed=seed) as choice:
@@ -92,8 +100,22 @@ def joint_motion(
                 raise PostureInCollision(moved.arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
             rates = joint_rates(robot, moved.searched)
             query = path.Query(moved.name, moved.searched, moved.space(), moved.start, moved.goal, rates, seed)
-            found = path.find_path(query, clearance, choice)
+            failures = _failures.setdefault(robot, {})
+            situation = _situation(robot, query.drawn_seed(1), choice.forced, now, ignored, ignored_links)
+            try:
+                found = path.find_path(query, clearance, choice, failures.get(situation))
+            except NoPath as no_path:
+                failures[situation] = copy(no_path)
+                raise
             return _planned(robot, moved, found, clearance.checks)
+
+
+def _situation(robot: Object, *search: object) -> bytes:
+    """Return a hash of everything that decides the result of a search."""
+    bodies = [
+        (body.name, body.model.path, take_snapshot(body), body.attachments.values()) for body in robot.world.objects
+    ]
+    return hashlib.sha256(f"{search} {bodies}".encode()).digest()
 
 
 def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> PlannedMotion:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -69,10 +70,13 @@ class Path:
     knots: Knots  # knots of the timed path
 
 
-def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
+def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPath | None = None) -> Path:
     """Return a path that touches only what the robot touches at the ends.
 
     The first search has half of the budget, keeps a distance from obstacles and stays in the query's narrow space.
+
+    Args:
+        failure: failure of the same search before; the search isn't repeated.
 
     Raises:
         NoPath: The search found no path within the budget.
@@ -90,18 +94,19 @@ def find_path(query: Query, clearance: Clearance, choice: Choice) -> Path:
             choice.reject(STRAIGHT, Touching([touch]))
         if not choice.admits(RRT_CONNECT):
             break
-        found = _searched(query, clearance, space, budget, reached)
+        found = None if failure else _searched(query, clearance, space, budget, reached)
         if found is not None:
             attempts = len(reached) - 1
             knots = _timed(query, clearance, found, fine)
             choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
             return Path(RRT_CONNECT, query.drawn_seed(attempts), attempts, found, knots)
-    distances = query.space.distance(np.array(reached), query.goal)
-    nearest = reached[int(np.argmin(distances))]
-    pairs = clearance.worst(_MAX_PAIRS)
-    distance = float(distances.min())
-    choice.reject(RRT_CONNECT, Unreached(clearance.checks, distance, pairs))
-    raise NoPath(query.mover, query.named(query.goal), clearance.checks, query.named(nearest), distance, pairs)
+    if failure is None:
+        distances = query.space.distance(np.array(reached), query.goal)
+        nearest, goal = (query.named(row) for row in (reached[int(np.argmin(distances))], query.goal))
+        pairs = clearance.worst(_MAX_PAIRS)
+        failure = NoPath(query.mover, goal, clearance.checks, nearest, float(distances.min()), pairs)
+    choice.reject(RRT_CONNECT, Unreached(failure.checks, failure.distance, failure.pairs))
+    raise copy(failure)
 
 
 def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:

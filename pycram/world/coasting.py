@@ -7,6 +7,7 @@ positions at the end of the interval. The engine's steps would take ten times as
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _NEAR: Final = 0.005  # minimum distance in m, in addition to the way of a link in the interval
-_RIGID: Final = (1e-3, 1e-2)  # largest motion in m and rad of two moving links relative to each other, if they touch
+_ALONG: Final = 0.05  # maximum distance in m between the boxes of two moving links that may move along with each other
+_RIGID: Final = (1e-3, 1e-2)  # largest motion in m and rad of such links relative to each other
 
 
 class Coasting:
@@ -42,7 +44,8 @@ class Coasting:
         self._possible: NDArray[np.bool_] = np.zeros((0, 0), bool)  # pairs (moving link, link) that may collide
         self._boxes = np.zeros((0, 2, 3))  # bounds of all links, m
         self._before = np.zeros((0, 2, 3))  # bounds of the moving links at the start of the interval, m
-        self._touching: dict[tuple[int, int], Pose] = {}  # relative poses of moving links that touch
+        self._along: dict[tuple[int, int], Pose] = {}  # relative poses of moving links near each other at the start
+        self._clear = np.zeros(0)  # distances in m from the moving links to others at the end of the last interval
         self._is_clear = False  # whether nothing was near at the end of the last interval
 
     def may_begin(self, following: Sequence[tuple[Object, Sequence[str]]]) -> bool:
@@ -54,9 +57,11 @@ class Coasting:
         furniture = [body for body, _ in following if not body.is_robot]
         if list(following) != self._following:
             self._following, self._rows = list(following), []
-        if self._detector is None or self._state != self._present() or furniture != self._furniture:
-            self._detector, self._furniture = simulation.RestDetector(self._world, furniture), furniture
-            self._rows = []
+        if self._detector is None or self._state != self._present():
+            self._detector, self._rows = simulation.RestDetector(self._world, furniture), []
+        elif furniture != self._furniture:  # whatever has coasted to the end of its trajectory is at rest
+            self._detector.ignore(furniture, stopped=self._is_clear)
+        self._furniture = furniture
         if not self._detector.sample():
             self._rows = []
             return False
@@ -64,16 +69,20 @@ class Coasting:
             self._find_pairs()
             self._is_clear = False
         if not self._is_clear:
-            self._touching = {}
             self._before = self._moving_boxes()
-            self._is_clear = not self._is_near(self._before, np.full(len(self._rows), _NEAR), starts=True)
+            self._along = self._pairs_along()
+            self._clear = np.full(len(self._rows), _NEAR)
+            self._is_clear = not self._is_near(self._before, self._clear)
         return self._is_clear
 
     def may_end(self) -> bool:
         """Return whether nothing is near the moving links at the end of an interval, to which they were moved."""
         after = self._moving_boxes()
         way = np.abs(after - self._before).max(axis=(1, 2), initial=0.0)
-        self._is_clear = not self._is_near(after, way + _NEAR)
+        if len({body for body, _ in self._following}) == 1:  # distances at both ends together exceed the way
+            way = np.maximum(way / 2, way - self._clear)
+        self._clear = way + _NEAR
+        self._is_clear = not self._is_near(after, self._clear)
         self._before = after
         if self._is_clear:
             self._state = self._present()
@@ -118,35 +127,44 @@ class Coasting:
         self._boxes[self._numbers] = boxes
         return boxes
 
-    def _is_near(self, rows: Array, distances: Array, *, starts: bool = False) -> bool:
-        """Return whether a link is nearer to a moving link than a distance in m, and doesn't move along with it."""
-        engine, overlap = self._world.engine, self._possible.copy()
+    def _overlap(self, rows: Array, distances: Array) -> NDArray[np.bool_]:
+        """Return which pairs of a moving link and a link have boxes nearer to each other than a distance in m."""
+        overlap = self._possible.copy()
         low, high = rows[:, 0] - distances[:, None], rows[:, 1] + distances[:, None]
         for axis in range(3):
             overlap &= low[:, axis, None] <= self._boxes[:, 1, axis]
             overlap &= self._boxes[:, 0, axis] <= high[:, axis, None]
-        for row, column in np.argwhere(overlap).tolist():
+        return overlap
+
+    def _is_near(self, rows: Array, distances: Array) -> bool:
+        """Return whether a link is nearer to a moving link than a distance in m, and doesn't move along with it."""
+        for row, column in np.argwhere(self._overlap(rows, distances)).tolist():
             (body, link), (other, other_link) = self._rows[row], self._columns[column]
-            if engine.link_closest_points(
+            if self._world.engine.link_closest_points(
                 body.handle, link, other.handle, float(distances[row]), link_b=other_link
-            ) and not self._is_rigid(row, column, starts=starts):
+            ) and not self._is_rigid(row, column):
                 return True
         return False
 
-    def _is_rigid(self, row: int, column: int, *, starts: bool) -> bool:
-        """Return whether two links move along with each other, as a hand and the handle that it holds."""
-        (body, link), other = self._rows[row], self._columns[column]
-        if other not in self._rows:
-            return False
-        engine = self._world.engine
-        pose = engine.link_pose(body.handle, link)
-        relative = geometry.multiply(geometry.invert(pose), engine.link_pose(other[0].handle, other[1]))
-        was = self._touching.get((row, column)) if not starts else relative
+    def _pairs_along(self) -> dict[tuple[int, int], Pose]:
+        """Return the relative poses of moving links that may move along with each other, as a hand and a handle."""
+        near = np.zeros_like(self._possible)
+        near[:, self._numbers] = self._overlap(self._before, np.full(len(self._rows), _ALONG))[:, self._numbers]
+        return {(row, column): self._relative(row, column) for row, column in np.argwhere(near).tolist()}
+
+    def _relative(self, row: int, column: int) -> Pose:
+        poses = [
+            self._world.engine.link_pose(body.handle, link) for body, link in (self._rows[row], self._columns[column])
+        ]
+        return geometry.multiply(geometry.invert(poses[0]), poses[1])
+
+    def _is_rigid(self, row: int, column: int) -> bool:
+        """Return whether two moving links are as they were to each other at the start."""
+        was = self._along.get((row, column))
         if was is None:
             return False
-        self._touching[row, column] = relative
-        off = np.linalg.norm(np.subtract(was[0], relative[0])), geometry.angle(was[1], relative[1])
-        return bool(off[0] < _RIGID[0] and off[1] < _RIGID[1])
+        now = self._relative(row, column)
+        return math.dist(was[0], now[0]) < _RIGID[0] and geometry.angle(was[1], now[1]) < _RIGID[1]
 
 
 def _moving(body: Object, joints: Sequence[str]) -> Iterator[tuple[Object, str]]:

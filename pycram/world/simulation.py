@@ -399,6 +399,15 @@ class RestDetector:
         #: The objects that weren't at rest in the last sample.
         self.restless: dict[Object, Speed] = dict.fromkeys(self._last[1], Speed(0.0))
 
+    def ignore(self, bodies: Collection[Object], *, stopped: bool) -> None:
+        """Ignore other bodies from now on; ``stopped`` means that bodies that no longer are ignored are at rest."""
+        step, last = self._last
+        if stopped:
+            rested = {body: take_snapshot(body) for body in self._ignored if body not in bodies}
+            self._last = step, {**last, **rested}
+            self._rested |= rested
+        self._ignored = bodies
+
     def sample(self) -> bool:
         """Compare all poses after 1/30 s of simulation, and return whether all objects are at rest."""
         step, before = self._last
@@ -420,7 +429,7 @@ class RestDetector:
         if len(speeds) == INTERVALS and at_rest(speeds):
             return state
         rested = self._rested.get(body)
-        if rested is not None and speeds[-1] < 1.0 and _speed(body, rested, state, 1.0).ratio <= _STRAY:
+        if rested is not None and speeds and speeds[-1] < 1.0 and _speed(body, rested, state, 1.0).ratio <= _STRAY:
             return rested
         return state if speeds and self._trembles(body, state, speeds[-1]) else None
 

@@ -163,6 +163,13 @@ def test_without_a_path_the_failure_has_the_nearest_configuration_and_the_obstac
     assert found.pairs[0].body in ("high1.3", "pillar")
     query = sink.of(records.Query)[-1]
     assert f"no path in {found.checks} checks, which came within {found.distance:.2f} of the goal" in rejections(query)
+    monkeypatch.setattr(rrt_connect, "search", None)
+    with pytest.raises(NoPath, match=f"{found.distance:.2f} from the goal after {found.checks} checked"):
+        joint_motion(arm, goal)  # the same search isn't repeated
+    assert rejections(sink.of(records.Query)[-1]) == rejections(query)
+    pillar.set_position([0, 0, 3])
+    with pytest.raises(TypeError, match="not callable"):
+        joint_motion(arm, goal)
 
 
 def test_joints_without_limits_go_to_the_nearest_equivalent_angle(shared_scene: BulletWorld) -> None:
