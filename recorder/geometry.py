@@ -3,8 +3,6 @@
 A pose is ``(position, orientation)``: xyz in metres and a unit quaternion in the order xyzw. ``a_T_b`` is the pose of
 frame b in frame a, so that ``multiply(a_T_b, b_T_c)`` is ``a_T_c``. Single poses are tuples of floats, because
 arithmetic on tuples is several times faster than on arrays of 3 numbers. Use arrays of matrices for thousands of poses.
-
-Quaternions must have unit length. A quaternion and its negative are the same rotation.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Compare two states, or two recordings.
 
-Two recordings may differ in records and in their final states. Records are aligned by the path of their task and their
-index in the task, because the steps of parallel branches vary. Clocks, durations, ids and threads aren't compared.
-Worlds are paired by name. Unnamed worlds have numbers (``world_3``), which continue in the next run of a process; they
-are paired in the order of opening. Numbered fluents are paired by their offset from the first numbered fluent.
+Records are aligned by the path of their task and their index in the task, because the steps of parallel branches vary.
+Clocks, durations, ids and threads aren't compared. Worlds are paired by name. Unnamed worlds have numbers
+(``world_3``), which continue in the next run of a process; they are paired in the order of opening. Numbered fluents
+are paired by their offset from the first numbered fluent.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Recordings in the Rerun viewer, which opens their translation, an ``.rrd`` file next to the recording.
 
-The same code translates records while a plan runs (:mod:`recorder.viewer`), so both views are the same. Invalid records
-are reported as damage. An ``.rrd`` file is a cache, but other users may be able to write in its folder. So the file is
-only used if this user made it from this recording with this software: a folder of the user has the hash of each
-``.rrd`` file by the hash of its inputs.
+The same code translates records while a plan runs (:mod:`recorder.viewer`). An ``.rrd`` file is a cache, but other
+users may be able to write in its folder. So the file is only used if this user made it from this recording with this
+software: a folder of the user has the hash of each ``.rrd`` file by the hash of its inputs.
 """
 
 from __future__ import annotations

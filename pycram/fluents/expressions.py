@@ -1,16 +1,13 @@
 """Expressions: the variables, pulse counters and operations behind fluents.
 
-Leaves hold values: a variable holds a value, a counter the number of unhandled pulses. A state has the values of all
-leaves at one moment. An operation computes its value from a state, so it never mixes two moments. References from
-operands to their operations are weak, so unused networks are freed.
+A state has the values of all leaves (variables and counters of unhandled pulses) at one moment. An operation computes
+its value from a state, so it never mixes two moments. References from operands to their operations are weak, so unused
+networks are freed. A pulse means that something happened to a fluent, whether or not its value changed. Pulses spread
+to all operations on an expression. A counter counts a change once, however many paths lead to the counter.
 
-A pulse means that something happened to a fluent, whether or not its value changed. Pulses spread from an expression to
-all operations on it. A counter counts a change once, however many paths lead to the counter.
-
-One lock guards all leaves of the process. While a thread holds this lock, no user code runs: no function of a network,
-no ``__eq__``, no conversion to JSON, no finalizer of an old value. A thread acquires the lock after a world's lock and
-before a journal's lock, so the order of records is the order of changes. The lock is re-entrant, because the garbage
-collector may run finalizers anywhere, and finalizers may set fluents.
+One re-entrant lock guards all leaves of the process. It comes after a world's lock and before a journal's lock, so the
+order of records is the order of changes. While a thread holds it, no user code runs: no function of a network, no
+``__eq__``, no conversion to JSON, no finalizer of an old value.
 """
 
 from __future__ import annotations

@@ -1,15 +1,10 @@
 """Fluents that follow a world: poses, joints, held objects and contacts.
 
 A transaction updates all fluents of its world at the same moment, and their records follow the record of the change. A
-simulation reads the values 30 times a simulated second, and assigns all of them when it ends.
-
-If an object was removed or a world has ended, reading or awaiting its fluents raises WorldClosed. All functions here
-raise BadArgument for an argument that isn't an object, and UnknownName for a link, joint or arm that doesn't exist.
-
-Values are tuples in m and xyzw, floats in rad or m, or names. An unchanged value isn't assigned again::
-
-    height = network(itemgetter(2), position(milk))
-    (height < 0.5).OR(holding(robot, "left") == "milk").wait_for()
+simulation reads the values 30 times a simulated second, and assigns all of them when it ends. Values are tuples in m
+and xyzw, floats in rad or m, or names. If an object was removed or a world has ended, reading or awaiting its fluents
+raises WorldClosed. All functions here raise BadArgument for an argument that isn't an object, and UnknownName for a
+link, joint or arm that doesn't exist.
 """
 
 from __future__ import annotations

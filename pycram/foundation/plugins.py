@@ -1,17 +1,7 @@
 """Robots, process modules and actions of other packages: entry points that are loaded when a plan uses their name.
 
-A package declares entry points in its pyproject.toml::
-
-    [project.entry-points."pycram.robots"]
-    my_robot = "my_package:DESCRIPTION"      # path of a TOML file, or a RobotDescription
-
-    [project.entry-points."pycram.process_modules"]
-    wiping = "my_package.wiping:Wiping"      # value of the slot "cmd"; calling the object returns a process module
-
-    [project.entry-points."pycram.actions"]
-    tidying-up = "my_package.tidying"        # importing the module registers the action, by @action("tidying-up")
-
-The log of the run has a line for each loaded entry point, with the version of its package.
+``docs/guides/process_modules.md`` shows how a package declares them. The log of the run has a line for each loaded
+entry point, with the version of its package.
 """
 
 from __future__ import annotations

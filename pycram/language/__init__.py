@@ -17,23 +17,14 @@ A block can be written in these ways::
         s(function, argument)            # a branch
         with seq:                        # a branch, whose own actions run in order
             ProcessModule.perform(moving)
-            ProcessModule.perform(looking)
 
     with par(failures) as s:             # collects failures in a list instead of raising; see s.state
         ...
 
     par(function, other)                 # the results, as a list
 
-Each action, each block in the body and each ``s(...)`` is a branch. In a concurrent block and in ``try_in_order``, it
-returns a future of its result (:mod:`pycram.scheduling.future`). In ``seq``, a failure propagates through the body as
-in plain Python, and the body may handle it. An empty block succeeds. A failure of the body itself ends the body; it
-decides ``pursue``, and counts as one more failure in other blocks.
-
-A decided block cancels its other branches, and ends when all branches have ended. A failed block raises
-:class:`~pycram.failures.BranchesFailed` with all failures; usage errors are raised unchanged. One branch runs at a
-time, until its next motion, wait or change of a world (:mod:`pycram.scheduling`). A blocking call would block all
-branches; ``in_thread(time.sleep, 3)`` prevents this. Motions queue for the robot's resources
-(:mod:`pycram.motions.resources`). The package also has :func:`failure_handling`, :func:`timeout` and :func:`finally_`.
+``docs/guides/plan_language.md`` has the rules of branches, turns, failures and cancellation. The package also has
+:func:`failure_handling`, :func:`timeout` and :func:`finally_`.
 """
 
 from __future__ import annotations

@@ -1,23 +1,14 @@
 """Blocks of the plan language: the five words that open blocks, and the branches, bodies and ends of blocks.
 
-The five kinds of blocks differ only in their :class:`Policy`. A decided block cancels its other branches, ends when all
-branches have ended, and has the outcome of the deciding branch. A block without a deciding branch fails if any branch
-failed. A block cancels a branch that is added after the decision.
-
-A plan failure of the body ends the body and counts as one of the block's failures. This failure decides an undecided
-block, if failures of branches decide blocks of that kind.
-
-Two errors fail any block, even after the decision:
-
-- A usage error in a branch or in the body, which is raised unchanged, and never collected or retried.
-- A failed cleanup of a cancelled branch, because the state of the world is then unknown.
+The five kinds of blocks differ only in their :class:`Policy`. A decided block cancels its other branches, also branches
+that are added later, ends when all branches have ended, and has the outcome of the deciding branch. A block without a
+deciding branch fails if any branch failed. A plan failure of the body ends the body and counts as one of the block's
+failures. Two errors fail any block, even after the decision: a usage error, which is raised unchanged, and a failed
+cleanup of a cancelled branch, because the state of the world is then unknown.
 
 A block in the body of another block is a branch of the outer block, its *host*. In ``try_in_order`` the inner block
 runs in place; the host keeps its failure and continues with the next statement. In a concurrent host, a branch runs the
 inner block (:class:`ReadBlock`).
-
-The context of a body has its block, and actions in the body become branches of that block. The context of a branch has
-no block, and actions run in order. A decided ``try_in_order`` ends its body at the next block in the body.
 """
 
 from __future__ import annotations

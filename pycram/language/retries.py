@@ -1,31 +1,18 @@
 """Failure handling: retries after plan failures, with the same or other parameters (thesis 3.5.3).
 
 In CRAM, ``with-failure-handling`` runs its body again when the body calls ``retry``. Python runs the body of a ``with``
-statement once, so a plan needs a loop::
+statement once, so a plan needs a loop, here of six attempts at most::
 
-    for attempt in failure_handling(5, arm="left"):
+    handling = failure_handling(5, arm="left").on(Unreachable, lambda _: {"arm": "right"}).on(InCollision, step_back)
+    for attempt in handling:
         with attempt:
             pick_up(milk, attempt["arm"])
 
-This loop runs the body until it succeeds, at most six times: once, and five retries. After the last attempt, its
-failure is raised, with the earlier failures in its context. A recovery before a retry depends on the type of failure::
-
-    handling = failure_handling(5).on(Unreachable, lambda failure: {"arm": "right"}).on(InCollision, step_back)
-
-A body can also contain its recovery; ``retry`` ends the attempt as in CRAM::
-
-        with attempt:
-            try:
-                pick_up(milk, attempt["arm"])
-            except Unreachable:
-                retry(arm="right")
-
-``failure_handling(5).run(pick_up, milk)`` or ``@failure_handling(5)`` retries a function. Only plan failures are
-retried. In the body of an attempt, actions run in order.
-
-Code after ``with attempt`` in the loop also runs after failed attempts. A ``break`` or ``return`` there drops an
-unhandled failure, because Python can't raise it any more; so :class:`FailureLeft` warns. To give up, raise an error or
-handle the failure inside ``with attempt``.
+After the last attempt, its failure is raised, with the earlier failures in its context. ``retry(arm="right")`` in the
+body ends the attempt as in CRAM. ``failure_handling(5).run(pick_up, milk)`` or ``@failure_handling(5)`` retries a
+function. Only plan failures are retried. Code after ``with attempt`` in the loop also runs after failed attempts. A
+``break`` or ``return`` there drops an unhandled failure, because Python can't raise it any more; :class:`FailureLeft`
+warns.
 """
 
 from __future__ import annotations

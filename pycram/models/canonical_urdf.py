@@ -1,9 +1,9 @@
 """Canonical URDF: the single form of URDF that the engine, viewers and recordings read.
 
-A canonical URDF has only elements that URDF defines, without elements of Gazebo and of sensors. PyBullet
-rejects an invalid link without a reason, or loads it silently; an AssetError names the link. Planar and floating joints
-become chains of joints that the engine supports. Each element starts a new line, because PyBullet breaks lines after
-8,191 characters, even inside a number. Numbers keep their digits.
+It has only elements that URDF defines. PyBullet rejects an invalid link without a reason, or loads it silently; an
+AssetError names the link. Planar and floating joints become chains of joints that the engine supports. Each element
+starts a new line, because PyBullet breaks lines after 8,191 characters, even inside a number. Numbers keep their
+digits.
 """
 
 from __future__ import annotations

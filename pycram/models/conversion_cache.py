@@ -1,9 +1,8 @@
 """A cache of converted meshes and of convex hulls in a folder of the user, shared by all processes.
 
 Without this cache, some robots take 1 to 3 s to load each time. The name of an entry is the hash of everything that the
-conversion reads: the mesh, other files, and the converting code. So an entry is never out of date, and a user may
-delete entries at any time. If the folder isn't writable, or other users can write to it, each process converts the
-meshes.
+conversion reads, and of the converting code. So an entry is never out of date, and a user may delete entries at any
+time. If the folder isn't writable, or other users can write to it, each process converts the meshes.
 """
 
 from __future__ import annotations

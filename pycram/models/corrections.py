@@ -1,21 +1,8 @@
 """Corrections of found furniture in a TOML file next to the URDF: ``kitchen.furniture.toml`` for ``kitchen.urdf``.
 
-Each table corrects the found surface or container with that name; a table with a new name adds a surface or container::
-
-    [surfaces."sink"]
-    name = "counter"
-
-    [surfaces."tray"]
-    link = "trolley"
-    position = [0.1, 0, 0.35]
-    size = [0.4, 0.3]
-
-    [containers."bread bin"]
-    joint = "bin_lid_joint"
-    handle = "bin_lid"
-    kind = "door"
-
-Loading the model checks names of links and joints; finding its furniture checks names of furniture.
+Each table corrects the found surface or container with that name; a table with a new name adds a surface or container
+(``docs/guides/furniture.md``). Loading the model checks names of links and joints; finding its furniture checks names
+of furniture.
 """
 
 from __future__ import annotations

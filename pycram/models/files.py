@@ -2,13 +2,7 @@
 
 Models come from PyCRAM's resources, example-robot-data and the user. A URDF names a mesh by a relative path, an
 absolute path, ``file://`` or a path in a ROS package, ``package://NAME/PATH``. A package is a folder with that name, or
-a folder whose ``package.xml`` contains that name. The search for a package looks in this order:
-
-1. in and below the folders that the caller gives;
-2. in and below the folders in the environment variable ``PYCRAM_PACKAGES``;
-3. in all folders above the URDF;
-4. in and below the folders in ``ROS_PACKAGE_PATH``, as ROS does;
-5. in the folders above the URDF without a ``package.xml``, because the folder of a package may have another name.
+a folder whose ``package.xml`` contains that name; ``docs/guides/models.md`` has the order of the search.
 """
 
 from __future__ import annotations

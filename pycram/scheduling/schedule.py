@@ -1,18 +1,15 @@
 """The scheduler of a thread: it chooses the branch that runs next, and wakes branches that wait.
 
 With a seed, the scheduler draws the next branch from all ready branches, so the same seed gives the same order. Without
-a seed, the branch that has been ready longest runs next. :mod:`pycram.scheduling.order` has other orders.
+a seed, the branch that has been ready longest runs next. :mod:`pycram.scheduling.order` has other orders. A branch that
+yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. If no branch is
+ready, the first patient wait resumes, such as a wait in simulated time. Without a patient wait, the thread sleeps until
+another thread rings its bell or a deadline passes. If neither can happen, the branches are in a deadlock.
 
 A strike is an event that no seed determines: a deadline passes, or a worker ends. The scheduler polls for strikes at
 checkpoints and when it chooses the next branch. Recordings have the polls with strikes, so that a guided run repeats
-them.
-
-A branch that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. If no
-branch is ready, the first patient wait resumes, such as a wait in simulated time. Without a patient wait, the thread
-sleeps until another thread rings its bell or a deadline passes. If neither can happen, the branches are in a deadlock.
-
-A signal handler may raise an error between any two instructions, and a deep recursion may end in any call. Then the
-loop ends, and the error is raised outside of all branches. The next loop schedules all branches again.
+them. A signal handler may raise an error between any two instructions, and a deep recursion may end in any call. Then
+the loop ends, the error is raised outside of all branches, and the next loop schedules all branches again.
 """
 
 from __future__ import annotations

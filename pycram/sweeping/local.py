@@ -1,11 +1,8 @@
 """Runs of a sweep on this machine: each run is a forked child of this process, or of a worker process.
 
-:class:`Local` forks this process. If the process of a run crashes, hangs or is killed, the run is retried once. If the
-retry also fails, the run's recording says why.
-
-:class:`Worker` starts another process if this process can't fork: it has worlds, or threads like Ray's and Jupyter's.
-The worker reads batches as lines of JSON. It writes one line for each run, and one line after each batch. It keeps
-loaded modules and models between batches.
+If the process of a run crashes, hangs or is killed, the run is retried once. If the retry also fails, the run's
+recording says why. :class:`Worker` starts another process if this process can't fork: it has worlds, or threads like
+Ray's and Jupyter's. It keeps loaded modules and models between batches, which it reads as lines of JSON.
 """
 
 from __future__ import annotations

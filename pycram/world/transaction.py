@@ -1,12 +1,7 @@
 """World transactions: every change of a world is a transaction, which is recorded.
 
-A transaction checks the change, makes it in the engine, reads the state back, emits one record and fires events. A
-transaction holds the world's lock, so records have the order of changes. Event handlers run after the release of the
-lock::
-
-    with world.transactions.begin(records.Mutation(move_body=command)) as transaction:
-        world.engine.set_pose(body.handle, pose)
-        transaction.mark_modified(body)
+A transaction checks the change, makes it in the engine, reads the state back, emits one record and fires events. It
+holds the world's lock, so records have the order of changes. Event handlers run after the release of the lock.
 """
 
 from __future__ import annotations

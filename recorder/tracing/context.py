@@ -1,10 +1,9 @@
 """The context of running code: its branch or thread, the current world, and the room on its stack.
 
-A branch shares its thread with other branches, but has its own call stack, context and name. The current world is the
-world that was opened or made current last; when it closes, the previous world becomes current again. A thread's choice
-of the current world applies to the thread, its branches, and all threads without a choice. A branch's choice applies
-only to the branch and its own branches. Before a record is made, the free room on the stack is checked, so that no
-RecursionError interrupts the record.
+The current world is the world that was opened or made current last; when it closes, the previous world becomes current
+again. A thread's choice of the current world applies to the thread, its branches, and all threads without a choice. A
+branch's choice applies only to the branch and its own branches. Before a record is made, the free room on the stack is
+checked, so that no RecursionError interrupts the record.
 """
 
 from __future__ import annotations

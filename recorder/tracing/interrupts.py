@@ -3,11 +3,8 @@
 Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, the world would differ
 from its log; within a record, a number would have no record; within a block, a branch would continue alone. So Ctrl-C
 waits for the end of a section (:class:`Uninterrupted`), which is a change or a record. In branches and in the plan
-language (:class:`Host`), Ctrl-C waits for the next checkpoint (:mod:`pycram.scheduling`).
-
-Our handler of SIGINT is only installed in sections and scopes of the plan language in the main thread. It calls the
-previously installed handler. In :func:`terminable`, SIGTERM and SIGHUP also interrupt the plan, and end the process
-after the block.
+language (:class:`Host`), it waits for the next checkpoint (:mod:`pycram.scheduling`). Our handler of SIGINT is only
+installed in sections and scopes of the plan language in the main thread, and calls the previously installed handler.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
 """Show a recording live in a Rerun viewer. A slow or missing viewer doesn't delay the plan.
 
-Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches to a separate process
-(:func:`main`), which translates records for the viewer. A viewer can stall its client, fill its memory or hang its
-exit; only the separate process suffers then. The next batch is sent when the viewer has taken the previous batch. At
-the end of the recording, the process gets all remaining records, and some time to deliver them. Missing records are
-counted and reported.
-
-On the socket, the process sends ``Status.READY`` or ``Status.ABSENT``, and then the number of shown records of each
-batch. The recording sends batches: lists of files, and of topics with payloads. An empty batch means the end.
+Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches, lists of files and of topics with
+payloads, to a separate process (:func:`main`), which translates them. A viewer can stall its client, fill its memory or
+hang its exit; only the separate process suffers then. It answers ``Status.READY`` or ``Status.ABSENT``, and then the
+number of shown records of each batch. An empty batch means the end. Missing records are counted and reported.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Marks in the scene: targets and failures of tasks, attachments, cameras, and paths of trajectories.
 
-The mark of a failure and its line in the log are one entity, so selecting the line shows the position. A failure for a
-collision marks the links that would have collided, with a line between them. Attachments are lines from carriers to
-carried bodies. Cameras are frustums of the view. The planned path of a tool or base is blue, the driven part is a
-thicker green line. Both lines disappear at the end of the path. After a stop, the lines stay until the body's next
-trajectory, with the planned part in grey.
+The mark of a failure and its line in the log are one entity, so selecting the line shows the position. The planned path
+of a tool or base is blue, the driven part is a thicker green line. Both lines disappear at the end of the path. After a
+stop, the lines stay until the body's next trajectory, with the planned part in grey.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Marks are green if the answer is yes or nothing blocks, otherwise red. A query for places has a map on the floor, whose
 cells are blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a rejected place
-a red point with the reason, an untried place a grey point. Maps are validated, because recordings may come from
-strangers.
+red, an untried place grey. Maps are validated, because recordings may come from strangers.
 """
 
 from __future__ import annotations

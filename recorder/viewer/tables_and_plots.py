@@ -1,9 +1,7 @@
 """The log, the tables of records, and curves over time.
 
-The log has a line for each record. Each kind of record has an entity, so that users can hide kinds.
-Each type of record has a table, whose columns are fields.
-Curves are the heights of bodies, the joints of robots and furniture, fluents with numbers or truth values, and the
-margins of properties.
+The log has a line for each record, and an entity for each kind, so that users can hide kinds. Curves are the heights of
+bodies, the joints of robots and furniture, fluents with numbers or truth values, and the margins of properties.
 """
 
 from __future__ import annotations

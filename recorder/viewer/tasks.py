@@ -1,9 +1,8 @@
 """Tasks in the viewer: lanes over time, and the task tree as a graph.
 
-At the end of a task, its beginning is sent
-again with the outcome, and replaces the earlier row. The graph shows the running tasks, the tasks around them, the
-latest tasks, and the path to a failure. Only the last few children of a task are shown, and of succeeded tasks only the
-last task's children.
+At the end of a task, its beginning is sent again with the outcome, and replaces the earlier row. The graph shows the
+running tasks, the tasks around them, the latest tasks, and the path to a failure. Only the last few children of a task
+are shown, and of succeeded tasks only the last task's children.
 """
 
 from __future__ import annotations

@@ -1,13 +1,9 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
-Only programs of this machine can reach the server. Other users and pages of other servers must not get records, so each
-request must contain the secret token of the address, name this server as its ``Host`` (against DNS rebinding), and have
-no other ``Origin`` than the page. The page works without a network: links to other servers are left out, and a policy
-forbids connections. Records reach the page as a growing file.
-
-The viewer's files are WebAssembly in the viewer's program, which only serves them over HTTP. The library's own server
-listens on all addresses of the machine. So the program is started on the loopback, its files are fetched, and the
-program is stopped.
+Other users and pages of other servers must not get records, so each request must contain the secret token of the
+address, name this server as its ``Host`` (against DNS rebinding), and have no other ``Origin`` than the page. The page
+works without a network. The viewer's files are WebAssembly in the viewer's program, which only serves them over HTTP;
+the library's own server listens on all addresses of the machine. So the program runs until its files are fetched.
 """
 
 from __future__ import annotations

@@ -85,8 +85,7 @@ def _proven(log: Recording, why: Why, options: argparse.Namespace) -> Why:
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     """Print the most frequent causes of failures in a folder, with an explanation of the first run of each cause."""
-    from replay.recording import Recording  # noqa: PLC0415  as above
-    from replay.runs.statistics import statistics  # noqa: PLC0415
+    from replay.runs.statistics import statistics  # noqa: PLC0415  needs an extra
 
     if options.step or options.pictures or options.origins or options.prove:
         raise ReplayError("a step, --pictures, --origins and --prove need a single recording, not a folder")

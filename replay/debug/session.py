@@ -1,10 +1,8 @@
 """A session of the debugger: a guided plan, its breakpoints, and the targets of commands.
 
-A breakpoint or watch has steps at which the plan stops. These steps are read from the recording when the breakpoint is
-set. But a watch on the plan's own variables has no steps: recordings don't contain variables, so the plan must run.
-
-The level of a step is the innermost task that encloses it; the start and the end of a task are on the level around it.
-So ``next`` goes from the start of a task to its end, as other debuggers step over a call.
+The steps of a breakpoint are read from the recording when it is set. But a watch on the plan's own variables has no
+steps: recordings don't contain variables, so the plan must run. The level of a step is the innermost task that encloses
+it; the start and the end of a task are on the level around it. So ``next`` goes from the start of a task to its end.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
 """Rebuild live worlds of a past step from the recording alone.
 
-By default, bodies are loaded from the recorded models and get the recorded state. Poses, joints, velocities,
-attachments, gravity, colours and the robot are exact. But the solver's contacts are unknown, so the future may differ
-from the original. With ``exact``, each change is executed again from the start, so the future is equal, bit for bit. A
-world that began before its recording continues from its first keyframe, and differs in the last bits.
-
-Rebuilding isn't recorded. After that, running recordings get the whole state of a world for the user, but never a world
-for a question.
+By default, bodies are loaded from the recorded models and get the recorded state. The state is exact, but the solver's
+contacts are unknown, so the future may differ from the original. With ``exact``, each change is executed again from the
+start, so the future is equal, bit for bit. A world that began before its recording continues from its first keyframe,
+and differs in the last bits. Rebuilding isn't recorded.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
 """Changes of a forked run after a step: new values of objects and fluents, answers of queries, or the seed.
 
 Each change is a text in the command and in the fork's recording: ``milk.position=1,2,0.9``,
-``reachable_object(milk)=false``. So a fork can run again like any other run. Before the plan runs, changes are checked
-as far as the recording allows; the setters check the rest.
-
-Queries draw no random numbers and change nothing in a world. So a run that takes the recorded answers continues like a
-run that asks. A recorded answer is only taken if the next recorded query is the same, at the same moment, without
-records in between. Three kinds of queries are always asked: failed queries, queries about many targets (the evidence of
-their single answers isn't recorded) and the plan's own queries.
+``reachable_object(milk)=false``. So a fork can run again like any other run. A recorded answer is only taken if the
+next recorded query is the same, at the same moment, without records in between. Three kinds of queries are always
+asked: failed queries, queries about many targets (the evidence of their single answers isn't recorded) and the plan's
+own.
 """
 
 from __future__ import annotations

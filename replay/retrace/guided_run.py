@@ -1,10 +1,8 @@
 """Run a plan again in this process, guided by its recording. :mod:`.plan_process` starts the process.
 
 A run without a file ends when the comparison ends. With a file, a fork continues into its own recording. The result is
-a line of JSON on another file descriptor, because stdout and stderr belong to the plan.
-
-The plan's call stacks end at the first frame of this module. The plan calls the sinks of records, so the sinks are in
-:mod:`.guide`.
+a line of JSON on another file descriptor, because stdout and stderr belong to the plan. The plan's call stacks end at
+the first frame of this module. The plan calls the sinks of records, so the sinks are in :mod:`.guide`.
 """
 
 from __future__ import annotations

@@ -3,9 +3,7 @@
 An update reads only new and changed recordings. In the folder, ``tables/`` has ``contents.json``, the list of
 recordings, and parts: subfolders with Parquet files of some recordings. An update adds a part and merges small parts. A
 single rename replaces the contents, so a killed update leaves the old contents or the new contents. Readers hold a
-shared lock on their parts, so obsolete parts stay until the last reader closes. Unreadable recordings and recordings of
-newer releases are left out and reported. DuckDB executes statements in a sandbox: single SELECT statements, no other
-files, locked settings.
+shared lock on their parts, so obsolete parts stay until the last reader closes.
 """
 
 from __future__ import annotations

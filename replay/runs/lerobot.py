@@ -2,9 +2,8 @@
 
 ``observation.state`` of a frame is the robot's base pose and joints, ``action`` is the state of the next frame, and
 ``observation.environment_state`` has the poses of all bodies that move in a run. Only runs with ``--motion continuous``
-have trajectories, because nothing moves between two changes. A video of the robot's camera is drawn from the
-recordings, into AV1 files (MP4). Every second frame is a key frame, because training reads single frames. Unchanged
-frames aren't drawn again.
+have trajectories, because nothing moves between two changes. Every second frame of a video is a key frame, because
+training reads single frames.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
 """The rows of a recording for the tables of its folder.
 
-The process that made a recording calls :func:`write_rows` at the end; readers make the rows of all other recordings. A
-row file has the tables one after another, until a reader merges it into the folder's tables
-(:mod:`replay.runs.folder`). Two failures have the same cause if their types, their first colliding pairs of links, and
-the names of the tasks around them are equal. Without links, the first line of the message without numbers is compared,
-so coordinates and seeds don't split a cause.
+The process that made a recording calls :func:`write_rows` at the end; readers make the rows of all other recordings.
+Two failures have the same cause if their types, their first colliding pairs of links, and the names of the tasks around
+them are equal. Without links, the first line of the message without numbers is compared, so coordinates and seeds don't
+split a cause.
 """
 
 from __future__ import annotations

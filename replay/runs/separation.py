@@ -1,16 +1,12 @@
 """The facts that separate failed from successful runs, from the tables of their folder.
 
 A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or the order of two events. A
-site has values in each run that reached it; only values before the failure count. A *fact* is a statement about these
-values that is true of some runs and false of others (Liblit et al. 2005, "Scalable statistical bug isolation"). Facts
-are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones and Harrold 2005).
-Facts that are true of the same runs are a *claim*.
-
-A claim must be stronger than a random result. To test a claim, the failures are assigned to the runs at random, many
-times, and the strongest evidence of all facts is kept (Westfall and Young 1993, "Resampling-based multiple testing",
-the single-step maximum). The evidence is the log-likelihood ratio of two failure rates against a single rate (half of
-the G-test's statistic). Facts that only reflect a run's progress may be symptoms of its end, and are listed last
-(:attr:`Fact.how_far`).
+*fact* is a statement about a site's values before the failure that is true of some runs and false of others (Liblit et
+al. 2005). Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones and
+Harrold 2005). Facts that are true of the same runs are a *claim*, which must be stronger than a random result. To test
+it, the failures are assigned to the runs at random, many times, and the strongest evidence of all facts is kept
+(Westfall and Young 1993, the single-step maximum). The evidence is the log-likelihood ratio of two failure rates
+against a single rate. Facts that only reflect a run's progress are listed last (:attr:`Fact.how_far`).
 """
 
 from __future__ import annotations

@@ -1,20 +1,15 @@
 """Stability: whether an object stays in place in a simulation (thesis 4.4.1).
 
-An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. The solver lets resting
-objects creep at a tenth of this speed. The simulation ends early if the limit is exceeded, or if all relevant bodies
-are at rest and stand firmly.
-
-A body stands firmly if its center of mass, together with all bodies on it, is well within its support polygon. The
-polygon contains the points where its underside and the tops of its supports overlap, and the contacts that friction
-holds, as for a spoon in a bowl. A ball never stands firmly, because only time shows whether it rolls.
+An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. The simulation ends early if
+the limit is exceeded, or if all relevant bodies are at rest and stand firmly: the center of mass of a body and of all
+bodies on it is well within the support polygon. The polygon contains the points where its underside and the tops of its
+supports overlap, and the contacts that friction holds. A ball never stands firmly, because only time shows whether it
+rolls.
 
 A clone is simulated, because PyBullet can't restore a world exactly. The clone finds contacts anew; in disorderly
 piles, one answer in 25 depends on contacts that the engine has kept. All bodies are simulated that could reach the
-object in time. Robots are slow to simulate, so a robot is simulated only if a free body leans on it or if it is
-attached to the object.
-
-If there are many bodies, those that are at rest and stand firmly sleep until another body comes near. So one falling
-body among hundreds costs little more than its own fall.
+object in time, robots only if a free body leans on them or if they are attached to the object. If there are many
+bodies, those that are at rest and stand firmly sleep until another body comes near.
 """
 
 from __future__ import annotations
