@@ -1,7 +1,7 @@
 """A failure with the facts about its causes, and the base class of all kinds of causes.
 
 Data, finder and text of a kind are in one file. The ``kind`` and the field names are keys of ``why --json``
-(docs/guides/why.md), so they don't change.
+(docs/reference/causes.md), so they don't change.
 """
 
 from __future__ import annotations

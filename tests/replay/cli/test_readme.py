@@ -36,7 +36,7 @@ def test_the_walk_through_a_failed_plan_is_real(failed_log: Path, tmp_path: Path
     (tmp_path / failed_log.name).write_bytes(failed_log.read_bytes())
     shown = blocks(GUIDE.read_text())
     verbs = [block.commands[-1].partition("pycram-replay")[2].split()[0] for block in shown]
-    assert verbs == ["why", "render", "blame", "ask", "restore", "ask", "fork", "debug"]
+    assert verbs == ["render", "blame", "ask"]
     for commands, lines in shown:
         output = {without_numbers(line) for line in printed(commands, tmp_path)}
         for line in lines:

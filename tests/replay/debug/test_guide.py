@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 def test_the_guide_s_sessions_are_real(failed_log: Path, tmp_path: Path) -> None:
     (tmp_path / failed_log.name).write_bytes(failed_log.read_bytes())
     shown = blocks((REPO / "docs" / "guides" / "debug.md").read_text())
-    assert len(shown) == 2
+    assert len(shown) == 1
     for commands, lines in shown:
         output = [without_numbers(line) for line in printed(commands, tmp_path)]
         assert output == [without_numbers(line) for line in lines], commands

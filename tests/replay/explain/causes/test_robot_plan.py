@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 
-DOCS = Path(__file__).parents[4] / "docs" / "guides" / "why.md"
+DOCS = Path(__file__).parents[4] / "docs"
 
 
 ROBOT = """
@@ -205,7 +205,13 @@ def test_the_page_shows_what_a_reader_gets(
     monkeypatch.chdir(robot_log.parent)
     assert main(["why", str(robot_log), "task:place@end"]) == 0
     output = {without_numbers(line) for line in capsys.readouterr().out.splitlines()}
-    shown = DOCS.read_text().partition("$ pycram-replay why")[2].partition("```")[0].splitlines()[1:]
+    shown = (
+        (DOCS / "guides" / "why.md")
+        .read_text()
+        .partition("$ pycram-replay why")[2]
+        .partition("```")[0]
+        .splitlines()[1:]
+    )
     assert len(shown) > 5
     for line in shown:
         assert line == "..." or without_numbers(line) in output, line
@@ -217,7 +223,8 @@ def without_numbers(line: str) -> str:
 
 def documented() -> dict[str, set[str]]:
     """The fields of each kind of cause by the page's table."""
-    rows = re.findall(r"^\| `([a-z-]+)` \|[^|]*\|([^|]*)\|$", DOCS.read_text(), re.MULTILINE)
+    page = (DOCS / "reference" / "causes.md").read_text().partition("## Values")[0]
+    rows = re.findall(r"^\| `([a-z-]+)` \|[^|]*\|([^|]*)\|$", page, re.MULTILINE)
     return {kind: set(re.findall(r"`(\w+)`", text)) for kind, text in rows}
 
 
