@@ -85,9 +85,6 @@ def record(
         arguments: Arguments of the plan, by default the arguments of the program.
         source: The plan's file, which is attached. By default it is the program's file, if there is one.
         seed: The plan's seed. ``record`` only writes it and the following inputs into the file.
-        order: The order of branches.
-        environment: The execution environment.
-        parameters: The plan's parameters.
         output: Record printed and logged lines, too.
         locals: Record the local variables of the plan's functions with failures.
         overwrite: Replace an existing recording.

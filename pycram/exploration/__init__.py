@@ -140,8 +140,6 @@ def explore(
     """Run an action in many orders of its branches. Each run is in a copy of this process; nothing changes here.
 
     Args:
-        action: A function of the plan.
-        runs: Number of orders.
         seed: Seed of the random numbers in every run, and of the drawn orders.
         depth: Maximum depth of the races: the number of precedences that together cause a race.
         limit: Seconds of wall-clock time for each run.

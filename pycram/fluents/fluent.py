@@ -227,9 +227,6 @@ class Fluent:
 
         Each ``whenever`` needs its own counter; two ``whenever`` with the same counter would share the pulses.
 
-        Args:
-            handle_missed: How to handle pulses that come while an earlier pulse is handled.
-
         Raises:
             BadArgument: ``handle_missed`` isn't a behavior.
         """
@@ -344,7 +341,6 @@ def network(function: Callable[..., Value], *operands: object) -> Fluent:
 
     Args:
         function: Called with one value for each operand, whenever the network's value is needed.
-        operands: Fluents or plain values.
 
     Raises:
         BadArgument: The function isn't callable.

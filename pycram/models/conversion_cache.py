@@ -39,7 +39,6 @@ def get(
     """Return the pieces of a converted mesh: file name, content and colour RGBA 0..1 of each piece.
 
     Args:
-        kind: The kind of conversion: a mesh has an entry for each kind.
         beside: Other files that the conversion reads if they exist.
 
     Raises:

@@ -68,7 +68,6 @@ def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -
     """Return the tree of links and joints of a URDF.
 
     Args:
-        source: Name of the file, for errors.
         chains: Whether the caller will replace planar and floating joints with chains of single joints.
 
     Raises:
@@ -184,13 +183,7 @@ def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
 
 
 def find_mesh(source: Path, name: str, packages: Sequence[Path] = ()) -> Path:
-    """Return the file of a mesh or texture; raise an AssetError if it doesn't exist.
-
-    Args:
-        source: The URDF that names the mesh.
-        name: The name in the URDF.
-        packages: Folders in which the search for packages begins.
-    """
+    """Return the file of a mesh or texture; raise an AssetError if it doesn't exist."""
     if not name:
         raise AssetError(source, "the URDF has a <mesh> without filename")
     if name.startswith(_PACKAGE):

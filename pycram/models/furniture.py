@@ -75,7 +75,6 @@ def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
     """Return the surfaces on top of a free object with closed joints, such as a plate, a tray or a box.
 
     Args:
-        path: A canonical URDF.
         orientation: Orientation xyzw of the object in the world. An object that lies on its side has another top.
     """
     urdf = stored_tree(path)
@@ -103,7 +102,6 @@ class _Search:
 
     Args:
         poses: Poses of the links in the root link, with closed joints.
-        every: All convex pieces of the model.
         offered: Faces on which objects could stand.
     """
 

@@ -240,7 +240,6 @@ def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
 
     Args:
         files: Names (``<sha256>/<file name>``) and contents of attachments: the URDF first, then the other files.
-        loading: How the engine made a body of the model.
 
     Raises:
         AssetError: The name of a file doesn't match the hash of its content, the URDF names another file, or a file is

@@ -59,7 +59,6 @@ def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[
 
     Args:
         file: The file; textures and materials are next to the file.
-        content: The content of the file.
         cover: Content of a texture for faces without a material.
 
     Raises:

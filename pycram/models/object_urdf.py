@@ -35,7 +35,6 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
     """Return the URDF of an object, and store its meshes.
 
     Args:
-        file: The mesh.
         color: RGBA 0..1 of the object; None for the colours of the mesh, or grey if the mesh has no colours.
         scale: Metres per unit of length of the mesh, and of other meshes next to it.
 

@@ -73,7 +73,6 @@ def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Arra
     Args:
         triangles: (n, 3, 3) corners.
         uv: (n, 3, 2) texture coordinates of the corners, from the lower left; the texture repeats outside 0..1.
-        image: The texture.
     """
     reduced = (
         image.reduce(max(1, max(image.size) // _MAX_SIDE)).convert("RGB").quantize(_COLORS, Image.Quantize.FASTOCTREE)
@@ -110,7 +109,6 @@ def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[A
     Args:
         kind: "box", "cylinder" or "sphere".
         size: Edges of the box, radius and length of the cylinder, or radius of the sphere, m.
-        picture: The texture.
     """
     image = read_image(picture)
     if image is None:

@@ -19,11 +19,6 @@ SUFFIX: Final = ".xacro"
 def expanded(source: Path, content: bytes, packages: Sequence[Path] = ()) -> bytes:
     """Return the text of a URDF, with its macros expanded.
 
-    Args:
-        source: The file, for includes and errors.
-        content: The content of the file.
-        packages: Folders in which the search for packages begins.
-
     Raises:
         AssetError: The package xacro isn't installed, or can't expand the file.
     """

@@ -139,7 +139,6 @@ def project(
     """Run an action in a copy of this process, and return its outcome.
 
     Args:
-        action: A function of the plan; ``args`` and ``kwargs`` are its arguments.
         timeout: Seconds of wall-clock time after which the copy is killed; None for no limit.
         memory: Megabytes of additional memory for the copy; None for no limit.
 

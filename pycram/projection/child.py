@@ -227,7 +227,6 @@ class ChildPool(Generic[Job]):
     """Children that run in parallel.
 
     Args:
-        cores: Maximum number of children.
         limit: Seconds of wall-clock time for each child; None for no limit.
         grace: Seconds between a SIGTERM at the limit and a SIGKILL; 0 for a SIGKILL at the limit.
     """

@@ -59,12 +59,7 @@ class Question:
 
     @contextmanager
     def recorded(self, where: Callable[[], tuple[str, int]], *, trace: bool = True) -> Iterator[None]:
-        """Answer the question in the ``with`` block; record it at the end, also after errors other than UsageError.
-
-        Args:
-            where: returns the world's name and its simulated steps for the record.
-            trace: whether the record contains an error's traceback.
-        """
+        """Answer the question in the ``with`` block; record it at the end, also after errors other than UsageError."""
         start = time.perf_counter_ns()
         error: BaseException | None = None
         try:
@@ -150,7 +145,6 @@ class Choice(Question):
 
         Args:
             answer: answer of the question; None for the candidate's name.
-            evidence: more facts about the candidate.
         """
         self._met |= candidate == self.forced
         self._rejected.pop(candidate, None)

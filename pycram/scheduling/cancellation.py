@@ -194,7 +194,6 @@ def wait(
         condition: Notified whenever the predicate may have changed.
         predicate: Called in the waiting branch, without a lock.
         timeout: In seconds; None for no limit.
-        reason: Explains the wait in a deadlock.
 
     Raises:
         Cancelled: The branch is cancelled, and the predicate doesn't hold.

@@ -136,8 +136,6 @@ class Pct:
     scheduler with probabilistic guarantees of finding bugs, ASPLOS 2010), if no branch exceeds MOST_IN_A_ROW turns.
 
     Args:
-        seed: The run's seed.
-        number: Index of the random order.
         depth: The depth d; priorities change d - 1 times.
         steps: The number k of turns.
     """
@@ -173,7 +171,6 @@ class Order:
 
     Args:
         draw: Chooses branches at random; None to choose the branch with the first rank.
-        precedences: Exceptions from the order of the ranks.
     """
 
     def __init__(self, draw: Pct | None = None, precedences: Iterable[Precedence] = ()) -> None:

@@ -68,7 +68,6 @@ class Waiter:
         sources: The conditions that wake the wait during its ``with`` block.
         patience: Returns whether a patient wait may resume now; a patient wait resumes when nothing else is ready.
         last: Whether other patient waits resume before this one.
-        reason: Explains the wait in a deadlock.
     """
 
     __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "last", "parked", "patience", "reason", "undisturbed")
@@ -311,11 +310,9 @@ class Scheduler:
         """Schedule a new branch; any thread may call this. After an error, the branch isn't scheduled.
 
         Args:
-            name: Name in records.
             context: The branch runs in this context, not in a copy.
             action: Runs the branch. It handles the branch's errors; an error that it raises ends the scheduler's loop.
             failed: Called first with an error that ``action`` raises.
-            site: The plan's line that adds the branch.
             label: Returns the branch's name with its arguments, for people; "" for the name in records.
         """
         branch = _Branch(self, name, context, action, failed, site, label)

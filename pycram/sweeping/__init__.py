@@ -120,7 +120,6 @@ def sweep(
     The runs are forks of this process. If this process has worlds or threads, they are forks of another process.
 
     Args:
-        plan: File of the plan.
         runs: Number of runs, which are numbered from 0.
         folder: Folder for the recordings. If it has some runs of this sweep, only the missing runs are made. With
             ``ray``, a folder that all nodes share, or any URL that fsspec supports.

@@ -313,7 +313,6 @@ def move_supported(
 
     Args:
         before: Poses of the links before the links moved.
-        supported: Result of :func:`supported_bodies` before the links moved.
     """
     engine = container.world.engine
     for body, link in supported.items():

@@ -43,7 +43,6 @@ class WorldBeliefs:
 
         Args:
             evidence: The perceived objects, in the form of :func:`recorder.records.beliefs.sightings`.
-            steps: Steps of the perception's record.
         """
         learned = fold.look(self._beliefs, evidence, self._world.sim_step)
         self._steps.update(dict.fromkeys(learned, steps))

@@ -221,9 +221,6 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]
     If an error ends the wait early, all trajectories are stopped before the error is raised. They slow down along their
     paths for at most 0.2 s of simulated time.
 
-    Args:
-        motions: Bodies with their planned motions.
-
     Raises:
         TrackingLost: A joint deviated too far from its trajectory.
         TrajectoryEnded: Another call stopped a trajectory, or the world was reset or restored.

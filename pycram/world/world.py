@@ -423,7 +423,6 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         Args:
             body: An object of this world; a base moves only if the body is a robot or of the environment.
             trajectory: A trajectory that starts at the body's present position.
-            search: The search for the trajectory's path, for the record.
 
         Raises:
             BadArgument: The body can't follow the trajectory, or isn't at its start.

@@ -93,10 +93,8 @@ def follow(
     Args:
         record: The change; only its command is needed.
         sim_step: Simulated steps of the world after the change.
-        removed: Names of removed bodies.
         carriers: The carrier of each body that a robot carries after the change, directly or not. Further bodies are
             ignored. None if no attachment changes.
-        robots: Names of the robots after the change.
         pose_of: A function from a body's name to its pose after the change.
     """
     command = record.WhichOneof("command")

@@ -61,7 +61,6 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> CallStack:
 
     Args:
         frame: The frame of the code, or of a function that the code has called.
-        outer: The call stack of the current task.
     """
     frame, line = _innermost(frame)
     thread = current_ident()

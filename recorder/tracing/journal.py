@@ -334,7 +334,6 @@ def strike(look: int, which: Iterable[int]) -> None:
     """Add a strike to every open journal: a decision of the clock or of worker threads that a poll found.
 
     Args:
-        look: Number of the poll.
         which: Indices of the polled items, from 0.
     """
     for journal in _open:

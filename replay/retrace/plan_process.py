@@ -263,11 +263,9 @@ class PlanProcess:
 
         Args:
             module: A module whose main function receives the run and the facts as a JSON text.
-            guidance: The guidance of the run.
             folder: A folder for the recordings of projections and for the recorded source.
             errors: A file for stderr of the process.
             descriptors: Open files that the process inherits.
-            facts: Data for the main function.
         """
         began = self._began
         program = self.program

@@ -88,7 +88,6 @@ class Boxes:
         """Return boxes, along the axes of a frame, around the space that the pieces of links sweep.
 
         Args:
-            path: the model's checked URDF.
             poses: poses of each link in the frame; between two poses, a straight line must be exact to 1 mm.
         """
         names, low, high = _bounds(path)
@@ -245,10 +244,7 @@ class MovingLinks:
     """The links of a robot that joints move, with the objects that they hold.
 
     Args:
-        boxes: boxes around all pieces of the robot.
         held: each held object, the robot's link, and the boxes around the object's pieces.
-        joints: names of the moving joints.
-        all_links: whether to check all links of the robot, not only links that move.
     """
 
     def __init__(

@@ -63,8 +63,6 @@ class CollisionChecker:
 
     Args:
         joints: names of the moving joints; other links of the robot aren't checked.
-        ignored: objects that the robot may touch.
-        all_links: whether to check all links of the robot, not only links that move.
         ignored_links: links that the robot may touch, with their objects; for example, links that move along.
         margin: objects up to this distance in m are checked, too.
     """
@@ -358,7 +356,6 @@ def touched(
 
     Args:
         positions: joint positions in rad or m by name; other joints don't move.
-        all_links: whether to check all links of the robot, not only links that move.
     """
     with CollisionChecker(robot, positions, all_links=all_links) as checker:
         (candidate,) = checker.predict([positions], base)

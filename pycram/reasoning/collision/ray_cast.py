@@ -84,7 +84,6 @@ class RayCaster:
 
         Args:
             scans: lines parallel to the y axes, at coordinates along the x axes.
-            count: number of lines of each scan.
             zs: z of the lines, m; the extreme points at all z are returned.
 
         Returns:
@@ -101,7 +100,6 @@ class RayCaster:
 
         Args:
             scans: lines parallel to the x axes, at coordinates along the z axes; the lines start in the hollow.
-            count: number of lines of each scan.
             ys: y of the lines, m; the extreme points at all y are returned.
 
         Returns:

@@ -155,8 +155,6 @@ class _Choice:
 
     Args:
         target: the object, which the open hand mustn't overlap.
-        options: grasps with their postures.
-        opened: joint positions of the open gripper.
         hand: links that have the same pose in all postures for a grasp.
     """
 

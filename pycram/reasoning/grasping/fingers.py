@@ -141,7 +141,6 @@ def close_around(
 
     Args:
         posture: joint positions by name, with the gripper at the object.
-        body: the object, which doesn't move.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")

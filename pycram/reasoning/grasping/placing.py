@@ -192,7 +192,6 @@ def placements(
     Args:
         target: xyz in m.
         orientation: xyzw; None for upright with a natural yaw.
-        refusals: receives the reasons against other poses and postures.
         rests: resting positions by orientation, or why there is none; new results are added.
     """
     body_T_tool = geometry.multiply(

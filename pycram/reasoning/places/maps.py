@@ -207,7 +207,6 @@ def draw_cells(
 
     Args:
         scores: (cells,), not negative.
-        count: maximum number of cells.
 
     Returns:
         The index of each drawn cell, and x and y in m of a random point in it; cells with high scores come first.

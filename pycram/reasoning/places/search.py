@@ -116,7 +116,6 @@ class Search(ABC):
     """A search that yields places; each place is the answer of its own query.
 
     Args:
-        wanted: the purpose of a place, for messages.
         arguments: arguments of the queries; None values are omitted.
     """
 
@@ -231,8 +230,6 @@ class Reasons:
         """Return the most frequent reason of a constraint and a remedy; "" if neither is known.
 
         Args:
-            constraint: The constraint that excluded the last places.
-            objects: The objects of the world.
             drives: Whether the robot can drive; if not, the target must move.
         """
         group = self._found.get(constraint)

@@ -57,9 +57,6 @@ _MANY: Final = 24  # number of bodies without attachments above which bodies at 
 def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether an object stays in place in a simulation (thesis 4.4.1).
 
-    Args:
-        world: the object's world; the thesis passes it.
-
     Returns:
         False if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has the
         motion in m and rad, the number of steps after which it exceeded a limit, and the number of simulated steps.
@@ -200,7 +197,6 @@ class _Sleepers:
 
     Args:
         standing: bodies that may sleep; they have no joints and no attachments.
-        fixed: furniture on which the bodies may stand.
         steady: yields whether each of the given bodies stands firmly.
     """
 
