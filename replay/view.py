@@ -281,7 +281,6 @@ def _lay_out(stream: rr.RecordingStream, layouts: Mapping[str, Layout], until: i
 
 
 def _translate(log: RecordReader, translator: Translator) -> None:
-    """Send a recording."""
     for name in log.assets:
         with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording notes damage
             translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))

@@ -85,7 +85,6 @@ def load(
 
 
 def _corrected(file: Path, model: Model) -> Model:
-    """Return a model with the corrections of its furniture, if a TOML file next to the model has corrections."""
     beside = file.with_name(f"{file.stem.removesuffix('.urdf')}{corrections.SUFFIX}")
     if not beside.exists():
         return model
@@ -155,7 +154,6 @@ def _cached_model(
 def _texture(
     visual: ET.Element, named: Mapping[str | None, ET.Element], files: Mapping[str, _FileVersion]
 ) -> _FileVersion | None:
-    """Return the texture of a visual's material; None without a texture, or if its file is missing."""
     material = visual.find("material")
     if material is not None and len(material) == 0:
         material = named.get(material.get("name"))

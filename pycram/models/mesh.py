@@ -189,7 +189,6 @@ def _check_vertices(file: Path, vertices: Array) -> None:
 
 @contextmanager
 def _parsing(file: Path) -> Iterator[None]:
-    """Raise any error of a parser as AssetError, and suppress warnings."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

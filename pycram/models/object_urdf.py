@@ -136,7 +136,6 @@ def _table(file: Path) -> Path:
 
 
 def _colored(entry: Mapping[str, Any]) -> list[Mapping[str, Any]] | None:
-    """Return the coloured visual parts in a mesh's table; None if the table has no parts."""
     parts = entry.get("visual")
     return parts if isinstance(parts, list) else None
 

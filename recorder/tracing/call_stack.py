@@ -183,7 +183,6 @@ _attached: Final[dict[int, set[str]]] = {}  # attached files by number of the re
 
 
 def _attach_files(files: Iterable[str]) -> None:
-    """Attach each file of a plan to the recording."""
     attached = _attached.setdefault(journal.recording_number(), set())
     for file in sorted(set(files) - attached):
         attached.add(file)

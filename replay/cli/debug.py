@@ -158,7 +158,6 @@ class Prompt(cmd.Cmd):
 
     @contextlib.contextmanager
     def _history(self) -> Iterator[None]:
-        """Read the history of typed commands, and write the history at the end."""
         folder = cache_folder() if self._asks else None
         try:
             import readline  # noqa: PLC0415  some systems lack it
@@ -597,7 +596,6 @@ class Prompt(cmd.Cmd):
 
 
 def _add_verb(name: str) -> None:
-    """Add a verb of ``pycram-replay`` as a command."""
 
     def do(self: Prompt, text: str) -> None:
         self._verb(name, text)

@@ -226,7 +226,6 @@ class Adapter:
     _on_attach = _on_launch
 
     def _recorded(self, program: str, arguments: Sequence[str], log: str | None) -> str:
-        """Run a plan, and return its recording."""
         if not Path(program).is_file():
             raise ReplayError(f"{program}: there is no such plan")
         file = log or str(Path(tempfile.mkdtemp(prefix="pycram-debug-")) / f"{Path(program).stem}.mcap")

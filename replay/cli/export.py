@@ -246,7 +246,6 @@ def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
 
 
 def _values_in(state: BodyState) -> dict[str, tuple[float, float | None]]:
-    """Return the positions and velocities in a record by name."""
     speeds = state.joint_velocities or [0.0] * len(state.joints)
     joints = zip(state.joint_positions, speeds, strict=True)
     found: dict[str, tuple[float, float | None]] = dict(zip(state.joints, joints, strict=True))

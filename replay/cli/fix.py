@@ -106,7 +106,6 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
 
 
 def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iterator[str]:
-    """Yield the repairs as text, best repair first."""
     asked = f"asked: {found.asked}" if found.asked else "nothing was tried"
     count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"
     if not found.repairs:

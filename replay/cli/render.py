@@ -80,7 +80,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _saved(picture: Image.Image, given: str | None, name: str, *, several: bool) -> str:
-    """Write a picture to the given file, or to the given folder if there are several pictures; return its path."""
     file = Path(given or "") / name if several or not given else Path(given)
     try:
         if several:

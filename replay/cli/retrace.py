@@ -196,7 +196,6 @@ def _free_file(log: Recording, given: str | None, kind: str) -> Path:
 
 
 def _print_fork(log: Recording, forked: Fork, *, as_json: bool) -> int:
-    """Print the result, and return the exit code."""
     control = forked.control
     facts = {
         **asdict(forked),

@@ -90,7 +90,6 @@ def _text(value: Any) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON data. Maps become objects."""
     if isinstance(value, list):
         pairs = value and all(isinstance(each, tuple) for each in value)
         return dict(value) if pairs else [_plain(each) for each in value]

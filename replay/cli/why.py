@@ -75,7 +75,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _proven(log: Recording, why: Why, options: argparse.Namespace) -> Why:
-    """Return the explanation with the verdicts of forks."""
     require("pybullet")
     from replay.retrace.prove import prove  # noqa: PLC0415  needs the executor
 
@@ -128,7 +127,6 @@ def _origins(log: Recording, why: Why, options: argparse.Namespace) -> Origins |
 
 
 def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[str]]:
-    """Write the requested pictures, or print a message."""
     if folder is None:
         return FINE, []
     if why.failure is None:

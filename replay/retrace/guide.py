@@ -239,7 +239,6 @@ class GuidedSink(NullSink):
 
 
 def _rename(message: Message, old: str, new: str) -> None:
-    """Replace a folder's name in all texts of a message."""
     for each, value in message.ListFields():
         repeated = hasattr(value, "append")
         if each.cpp_type == each.CPPTYPE_MESSAGE:
