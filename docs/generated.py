@@ -45,6 +45,18 @@ _NAMES: Final = {
         ["recorder", "replay.recording.Recording", "replay.state.state", "replay.runs.folder.Runs", "replay.testing"],
     ),
 }
+#: Subjects of the recipes, by the beginnings of their names.
+_SUBJECTS: Final = {
+    "plan": "Write plans",
+    "robot": "Robots",
+    "model": "Models",
+    "look": "Look at a run",
+    "fail": "Failures",
+    "test": "Tests",
+    "many": "Many runs",
+    "file": "Files",
+    "edit": "Editors",
+}
 
 
 def pages() -> dict[str, str]:
@@ -52,10 +64,27 @@ def pages() -> dict[str, str]:
     made = {f"reference/names/{name}.md": _names(*entry) for name, entry in _NAMES.items()}
     made |= {"reference/records.md": _records(), "reference/commands.md": _commands()}
     made["reference/tables.md"] = _tables()
+    made |= {
+        "howto/index.md": _recipes(),
+        "guides/index.md": "# Guides\n\nThe rules of each part.\n\n" + _titles("guides", "*"),
+    }
     for chapter in sorted((_DOCS / "tutorial").glob("[1-9]*.md")):
         text = json.dumps(notebook(chapter.read_text(encoding="utf-8")), indent=1)
         made[f"tutorial/{chapter.stem}.ipynb"] = text
     return made
+
+
+def _titles(folder: str, names: str) -> str:
+    """Return a list of links to pages of a folder."""
+    found = sorted((_DOCS / folder).glob(f"{names}.md"))
+    titles = [page.read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ") for page in found]
+    return "\n".join(f"- [{title}]({page.name})" for title, page in zip(titles, found, strict=True))
+
+
+def _recipes() -> str:
+    """Return the list of all recipes, by their subjects."""
+    parts = [f"## {subject}\n\n{_titles('howto', f'{prefix}_*')}\n" for prefix, subject in _SUBJECTS.items()]
+    return "\n".join(["# Recipes\n\nEach page solves one task.\n", *parts])
 
 
 def _names(title: str, names: list[str]) -> str:

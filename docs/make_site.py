@@ -19,7 +19,8 @@ _REPO = Path(__file__).parent.parent
 def main() -> None:
     """Build this version's pages. A dead link or a page that no menu names fails the build."""
     site, this = Path(sys.argv[1]).absolute(), version("pycram")
-    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(site / this)]
+    # with --quiet, mkdocs doesn't count warnings, so --strict has no effect
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(site / this)]
     subprocess.run(command, cwd=_REPO, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"}, check=True)
     found = [page.parent.name for page in site.glob("*/index.html")]
     versions = sorted(found, key=lambda name: [int(part) for part in name.split(".")], reverse=True)
