@@ -28,15 +28,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, TypeVar, cast, dataclass_transform
 
-from recorder import notebook
-from recorder.errors import nearest, suggestion
+from recorder.errors import PortableError, nearest, suggestion
 from recorder.records import escaped
 
 Given = TypeVar("Given")
 ErrorType = TypeVar("ErrorType", bound=BaseException)
 
 
-class PycramError(Exception):
+class PycramError(PortableError):
     """Base of all errors that PyCRAM defines."""
 
     _template: ClassVar[str] = ""  # message of a dataclass error, with field names in braces
@@ -51,14 +50,6 @@ class PycramError(Exception):
 
     def _message(self) -> str:
         return self._template.format_map(vars(self))
-
-    def _render_traceback_(self) -> list[str]:
-        """Return the lines that IPython prints."""
-        return notebook.traceback_lines(self)
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Pickle and copy the error with its fields: the constructor may need more than the message."""
-        return _restored, (type(self), self.args, dict(vars(self)))
 
 
 class PlanFailure(PycramError):
@@ -103,12 +94,6 @@ def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
 
     kind.__init__ = init  # type: ignore[method-assign, assignment]  # ``init`` has the same parameters
     return kind
-
-
-def _restored(kind: type[PycramError], args: tuple[object, ...], fields: Mapping[str, object]) -> PycramError:
-    error = kind.__new__(kind, *args)
-    vars(error).update(fields)  # a property may hide a field
-    return error
 
 
 @dataclass_error

@@ -25,11 +25,11 @@ from pycram.running import seed_random_numbers
 from pycram.scheduling.cancellation import uninterruptible
 from pycram.scheduling.schedule import seed_order
 from pycram.scheduling.strikes import guide_strikes
-from recorder.errors import PortableError, RecordingError
+from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
-from recorder.records import Change, Check, Run, escaped, format_error
+from recorder.records import Change, Check, Run, escaped
 from recorder.tracing.forking import process
 from recorder.tracing.journal import NullSink, Sink
 from replay.file.record_reader import RecordReader
@@ -225,7 +225,7 @@ class _ReportedRun:
             os.dup2(self._output, descriptor)  # from now on, the plan's output is new
 
     def _refuse(self, error: Exception) -> NoReturn:
-        self._send(error=str(error) if isinstance(error, PortableError) else format_error(error))
+        self._send(error=str(error))
         os._exit(0)
 
     def _send(self, **facts: object) -> None:
