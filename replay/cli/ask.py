@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the question and the moves of objects."""
     parser.epilog = (
         "docs/guides/reasoning.md explains the queries. For a property, such as 'milk.z > 0.5', use "
         "'pycram-replay check'."
@@ -39,7 +38,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the answer and its evidence."""
     with native_output_to_stderr():
         answer = log.ask(
             options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the object, the step and the world."""
     parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
     parser.add_argument("--at", metavar="STEP", help=f"last step of the search: {HINT}")
     parser.add_argument(
@@ -24,7 +23,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the change and its causes."""
     change = log.blame(options.object, options.at, options.world)
     print_result(lambda: report.data(change), lines(change), as_json=options.json)
     return 0

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the properties."""
     parser.epilog = (
         "Exit code 1: a property is violated. docs/reference/properties.md explains the language. For a query at one "
         "step, such as 'reachable(milk, pr2)', use 'pycram-replay ask'."
@@ -34,7 +33,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the result of each property."""
     found = _check(log, _given(options))
     print_result(lambda: report.data(found), (line for each in found for line in lines(each)), as_json=options.json)
     return int(not all(found))

@@ -69,7 +69,6 @@ help (h) [COMMAND]  quit (q)"""
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the plan and the checkpoints."""
     parser.epilog = "The commands are those of pdb; type help for a list. A script on stdin can contain commands, too."
     parser.add_argument("step", metavar="STEP", nargs="?", help=f"first step (default: the failure, or 0): {HINT}")
     parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it was moved after the recording")
@@ -88,7 +87,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Run the plan to the step, and execute commands until the end of the input."""
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415  needs the executor
     from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415
 

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add two steps, or another recording or folder."""
     parser.epilog = "Exit code 0: success. 1: the two recordings, or folders, differ. 3: a recording is incomplete."
     parser.add_argument("first", metavar="STEP|LOG", help=f"the first step ({HINT}), or the other recording or folder")
     parser.add_argument("second", metavar="STEP", nargs="?", help="the second step")
@@ -57,7 +56,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the difference between two folders of recordings."""
     from replay.runs.statistics import compare_folders, lines  # noqa: PLC0415  needs an extra
 
     if options.second is not None or not Path(options.first).is_dir():

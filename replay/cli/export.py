@@ -38,7 +38,6 @@ _FORMATS: Final = ("csv", "parquet")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the selection and the target."""
     parser.add_argument(
         "--trajectories", action="store_true", help="for a recording: write planned and driven positions over time"
     )
@@ -66,7 +65,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the table, or the file for Foxglove."""
     form, out = options.to or ("", "")
     if form == "foxglove" and not (options.trajectories or options.file or options.images):
         return _to_foxglove(log, Path(out), options)
@@ -117,7 +115,6 @@ def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> int:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Write the data set."""
     from replay.runs.lerobot import export  # noqa: PLC0415  needs an extra
     from replay.runs.statistics import names_of, plan_of  # noqa: PLC0415  as above
 

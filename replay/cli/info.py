@@ -30,7 +30,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the summary."""
     info = summary(log)
     lines = (f"{name:12} {text}" for name, text in _rows(log, info) if text)
     print_result(lambda: _data(log, info), lines, as_json=options.json)
@@ -44,7 +43,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the summary of a folder of recordings."""
     from replay.cli.stats import data, summary_lines  # noqa: PLC0415  need an extra
     from replay.runs.statistics import statistics  # noqa: PLC0415
 

@@ -29,7 +29,6 @@ _ENDS: Final = 18  # a shortened list has this many numbers from both ends
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add filters."""
     kinds = sorted(KINDS)
     text = f"only this kind of record: {', '.join(kinds)}; repeatable"
     parser.add_argument("--kind", choices=kinds, metavar="KIND", action="append", help=text)
@@ -176,12 +175,10 @@ def _loaded(record: Record) -> list[LoadBody]:
 
 
 def add_show(parser: argparse.ArgumentParser) -> None:
-    """Add the step."""
     parser.add_argument("step", metavar="STEP", help=HINT)
 
 
 def run_show(log: Recording, options: argparse.Namespace) -> int:
-    """Print the record."""
     record = log[log.step(options.step)]
     fields = record_data(record)
     further = {key: item for key, item in fields.items() if key not in ("step", "kind")}
@@ -227,7 +224,6 @@ def _numbers(texts: list[str]) -> Iterator[str]:
 
 
 def add_tree(parser: argparse.ArgumentParser) -> None:
-    """Add the part of the tree, and the format."""
     parser.add_argument("--at", metavar="STEP", help=f"step of the tree: {HINT}")
     parser.add_argument("--depth", type=int, metavar="N", help="number of levels")
     parser.add_argument("--all", action="store_true", help="also print repeated tasks")
@@ -237,7 +233,6 @@ def add_tree(parser: argparse.ArgumentParser) -> None:
 
 
 def run_tree(log: Recording, options: argparse.Namespace) -> int:
-    """Print the tree."""
     tree = log.tree(options.at)
     if options.json:
         print_json_list(tree.facts(options.depth))

@@ -21,7 +21,6 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the file, and the viewpoint."""
     parser.add_argument("steps", metavar="STEP", nargs="+", help=f"{HINT}; of several steps, all from one viewpoint")
     parser.add_argument(
         "-o", dest="file", metavar="FILE", help="file of the picture, or folder of several (default: LOG_STEP.png)"
@@ -48,7 +47,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the picture and print its name."""
     if options.camera and (options.eye or options.target):
         raise ReplayError("give either --camera, or --from and --to")
     steps = [log.step(step) for step in options.steps]

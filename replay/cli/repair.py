@@ -20,13 +20,11 @@ R = TypeVar("R")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the copy's path."""
     parser.epilog = "For a plan that fails, see fix."
     add_output(parser, "sound")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the copy, and print the lost parts."""
     target: Path = options.output or log.path.with_name(f"{log.path.stem}.sound.mcap")
     losses = write_copy(log, target, log.write_sound, overwrite=options.overwrite)
     data = asdict(losses) | {
@@ -53,7 +51,6 @@ def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
 
 
 def add_output(parser: argparse.ArgumentParser, kind: str) -> None:
-    """Add the copy's path."""
     parser.add_argument(
         "-o", "--output", metavar="FILE", type=Path, help=f"file of the copy (default: LOG.{kind}.mcap)"
     )
@@ -96,12 +93,10 @@ def _check(log: Recording, target: Path, *, overwrite: bool) -> None:
 
 
 def add_pack(parser: argparse.ArgumentParser) -> None:
-    """Add the copy's path."""
     add_output(parser, "whole")
 
 
 def run_pack(log: Recording, options: argparse.Namespace) -> int:
-    """Write the copy."""
     target: Path = options.output or log.path.with_name(f"{log.path.stem}.whole.mcap")
     write_copy(log, target, log.write_packed, overwrite=options.overwrite)
     shared = log.assets.shared

@@ -36,7 +36,6 @@ _MAX_LED: Final = 3  # largest number of steps that are listed at a line
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the file, the properties, and the recording of a good run."""
     parser.add_argument("-o", dest="page", metavar="FILE", help="the page (default: LOG.html)")
     parser.add_argument(
         "--check", metavar="FILE", action="append", default=[], help="also check the properties in this file"
@@ -45,7 +44,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the page, and print its name."""
     why, source = log.why(), PlanSource(log)
     headlines, found = sections(why_report.lines(why, str(log.path)))
     closer = dict(found).get("Look closer", [f"pycram-replay view {shlex.quote(str(log.path))}"])

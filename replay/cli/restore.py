@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, and the use of the world."""
     parser.add_argument("step", metavar="STEP", help=HINT)
     doing = parser.add_mutually_exclusive_group()
     doing.add_argument(
@@ -50,7 +49,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Restore the world, and run the script, the shell or the window."""
     from pycram.foundation.failures import DisplayError  # noqa: PLC0415  imports the engine
     from recorder import RecordingError, record  # noqa: PLC0415
 

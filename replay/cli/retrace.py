@@ -38,7 +38,6 @@ def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add further recordings, the plan's file and the source of answers."""
     parser.epilog = (
         "Exit code 0: all plans match their recordings. 1: a plan differs. 2: a plan can't be run. "
         "3: a recording is damaged."
@@ -128,7 +127,6 @@ def _short(line: str) -> tuple[str, str]:
 
 
 def add_fork(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the changes, the control run and the new recording."""
     parser.epilog = (
         "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs before the step; "
         "or a decision of --answer didn't come. "
@@ -169,7 +167,6 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
 
 
 def run_fork(log: Recording, options: argparse.Namespace) -> int:
-    """Fork, and print the path of the new recording."""
     from replay.retrace.fork import fork  # noqa: PLC0415  needs the executor
 
     step = log.step(options.at)
@@ -222,7 +219,6 @@ def _fork_lines(log: Recording, forked: Fork) -> Iterator[str]:
 
 
 def add_resume(parser: argparse.ArgumentParser) -> None:
-    """Add the new recording."""
     parser.epilog = (
         "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs from the recording."
     )
@@ -232,7 +228,6 @@ def add_resume(parser: argparse.ArgumentParser) -> None:
 
 
 def run_resume(log: Recording, options: argparse.Namespace) -> int:
-    """Resume, and print the path of the new recording."""
     from replay.retrace.fork import resume  # noqa: PLC0415  needs the executor
 
     target = _free_file(log, options.target, "resumed")

@@ -24,7 +24,6 @@ HOW_FAR: Final = "this fact reflects the run's progress, so it may be a symptom 
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the plan, the cause, and the number of claims."""
     parser.epilog = "With random data, fewer than 1 of 100 folders would yield a claim (Westfall, Young)."
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
     parser.add_argument("--cause", metavar="N", type=int, help="only failures with cause N in the output of stats")
@@ -32,7 +31,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the claims."""
     plan, others = plan_of(runs, options.plan)
     for other, count in others:
         print_message(f"left out: {count} runs of another plan, {other}")

@@ -14,7 +14,6 @@ _SHORT = 8  # number of printed digits of a hash
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the file and the target."""
     parser.add_argument(
         "file",
         metavar="FILE",
@@ -25,7 +24,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """List the files, print a file, or write files."""
     keys = sorted((key for key in log.assets if key.endswith(".py")), key=lambda key: (name_of(key), key))
     chosen = keys if options.file is None else [_find(keys, options.file)]
     if options.target is not None:

@@ -21,7 +21,6 @@ _WIDEST: Final = 60  # cells with more characters are shortened
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the statement, and the format."""
     parser.epilog = "The statement must be a query (DuckDB's SQL). --schema prints the tables and their columns."
     parser.add_argument("statement", metavar="SQL", nargs="?", help='"select outcome, count(*) from runs group by 1"')
     parser.add_argument("--schema", action="store_true", help="print the tables and their columns")
@@ -29,7 +28,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the selected rows."""
     if (options.statement is None) != options.schema:
         raise ReplayError('give a statement, such as "select * from runs", or --schema for the tables')
     if options.schema:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, an object and a world."""
     parser.add_argument("step", metavar="STEP", help=HINT)
     parser.add_argument("object", metavar="OBJECT", nargs="?", help="print only this object, with its joints")
     parser.add_argument("--world", metavar="NAME", help="print only this world")
@@ -31,7 +30,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the state."""
     state = log.state_at(options.step)
     if not any(world.open for world in state.worlds.values()):
         shown = last_open_step(log, state.step, options.world)

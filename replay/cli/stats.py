@@ -41,14 +41,12 @@ _CLAIMS: Final = 10
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the plan, the report and the picture."""
     parser.add_argument("--plan", metavar="NAME", help="only runs of this plan (default: the plan with the most runs)")
     parser.add_argument("--html", metavar="FILE", help="write a report with plots and pictures into a single file")
     parser.add_argument("--picture", metavar="FILE", help="write a picture for each cause of failures into a PNG file")
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the statistics, and write the report and the picture."""
     chosen, others = plan_of(runs, options.plan)
     if options.plan and options.plan not in {each for (each,) in runs.sql("SELECT DISTINCT plan FROM runs").rows()}:
         raise ReplayError(f"{runs.path} has no run of {options.plan!r}; it has {', '.join(each for each, _ in others)}")

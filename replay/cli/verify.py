@@ -21,7 +21,6 @@ _PERIOD: Final = 0.2  # time between messages of progress, s
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the choice of checks, and describe the exit codes."""
     parser.epilog = (
         "Exit code 0: the recording is sound. 1: it is complete, but records differ. 3: it is damaged or incomplete."
     )
@@ -29,7 +28,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the verdict."""
     start = time.perf_counter()
     with _progress(len(log)) as progress:
         if options.static:

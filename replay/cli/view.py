@@ -25,7 +25,6 @@ _MAX_BESIDE: Final = 3  # five or more recordings side by side would be too smal
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add further recordings, the first step, and the target."""
     parser.epilog = "For a folder, the first failures of its most frequent causes are shown side by side."
     parser.add_argument(
         "others", metavar="LOG2", nargs="*", help=f"up to {_MAX_BESIDE} further recordings, shown side by side"
@@ -57,7 +56,6 @@ def imagined(log: Recording) -> list[Path]:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Show or save the recording, and print the file."""
     if options.web and (options.save or options.at or options.connect):
         raise ReplayError(
             "--web shows the whole recording in the browser; it can't be combined with --save, --at or --connect"

@@ -27,7 +27,6 @@ _COMMONEST: Final = 3  # at most this many causes of a folder are explained
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step of the failure, and the folder for pictures."""
     parser.add_argument(
         "step", metavar="STEP", nargs="?", help=f"a step of the failed task (default: the failure of the plan): {HINT}"
     )
@@ -56,7 +55,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the explanation."""
     why = log.why(options.step)
     if options.prove:
         why = _proven(log, why, options)
