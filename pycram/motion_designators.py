@@ -23,7 +23,7 @@ def moving(
     target: Sequence[float] | LocationDesignator,
     orientation: Sequence[float] | None = None,
 ) -> MotionDesignator:
-    """Moves the robot, with the objects that it holds, to a pose; rejects a pose in collision.
+    """Moves the robot and the objects that it holds to a pose; rejects a pose in collision.
 
     Args:
         target: [x, y, z] in m, world frame.
@@ -58,7 +58,7 @@ def place(
     orientation: Sequence[float] | None = None,
     arm: str | None = None,
 ) -> MotionDesignator:
-    """Puts a held object down on its support; upright if no orientation is given.
+    """Puts a held object down on a support; without a given orientation, the object is upright.
 
     Args:
         object: An Object of a world.
@@ -152,7 +152,7 @@ def detecting(
     *,
     object_type: str | Object | ObjectDesignator,
 ) -> MotionDesignator:
-    """Finds an object of a type in the camera's view; of several, the one with the largest visible share.
+    """Finds an object of a type in the camera's view; among several, the one with the largest visible share.
 
     Args:
         object_type: A type of objects, or an object of that type.

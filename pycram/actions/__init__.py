@@ -5,7 +5,7 @@ If a choice fails, the action tries the next choice until its budget is spent; t
 action is a function in the plan language; ``@action("transporting")`` replaces the function.
 """
 
-from pycram.actions import (  # noqa: F401  these modules register the actions
+from pycram.actions import (  # noqa: F401  the imports register the actions
     carrying,
     containers,
     hands,

@@ -1,7 +1,8 @@
 """Actions: goals of a robot, as plain functions of the plan language (CRAM).
 
-``@action("fetching")`` makes a function the action of that type, and replaces an earlier function. Its signature and
-docstring define slots, defaults and units. Its *choices* yield values for the open slots on demand, the best first.
+``@action("fetching")`` makes a function the action of that type; it replaces an earlier function of the type. The
+function's signature and docstring define slots, defaults and units. The *choices* of an action yield values for the
+open slots on demand, the best first.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ _BUDGET: Final = ValueKind("A whole number, 0 or more", checks.count, "int")
 _THING: Final = "Object | ObjectDesignator | str"
 _PLACE: Final = "LocationDesignator | Surface | Object | str | Sequence[float]"
 
-#: An object that a gripper can take, so no robot and no furniture.
+#: An object that a gripper can take; robots and furniture are excluded.
 portable: Final = ValueKind("An object that a gripper can take", _portable, _THING)
 #: A place where the robot can put down an object.
 place_for_an_object: Final = ValueKind("A place where the robot can put the object", _place_for_an_object, _PLACE)
@@ -116,14 +117,14 @@ place_for_the_robot: Final = ValueKind(
     "A place where the robot can stand", _place_for_the_robot, "LocationDesignator | Sequence[float]"
 )
 
-#: What the robot can look at: an Object itself, or a place.
+#: A target of the robot's camera: an Object or a place.
 looked_at: Final = ValueKind(
     "An Object, a LocationDesignator, a surface, or [x, y, z] in m, world frame",
     lambda name, value: POINT(name, value) if isinstance(value, Object) else _place(name, value),
     _PLACE,
 )
 
-#: The checks of the slots of PyCRAM's actions, by the names of slots.
+#: The checks of the slots of PyCRAM's actions, by the names of the slots.
 _BY_SLOT: Final[Mapping[str, Check]] = {
     "object": ValueKind("An Object of a world, an ObjectDesignator, or a type of objects", thing, _THING),
     "target": ValueKind("A LocationDesignator, a surface, an Object, or [x, y, z] in m, world frame", _place, _PLACE),
@@ -152,13 +153,13 @@ class ActionType(SlotTable):
     """A type of actions."""
 
     function: Callable[..., Any]  # performs the action with values for all slots
-    choices: Choices | None = None  # yields values of open slots; None if the action has nothing to choose
+    choices: Choices | None = None  # yields values of open slots; None if an action has no choices
     prepare: Callable[..., Any] | None = None  # called before ``choices``
     text: str = ""  # the first lines of the function's docstring
 
     @property
     def recorded_as(self) -> str:
-        """Name of the function in records; for PyCRAM's actions, the name doesn't depend on the file."""
+        """Name of the function in records; names of PyCRAM's actions don't depend on their files."""
         if self.function.__module__.startswith(f"{__package__}."):
             return f"{__package__}.{self.function.__name__}.{self.function.__name__}"
         return qualified_name(self.function)
@@ -204,9 +205,10 @@ def action(
     Args:
         name: Type of the actions, such as "fetching".
         choices: A generator function that yields values of slots by name, the best first; the action tries them in
-            order. Its parameters are names of slots. Slots that it doesn't name keep the values that the plan gave.
-        prepare: Called with its slots before ``choices``, for example to search an object. If it is a generator
-            function, the code after its only ``yield`` runs after the action.
+            order. The parameters of ``prepare`` are names of slots. Slots that aren't its parameters keep the values
+            that the plan gave.
+        prepare: Called with its slots before ``choices``, for example to search for an object. If it is a generator
+            function, its code after the only ``yield`` runs after the action.
         checked: Checks of slots by name; PyCRAM knows the slots of its own actions.
         one_of: Slots of which exactly one is required.
 
@@ -220,9 +222,9 @@ def action(
 
         def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
             given = inspect.signature(function).bind_partial(*args).arguments
-            return ActionDesignator(filled(name, **given, **kwargs))  # perform() checks the slots
+            return ActionDesignator(filled(name, **given, **kwargs))  # perform() checks the slots later
 
-        with suppress(AttributeError):  # bound methods can't have further attributes
+        with suppress(AttributeError):  # python forbids further attributes of bound methods
             cast("Any", function).designator = wraps(function)(designator)
         return cast("Action[P, Result_co]", function)
 
@@ -305,9 +307,9 @@ class ActionDesignator(ResolvedDesignator):
 
     ``help(pycram.action_designators)`` lists PyCRAM's types of actions and their slots.
 
-    A solution has the given slots and values for the open slots; the best solution comes first. The action itself
-    resolves designators in its slots, because it may have to search an object first. If a resolver is added, its
-    solutions have the type of the action in ``action``.
+    A solution has the given slots, and values for the open slots; the best solution comes first. The action itself
+    resolves designators in its slots, because it may have to search for an object first. Solutions of a resolver that a
+    plan adds have the type of the action in ``action``.
     """
 
     performed_by = "pycram.actions.perform"
@@ -332,7 +334,7 @@ def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
     """Prepare an action; after the ``with`` block, run the rest of its generator function ``prepare``."""
     try:
         kind, given = _checked(designator)
-    except DesignatorError:  # a resolver of the plan may know the slots
+    except DesignatorError:  # a resolver of the plan may know slots that the action doesn't know
         return nullcontext()
     if kind.prepare is None:
         return nullcontext()
@@ -352,7 +354,7 @@ def resolve(designator: ActionDesignator) -> Iterator[Solution]:
 
 
 def _open_choices(kind: ActionType, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield the choices of an action, without values for given slots that aren't parameters of ``choices``."""
+    """Yield the choices of an action; given slots that aren't parameters of ``choices`` are left out."""
     if kind.choices is None:
         yield {}
         return
@@ -360,7 +362,7 @@ def _open_choices(kind: ActionType, given: Mapping[str, Any]) -> Iterator[Mappin
     nothing_left = False
     for choice in kind.choices(**arguments(kind.choices, given)):
         left = {slot: value for slot, value in choice.items() if slot in known or slot not in given}
-        if left or not choice or not nothing_left:  # choices that only repeat given slots are equal
+        if left or not choice or not nothing_left:  # choices that only repeat given slots don't differ
             yield left
         nothing_left |= bool(choice) and not left
 

@@ -1,6 +1,7 @@
-"""Advice on an object that no arm could take: to turn the object, or to slide it to an edge.
+"""Advice on an object that no arm could take: turn the object, or slide it to an edge.
 
-A copy of the process tries each move. Only reasoning runs in the copy, no code of the plan, and nothing is recorded.
+A copy of the process tries each suggested motion of the object. Only reasoning runs in the copy, no code of the plan,
+and nothing is recorded.
 """
 
 from __future__ import annotations
@@ -43,18 +44,18 @@ if TYPE_CHECKING:
     from pycram.actions.action import ActionDesignator
 
 _TURNS: Final = (30, 60, 90, 120, 150)  # tried turns about the vertical, in degrees
-_FAR: Final = (90, 30)  # turns in degrees if the robot may drive; fewer, because each searches for a place of the robot
-_ON: Final = 0.02  # maximum distance in m between an object's underside and its surface
-_INSIDE: Final = 0.02  # distance in m of a slid object's middle from the edge
+_FAR: Final = (90, 30)  # fewer turns in degrees if the robot may drive, because each needs a search for a place
+_ON: Final = 0.02  # maximum distance in m between an object's underside and the surface below it
+_INSIDE: Final = 0.02  # distance in m between the middle of a slid object and the edge
 _EDGES: Final = 4  # number of nearest edges that are tried; half as many if the robot may drive
 _SETTLES: Final = STEPS_PER_SECOND // 4  # simulated steps until a moved object is at rest
-_MOVED: Final = 0.02  # maximum motion in m of the object while it comes to rest
-_LEANT: Final = math.radians(10)  # maximum turn of the object while it comes to rest
-_SAME: Final = 1e-3  # maximum distance in m between an object and a target at the object
+_MOVED: Final = 0.02  # maximum motion in m of a moved object until it is at rest
+_LEANT: Final = math.radians(10)  # maximum turn of a moved object until it is at rest
+_SAME: Final = 1e-3  # maximum distance in m between an object and a target that counts as the object's place
 
 
 def advice(failure: PlanFailure, action: ActionDesignator) -> str:
-    """Return texts of moves after which the robot can take an action's object; "" if no tried move helps."""
+    """Return texts of motions of an action's object after which the robot can take it; "" if none helps."""
     slots, failures = dict(action.description), list(_failures(failure))
     robot, given = BulletWorld.current_robot(), candidates_of(thing("object", unwrap(slots["object"])))
     untaken = [body for body in given if failures and all(_untaken(each, body) for each in failures)]
@@ -82,7 +83,7 @@ def _failures(failure: BaseException) -> Iterator[BaseException]:
     """Yield the failures of all tried choices of an action and of its subactions; if none, the action's failure."""
     tried = getattr(failure, "tried", ())
     for each in tried:
-        if not isinstance(each.failure, ReasoningError):  # skip obstacles that couldn't be cleared away
+        if not isinstance(each.failure, ReasoningError):  # skip failures to clear obstacles away
             yield from _failures(each.failure)
     if not tried:
         yield failure
@@ -98,7 +99,7 @@ def _untaken(failure: BaseException, body: Object) -> bool:
 
 
 def _turned(body: Object, turns: Sequence[int]) -> Iterator[tuple[str, Pose]]:
-    """Yield advice, and poses of an upright object that is turned about its middle; {} represents its name."""
+    """``{}`` in it represents the object's name."""
     x, y, z = center(body)
     from_middle = geometry.multiply(((-x, -y, -z), geometry.IDENTITY[1]), body.get_position_and_orientation())
     for degrees in turns:
@@ -129,7 +130,7 @@ def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
 
 
 def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, moves_base: bool) -> bool:
-    """Move an object, in a copy of the process; return whether it comes to rest and the robot can take it."""
+    """Move an object, in a copy of the process; return whether the object comes to rest and the robot can take it."""
     engine = body.world.engine  # the engine moves it without a transaction, which would call handlers of the plan
     with body.world.lock:
         there = resting_position(body, *pose), pose[1]

@@ -39,8 +39,8 @@ _MOVED: Final = 0.05  # error in m above which a belief is wrong
 _IN_THE_WAY: Final = 2  # maximum number of times that obstacles are cleared away
 _BESIDE: Final = 0.5  # maximum distance in m of an obstacle from an object
 _NEAREST: Final = 3  # number of surfaces that may receive an obstacle
-_STANCES: Final = 2  # number of places of the robot that are tried for each place of the object
-_MAX_UNREACHABLE: Final = 6  # number of unreachable places of the object after which the search ends
+_STANCES: Final = 2  # number of places of the robot that are tried for each place of an object
+_MAX_UNREACHABLE: Final = 6  # number of successive unreachable places of an object after which the search ends
 _CLOSING_TRIES: Final = 4  # budget of closing
 
 #: Objects that can't be taken before other objects are cleared away, the outermost first.
@@ -48,7 +48,7 @@ _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=
 
 
 def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
-    """Find an object, open its container, and fold the arms before places are searched; return opened containers."""
+    """Find an object, open its container, and fold the arms before searching places; return opened containers."""
     arms()
     closed = [access for access, _ in containers() if access.is_closed]
     body = _found(object)
@@ -61,7 +61,7 @@ def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
 
 
 def _found(thing: Any) -> Any:
-    """Return the object of a designator; search the object if its place is unknown."""
+    """Return the object of a designator; search for the object if its place is unknown."""
     if isinstance(thing, ObjectDesignator):
         try:
             body = object_of(thing)
@@ -82,7 +82,7 @@ def _fetching_choices(
     grasp: str | None = None,
     clear: bool = False,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield arms and places of the robot for taking an object; at last, choices that clear obstacles away."""
+    """Yield arms and places of the robot for taking an object; last, choices that clear obstacles away first."""
     body = object_of(object)
     if holder(body) is not None:
         yield {}
@@ -102,7 +102,7 @@ def _fetching_choices(
         if moves and not clear:
             yield {"clear": True}
     if holder(body) is None and _crowded(body):
-        if not drives(BulletWorld.current_robot()):  # the robot can't choose its place
+        if not drives(BulletWorld.current_robot()):  # the robot can't drive to other places
             yield from ({"arm": each, "clear": True} for each in free)
         else:
             with suppress(NoPlace):
@@ -170,7 +170,7 @@ def fetching(
 
 
 def _crowded(body: Object) -> bool:
-    """Return whether another movable object, a possible obstacle, is near an object."""
+    """Return whether a movable object is near an object; it is a possible obstacle."""
     others = [each for each in body.world.objects if each is not body and not each.fixed and not each.is_robot]
     free = [each for each in others if each.carrier is None and each not in _waiting.get()]
     return any(math.dist(each.get_position(), body.get_position()) < _BESIDE for each in free)
@@ -213,7 +213,7 @@ def _surfaces_beside(body: Object) -> list[Surface]:
 
 
 def _beyond(furniture: Object, surface: Surface, position: Sequence[float]) -> bool:
-    """Return whether a surface is larger than the neighbourhood of a position, unlike the top of a small fridge."""
+    """Return whether a surface is larger than the surroundings of a position; the top of a small fridge isn't."""
     pose = furniture.surface_pose(surface)
     corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
     return any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
@@ -224,7 +224,7 @@ def _delivering_choices(
     target: Any,
     place: LocationDesignator | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places for the object and for the robot; end with an empty choice if the object was lost."""
+    """Yield places for the object and for the robot; end with an empty choice if the robot lost the object."""
     body, robot = object_of(object), BulletWorld.current_robot()
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []
@@ -261,7 +261,7 @@ def delivering(object: Any, target: Any, put: Any = None, place: Any = None) -> 
         place: Place of the robot, a LocationDesignator; by default places within reach of the target.
     """
     body = object_of(object)
-    if holder(body) is None:  # an earlier try put the object down at a wrong place
+    if holder(body) is None:  # an earlier try has put the object down at a wrong place
         perform(ActionDesignator(type="fetching", object=body))
         return perform(ActionDesignator(type="delivering", object=body, target=target, put=put, place=place))
     go(place)
@@ -322,7 +322,7 @@ def transporting(
     deliver = ActionDesignator(type="delivering", object=body, target=target)
     try:
         return perform(deliver)
-    except (NoPlace, ActionFailed):  # the holding arm may not reach the target
+    except (NoPlace, ActionFailed):  # the arm that holds the object may not reach the target
         if holder(body) is None or not any(held_by(other) is None for other in arms()):
             raise
         perform(ActionDesignator(type="handing-over", object=body))  # another arm may reach farther

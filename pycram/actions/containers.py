@@ -25,11 +25,11 @@ from pycram.world.world import BulletWorld
 from recorder import geometry
 from recorder.geometry import convex_hull, margin_in_polygon
 
-_PLACES: Final = 3  # number of places of the robot that are tried for each width
+_PLACES: Final = 3  # number of places of the robot that are tried for each width of opening
 _SAME: Final = (0.005, math.radians(0.5))  # maximum distance in m and rad of a robot from its place
-_BESIDE: Final = 1.3  # maximum distance in m from an object to the handle of an open container in the way
-_TRIES: Final = 4  # failed tries of moving a drawer or door that is in the way
-_CLOSED: Final = 0.1  # m or rad, maximum opening of a closed drawer or door
+_BESIDE: Final = 1.3  # maximum distance in m from an object to the handle of an open container that is in the way
+_TRIES: Final = 4  # failed tries to move a drawer or door that is in the way
+_CLOSED: Final = 0.1  # maximum position in m or rad of a closed drawer or door
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,12 @@ class Access:
 
     @property
     def is_closed(self) -> bool:
-        """Whether the drawer or door is too little open for a hand or for a look inside."""
+        """Whether the drawer or door is too little open for a hand, or for a view inside."""
         return abs(self.position - self.closed) < _CLOSED
 
 
 def _known_container(name: str, value: Any) -> Any:
-    """Return the Access of a container or of a container's name; an Object is only checked, and returned."""
+    """Return the Access of a container or of its name; an Object is only checked, and returned unchanged."""
     if isinstance(value, Object):
         return BODY(name, value)
     known = containers()
@@ -112,9 +112,9 @@ def _holds(access: Access, container: Any, position: Sequence[float]) -> bool:
 
 
 def making_room(body: Object) -> list[ActionDesignator]:
-    """Return actions that make room for a robot at an object, ordered by the distance of the handles.
+    """Return actions that make room for a robot near an object, ordered by the distance of the handles.
 
-    They open the object's own drawer or door as far as possible, and close others beside it.
+    These actions open the object's own drawer or door as far as possible, and close others beside it.
     """
     position = center(body)
     found: list[tuple[float, ActionDesignator]] = []
@@ -163,7 +163,7 @@ def _handle_choices(
     place: Sequence[float] | None = None,
     orientation: Sequence[float] | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield arms and places from which a handle can be held on its whole way.
+    """Yield arms and places from which a handle can be held during its whole motion.
 
     Args:
         values: Target positions of the joint, rad or m, the best first.
@@ -199,7 +199,7 @@ def _choice(
 
 
 def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
-    """Return the names of all arms, or only the wanted arm, that have a gripper and hold no object."""
+    """Return the names of the arms that have a gripper and hold no object; only the wanted arm, if any."""
     arms = robot.description.arms.values() if robot.description else ()
     chosen = [arm for arm in arms if wanted in (None, arm.name) and arm.hand is not None]
     held = {each.carrier_link: each.body.name for each in robot.carried}
@@ -225,7 +225,7 @@ def _move(access: Access, arm: str, distance: float, place: Sequence[float], ori
             distance=distance,
         )
     )
-    with suppress(PlanFailure):  # the door itself may block the arm
+    with suppress(PlanFailure):  # the door itself may be in the arm's way
         perform(MotionDesignator([("type", "move-arm-joints"), (f"{arm}-arm", "park")]))
 
 

@@ -71,19 +71,19 @@ def free_arms(name: str | None = None) -> list[str]:
     return found
 
 
-_AHEAD: Final = (0.55, 0.45, 0.65)  # distance of the handover in front of the shoulders, in m
-_DOWN: Final = (0.2, 0.35, 0.05)  # distance of the handover below the shoulders, in m
-_TURNS: Final = (30, 60, 0, 90)  # tried inward turns of the giving hand, in degrees
-_EACH: Final = 4  # number of poses of the giving hand that are tried before the robot turns
-_AWAY: Final = (180, 90, -90)  # tried turns of the robot away from obstacles, in degrees
+_AHEAD: Final = (0.55, 0.45, 0.65)  # distance in m of the handover in front of the shoulders
+_DOWN: Final = (0.2, 0.35, 0.05)  # distance in m of the handover below the shoulders
+_TURNS: Final = (30, 60, 0, 90)  # turns of the giving hand towards the middle that are tried, in degrees
+_EACH: Final = 4  # number of the giving hand's poses that are tried before the robot turns
+_AWAY: Final = (180, 90, -90)  # turns of the robot away from obstacles that are tried, in degrees
 
 
 def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
-    """Yield poses of the giving hand, and the taking arm; at last, with the robot turned away from obstacles."""
+    """Yield poses of the giving hand, and the taking arm; last, with the robot turned away from obstacles."""
     body = object_of(object)
     robot = BulletWorld.current_robot()
     giver = _giver(robot, body)
-    assert robot.description is not None  # noqa: S101  the robot has arms
+    assert robot.description is not None  # noqa: S101  the caller has checked that the robot has arms
     others = [each for each in robot.description.arms.values() if each is not giver and each.hand is not None]
     takers = [each for each in others if arm in (None, each.name)]
     if arm == giver.name:
@@ -148,7 +148,7 @@ def _giver(robot: Object, body: Object) -> Arm:
 
 
 def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
-    """Yield collision-free poses of the robot that are turned in place."""
+    """Yield collision-free poses of the robot after turns at its place."""
     for degrees in _AWAY if drives(robot) else ():
         place = geometry.multiply(here, ((0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, math.radians(degrees))))
         with robot.world.lock:
@@ -160,7 +160,7 @@ def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
 def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, blocked: list[Blocked]) -> Iterator[Pose]:
     """Yield collision-free poses of the giving hand in the robot's frame; append other poses' obstacles to ``blocked``.
 
-    ``place`` is the place of the robot, None for its present place.
+    ``place`` is the place of the robot; None for its present place.
     """
     middle, inward = _middle(robot, giver, taker)
     for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
@@ -211,14 +211,14 @@ _UPRIGHT: Final = [geometry.from_rpy(0.0, 0.0, step * math.pi / 6) for step in r
 
 
 def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Mapping[str, Any]]:
-    """Yield places of an object at a target, the value of a slot ``target``: ``position`` and ``orientation``.
+    """Yield places of an object at a target, the value of the slot ``target``: ``position`` and ``orientation``.
 
-    The orientation is None if it isn't constrained. ``arm`` is the arm that must reach the place; None for any arm.
+    An orientation of None means any orientation. ``arm`` is the arm that must reach the place; None for any arm.
     """
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}
         return
-    wanted = target.prop_value("orientation")  # other orientations are possible, too
+    wanted = target.prop_value("orientation")  # other orientations are also possible
     if target.for_objects:
         reached = [] if arm is None else [("reachable-for", BulletWorld.current_robot()), ("arm", arm.name)]
         target = target.copy([("for", body), *reached])
@@ -229,13 +229,13 @@ def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Ma
 
 
 def check_target(body: Object, target: Any) -> None:
-    """Check, before anything moves, that a target has room for an object; else raise NoPlace or PlaceFailed."""
+    """Check, before anything moves, that a target has room for an object; raise NoPlace or PlaceFailed if not."""
     closed = _closed_at(target)
     place: Mapping[str, Any] = {}
     try:
         place = next(places_for(body, target))
     except NoPlace as failure:
-        if not closed or failure.last != "room":  # a closed container has no room
+        if not closed or failure.last != "room":  # a closed container has no room for the object
             raise
     if closed:
         last = f"{' and '.join(closed)}, which {'is' if len(closed) == 1 else 'are'} closed: open it first"

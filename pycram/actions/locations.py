@@ -142,7 +142,7 @@ _SLOTS: Final = SlotTable(
     designator="a LocationDesignator",
 )
 _AWAY: Final = 0.4  # minimum distance in m between a place and the point of the slot ``away_from``
-_MAX_NEAR: Final = 20  # number of successive places too near to the point after which the search ends
+_MAX_NEAR: Final = 20  # number of successive places too near to that point after which the search ends
 _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on", "visible-for"), ("in", "visible-for"))
 
 
@@ -281,5 +281,5 @@ def _far_from(point: Sequence[float], places: Iterator[FoundPlace], robot: Objec
 
 
 def _point(near: Any) -> Any:
-    """Return a point unchanged, or the position of an object."""
+    """Return a point unchanged; for an object, return its position."""
     return object_of(near).get_position() if isinstance(near, Object | ObjectDesignator) else near

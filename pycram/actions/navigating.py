@@ -102,7 +102,7 @@ def parking_arms(arm: str | None = None) -> None:
 
 
 def _carry(robot: Object, arm: Arm) -> None:
-    """Draw an arm back before its shoulder, with the object that it holds upright; ignore a failure."""
+    """Draw an arm back before its shoulder; the object that it holds stays upright; ignore a failure."""
     shoulder = robot.urdf.forward_kinematics(robot.get_joint_positions(), robot.urdf.joint(arm.joints[0]).child)[0]
     base = robot.get_position_and_orientation()
     places = [geometry.transform(geometry.multiply(base, (shoulder, geometry.IDENTITY[1])), each) for each in _CARRIED]

@@ -23,9 +23,10 @@ _SLOTS: Final = SlotTable(
 
 
 class ObjectDesignator(ResolvedDesignator):
-    """An object, such as ``ObjectDesignator(type="milk")``, which the robot's beliefs resolve, the latest first.
+    """An object, such as ``ObjectDesignator(type="milk")``; the robot's beliefs resolve it, the latest belief first.
 
-    Solutions have ``object``, ``position`` and ``orientation``: the object, and its believed pose.
+    Solutions have ``object``, ``position`` and ``orientation``: the object, and the pose at which the robot believes it
+    to be.
     """
 
     takes: ClassVar[SlotTable] = _SLOTS
@@ -83,7 +84,7 @@ def _candidates(designator: ObjectDesignator) -> list[Object]:
 
 
 def candidates_of(thing: Object | ObjectDesignator) -> list[Object]:
-    """Return the given object, or the objects of one type that a designator describes."""
+    """Return the given object, or the objects of the type that a designator describes."""
     if not isinstance(thing, ObjectDesignator):
         return [thing]
     found = _candidates(thing)

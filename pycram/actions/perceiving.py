@@ -28,10 +28,10 @@ from recorder.geometry import PoseLike, Quaternion, Vector
 
 _FAR: Final = 3.0  # maximum distance in m from the robot's present place to a point that it looks at
 _NEAR: Final = 1.6  # maximum distance in m from a place near a surface to a point that the robot looks at
-_STRIDE: Final = 0.8  # distance in m between points of a surface; a camera 1 m away sees this width
-_PLACES: Final = 2  # number of places of the robot that are tried for a point
-_SEEING: Final = 4  # number of places of the robot that are examined for a view of hidden points
-_TRIES: Final = 4  # budget of opening and of closing
+_STRIDE: Final = 0.8  # distance in m between viewed points of a surface; a camera 1 m away sees this width
+_PLACES: Final = 2  # number of places of the robot that are tried for one point
+_SEEING: Final = 4  # number of places of the robot that are checked for a view of hidden points
+_TRIES: Final = 4  # budget of each opening and closing of a container
 
 
 @action("perceiving")
@@ -87,7 +87,7 @@ def looking(object: Any = None, target: Any = None) -> None:  # noqa: A002  the 
 
 
 class ObjectNotFound(PerceptionError):
-    """A search looked at all places, but didn't find the object.
+    """The robot looked at all places, but didn't find the object.
 
     Attributes:
         object_type: Type of the object.
@@ -112,7 +112,7 @@ export("pycram.actions", ObjectNotFound)
 class _Point:
     where: str  # words for messages, such as "on the island"
     position: Vector  # world frame, m
-    container: str  # "BODY/CONTAINER" around the surface; "" without a container
+    container: str  # the container around the surface, as "BODY/CONTAINER"; "" without a container
 
 
 @action("searching")
@@ -138,7 +138,7 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
         search.in_containers,
     )
     for step in steps:
-        for _ in step():  # each iteration looks at one point
+        for _ in step():  # each iteration looks at one point on the surfaces
             if search.found is not None:
                 return search.found
     raise ObjectNotFound(bodies[0].type, search.looked)
@@ -147,7 +147,7 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
 class _Search:
     def __init__(self, bodies: Sequence[Object]) -> None:
         self.found: Object | None = None
-        self.looked: list[tuple[str, BaseException]] = []  # places without the object, and the failures there
+        self.looked: list[tuple[str, BaseException]] = []  # places where the object wasn't seen, and the failures there
         self._bodies = bodies
         self._robot = BulletWorld.current_robot()
         self._stood: list[Vector] = []
@@ -189,7 +189,7 @@ class _Search:
                 hidden = [
                     point for point in points if not self._in_sight(point, self._robot.get_position_and_orientation())
                 ]
-                if hidden:  # a door or a front may hide points
+                if hidden:  # a door or the front of a container may hide points
                     yield from self._from_before(access, hidden)
                 self._close(access, opened)
 
@@ -203,7 +203,7 @@ class _Search:
             self.looked.append((point.where, failure))
 
     def _open(self, access: Access) -> Mapping[str, Any] | None:
-        """Open a container; return the slots of closing it, or None if the robot can't open it."""
+        """Open a container; return the slots of the action that closes it, or None if the robot can't open it."""
         try:
             arm = perform(ActionDesignator(type="opening", container=access.name, budget=_TRIES))
         except PlanFailure as failure:
@@ -214,14 +214,14 @@ class _Search:
 
     @staticmethod
     def _close(access: Access, opened: Mapping[str, Any]) -> None:
-        """Close a container from the same place, else from another place; ignore failures."""
+        """Close a container from the same place if possible, otherwise from another place; ignore failures."""
         for slots in (opened, {}):
             with suppress(PlanFailure):
                 perform(ActionDesignator(type="closing", container=access.name, budget=_TRIES, **slots))
                 return
 
     def _beside(self, point: _Point, points: Sequence[_Point]) -> Iterator[None]:
-        """Go near a point, and look at all near points."""
+        """Drive near a point, and look at all points nearby."""
         if self._goes_beside(point):
             x, y, z = self._robot.get_position()
             self._stood.append((x, y, z))
@@ -248,7 +248,7 @@ class _Search:
         return False
 
     def _from_before(self, access: Access, hidden: Sequence[_Point]) -> Iterator[None]:
-        """Look at hidden points from a place in front of the container, where some of the points are visible."""
+        """Look at hidden points from a place in front of the container that lets the camera see some of them."""
         handle = access.body.get_link_position(access.handle)
         before = [(one + other) / 2 for one, other in zip(handle, hidden[0].position, strict=True)]
         with suppress(PlanFailure):

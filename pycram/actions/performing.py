@@ -1,6 +1,7 @@
 """Performing actions: choices are tried in order until a choice succeeds or the budget is spent. Each try is a task.
 
-In ``projecting()``, projections in forks first try the best choices; then the first success is performed (thesis 6.3).
+In ``projecting()``, projections in forks first try the best choices; the first choice that succeeds there is performed
+(thesis 6.3).
 """
 
 from __future__ import annotations
@@ -36,13 +37,14 @@ if TYPE_CHECKING:
     from pycram.actions.action import ActionType
 
 BUDGET: Final = 20
-"""Default number of tries of an action and its subactions that may fail."""
+"""Default number of failed tries that an action and its subactions may have."""
 
-_ENDLESS: Final = 10**9  # number of retries; the budget is the only limit
+_ENDLESS: Final = 10**9  # number of retries; only the budget limits them
 _MAX_REASONS: Final = 4  # maximum number of different failures in the message of ActionFailed
 _MAX_IMAGINED: Final = 8  # default number of an action's choices that are projected
-#: Number of choices that are projected in parallel: in the first batch, because the best choice mostly succeeds, and in
-#: later batches. These numbers don't depend on the number of cores, so a run has the same records on all computers.
+#: Number of choices that are projected in parallel: few in the first batch, because the best choice mostly succeeds,
+#: and more in later batches. The numbers are the same on all computers, so a run has the same records whatever the
+#: number of cores.
 _IN_PARALLEL: Final = (1, 4)
 
 
@@ -51,7 +53,7 @@ class Thinking:
     """Limits of the projection of choices."""
 
     budget: int = _MAX_IMAGINED  # maximum number of projected choices of an action
-    seconds: float | None = None  # maximum simulated time of all choices; None for no limit
+    seconds: float | None = None  # maximum simulated time in s of all choices; None for no limit
 
 
 _thinking: ContextVar[Thinking | None] = ContextVar("pycram_thinking", default=None)
@@ -66,8 +68,8 @@ def projecting(budget: int = _MAX_IMAGINED, *, seconds: float | None = None) -> 
         with projecting(budget=4):
             perform(ActionDesignator(type="transporting", object=milk, target="island"))
 
-    Choices are tried in copies of the process, on all cores, and the first success in their order is performed. If all
-    fail, the action fails, and nothing has moved.
+    Choices are tried in copies of the process, on all cores, and the first successful choice in order is performed. If
+    all fail, the action fails, and nothing has moved.
 
     Args:
         budget: Maximum number of projected choices of an action.
@@ -89,9 +91,9 @@ def not_projecting() -> Binding[bool]:
 
 
 def thinking(*, wanted: bool | None) -> Thinking | None:
-    """Return the limits of projecting an action's choices; None if they aren't projected.
+    """Return the limits for projecting an action's choices; None if its choices aren't projected.
 
-    ``wanted`` is the slot ``projected`` of the action; None without this slot.
+    ``wanted`` is the value of the action's slot ``projected``; None without this slot.
     """
     if _ended.get() or wanted is False:
         return None
@@ -101,8 +103,8 @@ def thinking(*, wanted: bool | None) -> Thinking | None:
 def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]) -> list[Outcome]:
     """Perform choices of an action in copies of this process, up to the first success; return the outcomes.
 
-    Each choice, the best first, has the action, its solution, and the chosen slots for records. An error of a choice
-    that isn't a plan failure is raised.
+    For each choice, the best first, the argument has the action, its solution, and the chosen slots for records. An
+    error of a choice that isn't a plan failure is raised.
     """
     outcomes = project_all([partial(_Imagined(kind, solution), **choice) for kind, solution, choice in candidates])
     for outcome in outcomes:
@@ -130,7 +132,7 @@ class Try:
 
     choice: Mapping[str, Any]  # chosen values by slot
     failure: BaseException  # failure of the choice
-    imagined: bool = False  # whether only a projection tried the choice
+    imagined: bool = False  # whether the choice was tried only in a projection
 
 
 class ActionFailed(PlanFailure):
@@ -153,7 +155,7 @@ export("pycram.actions", ActionFailed)
 
 
 def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
-    """Return the failures of tries as text, the most frequent first; equal failures are counted."""
+    """Return the failures of tries as text, the most frequent first; equal failures are only counted."""
     groups: dict[str, int] = {}
     for each in tried:
         reason = _reason(each.failure)
@@ -166,7 +168,7 @@ def _summary(tried: Sequence[Try], last: BaseException | None) -> str:
 
 
 def _remedy(tried: Sequence[Try]) -> str:
-    """Return the advice to move aside the objects that blocked every try; "" without such objects."""
+    """Return the advice to move aside the objects that blocked all tries; "" without such objects."""
     world = BulletWorld.current_bullet_world
     blocking = [getattr(each.failure, "bodies", None) for each in tried]
     if world is None or not blocking or not all(blocking):
@@ -183,7 +185,7 @@ def _reason(failure: BaseException) -> str:
 
 
 class _Budget:
-    """The number of tries of an action and of its outer actions that may still fail."""
+    """The number of failed tries that an action and its outer actions may still have."""
 
     def __init__(self, tries: int, around: _Budget | None) -> None:
         self._left = tries
@@ -200,7 +202,7 @@ class _Budget:
 
 
 _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
-_takes: ContextVar[bool] = ContextVar("pycram_takes", default=False)  # whether an outer action has an object
+_takes: ContextVar[bool] = ContextVar("pycram_takes", default=False)  # whether an outer action has this object
 
 
 def perform(designator: ActionDesignator | MotionDesignator) -> Any:
@@ -232,7 +234,7 @@ def _act(designator: Designator) -> _Act:
     BulletWorld.current_robot()
     kinds = [cls for cls in type(designator).__mro__ if issubclass(cls, ActionDesignator)]
     if next(designator.branches(), None) is None and not any(cls.resolvers for cls in kinds):
-        designator.check()  # unless a resolver of the plan may know other slots
+        designator.check()  # other slots are errors, unless a resolver of the plan may know them
     return _Act(designator)
 
 
@@ -267,7 +269,7 @@ class _Act:
             first = next(solutions)
             kind = type_of(first)
             solutions = itertools.chain([first], solutions)
-            if not _chosen(first, slots):  # the action may have nothing to choose
+            if not _chosen(first, slots):  # an action may have no choices
                 some, rest = _taken(solutions, 2)
                 if len(some) == 1:
                     return kind.call(first)
@@ -293,7 +295,7 @@ class _Act:
 class _Tries(FailureHandling):
     """The tries of an action's choices, in order.
 
-    ``solutions`` yields at least one solution. ``ahead`` are the limits of projecting choices first; None without
+    ``solutions`` yields at least one solution. ``ahead`` contains the limits for projecting choices first; None without
     projections.
     """
 
@@ -305,7 +307,7 @@ class _Tries(FailureHandling):
         budget: _Budget,
         ahead: Thinking | None,
     ) -> None:
-        super().__init__(_ENDLESS)  # the budget limits the number of tries
+        super().__init__(_ENDLESS)  # the budget limits the tries
         self._kind = kind
         self._given = given
         self._budget = budget
@@ -313,7 +315,7 @@ class _Tries(FailureHandling):
         self._found = solutions
         self._solutions = solutions if ahead is None else self._imagined(ahead)
         self._solution: Solution = {}
-        self._spent = False  # whether the limits of projections excluded choices
+        self._spent = False  # whether the limits of projections left out choices
 
     @property
     def fields(self) -> dict[str, object]:
@@ -323,7 +325,7 @@ class _Tries(FailureHandling):
     def carried_out(self) -> Any:
         """Try the choices in order; return the result of the first success, or raise ActionFailed."""
         self.parameters = self._next()
-        with not_projecting():  # subactions don't project choices
+        with not_projecting():  # choices of subactions aren't projected
             return self.run(lambda **_: type_of(self._solution).call(self._solution))
 
     def recover(self, failure: BaseException) -> Mapping[str, Any]:
@@ -361,13 +363,13 @@ class _Tries(FailureHandling):
                     self._found = itertools.chain(batch[len(outcomes) :], self._found)
                     yield solution
                 else:
-                    assert outcome.failure is not None  # noqa: S101  a choice without success has a failure
+                    assert outcome.failure is not None  # noqa: S101  a choice that didn't succeed has a failure
                     self._tried.append(Try(self._choice(solution), outcome.failure, imagined=True))
         self._spent = True
 
 
 def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], Iterator[Solution]]:
-    """Return the next solutions and an iterator over the rest, which raises a failure of the search."""
+    """Return the next solutions, and an iterator over the others, which raises a failure of the search."""
     found: list[Solution] = []
     try:
         found.extend(itertools.islice(solutions, size))  # list() would lose the solutions before an error
@@ -379,7 +381,7 @@ def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], It
 
 
 def _chosen(solution: Solution, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a solution for the slots that the plan left open."""
+    """Return a solution's values for the slots that the plan left open."""
     chosen: dict[str, Any] = {}
     for slot, value in solution.items():
         asked = given.get(slot)

@@ -1,10 +1,10 @@
 """Blocks of the plan language: the five words that open blocks, and the branches, bodies and ends of blocks.
 
 The five kinds of blocks differ only in their :class:`Policy`. A decided block cancels its other branches, also branches
-that are added later, ends when all branches have ended, and has the outcome of the deciding branch. A block without a
-deciding branch fails if any branch failed. A plan failure of the body ends the body and counts as one of the block's
-failures. Two errors fail any block, even after the decision: a usage error, which is raised unchanged, and a failed
-cleanup of a cancelled branch, because the state of the world is then unknown.
+that are added later. It ends when all branches have ended, and has the outcome of the branch that decided. A block in
+which no branch decides fails if any branch failed. A plan failure in the body ends the body, and counts as one of the
+block's failures. Two errors fail any block, even after the decision: a usage error, which is raised unchanged, and a
+failed cleanup of a cancelled branch, because the state of the world is then unknown.
 
 A block in the body of another block is a branch of the outer block, its *host*. In ``try_in_order`` the inner block
 runs in place; the host keeps its failure and continues with the next statement. In a concurrent host, a branch runs the
@@ -40,15 +40,15 @@ Action: TypeAlias = Callable[..., Result]
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """The rules of a kind of block; other kinds have other rules."""
+    """The rules of a kind of block."""
 
-    name: str  # the word that opens the block: "par", ...
+    name: str  # the word that opens the block, such as "par".
     concurrent: bool  # whether branches run concurrently
     decided_by: frozenset[State]  # final states of a branch that decide the block
 
     @property
     def propagates(self) -> bool:
-        """Whether a branch's failure propagates through the body, as in plain Python."""
+        """Whether a branch's failure propagates through the body, as an error does in plain Python."""
         return not self.concurrent and State.FAILED in self.decided_by
 
     @property
@@ -64,25 +64,25 @@ class Block:
         self.policy = policy
         self.name = policy.name
         self.immediate = policy.concurrent  # whether an action starts regardless of earlier actions
-        self.reads_blocks = policy.concurrent  # whether a branch runs each inner block
+        self.reads_blocks = policy.concurrent  # whether each inner block is run by a branch
         self.adds_actions = not policy.propagates  # whether actions in the body become branches
-        self.branches: list[Branch] = []  # in the order in which the plan added them
-        self.scope = CancelScope(current_scope())  # cancelled when the block is decided
+        self.branches: list[Branch] = []  # the branches in the order in which the plan added them
+        self.scope = CancelScope(current_scope())  # the scope that is cancelled when the block is decided
         self.decider: Branch | None = None  # the branch that decided the block
         self.state = State.CREATED
         self._around = current_scope()
         self._opened_in = current_branch()
         self._collected = failures
         self._host = current_block()
-        self._changed = Condition()  # notified when a branch ends, or when the reading of a body progresses
+        self._changed = Condition()  # notified when a branch ends, or when Python has read more of a body
         self._closing = threading.Lock()  # threads of the plan may add branches while the block ends
         self._scheduler = scheduler()
         self._own: Branch | None = None  # the host's branch that runs this block
         self._taken = 0  # number of started branches, for names of branches
-        self._joined = 0  # number of ended branches at the beginning of the list ``branches``
+        self._joined = 0  # number of branches at the beginning of ``branches`` that have ended
         self._decided = False  # whether a branch or a failure of the body has decided the block
         self._body_failures: list[PlanFailure] = []
-        self._entered = ExitStack()  # ends the contexts of the body
+        self._entered = ExitStack()  # the contexts of the body, which end with it
         self._span = Span("block", policy.name)
 
     @property
@@ -94,13 +94,13 @@ class Block:
         return (*failures, *[failure for failure in self._body_failures if id(failure) not in known])
 
     def await_turn(self) -> None:
-        """Wait until the body itself may act; a body that runs in place never waits."""
+        """Wait until the body's own code may act; a body that runs in place never waits."""
 
     def before_change(self, change: str) -> None:
-        """Reject a premature change of a world by the body; a body that runs in place is never premature."""
+        """Reject a premature change of a world by the body's own code; a body that runs in place is never premature."""
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
-        """Reject an action that this body adds to an ``outer`` block while earlier actions of the body are pending."""
+        """Reject an action that this body adds to an ``outer`` block while the body's earlier actions haven't ended."""
 
     # --- branches ---------------------------------------------------------------------------------------------------
 
@@ -135,7 +135,7 @@ class Block:
     ) -> Future:
         """Add a branch, with the arguments of :class:`Branch`; return a future of the result.
 
-        ``label`` returns the name that messages show; by default, that name shows the parameters of the span.
+        ``label`` returns the name for messages; by default, that name contains the parameters of the span.
         """
         self._refuse_in_timeout(name)
         host = current_block()
@@ -182,7 +182,7 @@ class Block:
                 self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon, site, label)
             else:
                 branch.runs_in = current_name()
-                branch.context.run(enter_branch, current_branch())  # the body of a ReadBlock added it in another branch
+                branch.context.run(enter_branch, current_branch())  # a ReadBlock's body may add it in another branch
                 branch.context.run(self._run, branch)
         ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
         if branch.error is not None and ends_body and not self.policy.concurrent:
@@ -200,7 +200,7 @@ class Block:
                 branch.span.result = result = branch.begin()
         except Cancelled:
             self._settle(branch, State.CANCELLED)
-        except BaseException as error:  # noqa: BLE001  raised where the block was opened
+        except BaseException as error:  # noqa: BLE001  the error is raised where the block was opened
             self._settle(branch, State.FAILED, error=error)
         else:
             self._settle(branch, State.SUCCEEDED, result)
@@ -230,7 +230,7 @@ class Block:
     # --- beginning and end --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
-        if self.policy.concurrent:  # __exit__ waits, and must not fail
+        if self.policy.concurrent:  # __exit__ waits, and must succeed
             refuse_held()
         with ExitStack() as entering:
             self._begin(entering)
@@ -270,7 +270,7 @@ class Block:
         errors = (interrupt, error if error is not interrupt else None, *[branch.error for branch in self.branches])
         failures = self.failures
         bugs = [e for e in errors if e is not None and not isinstance(e, (PlanFailure, Cancelled))]
-        if bugs:  # the program is wrong, or the user interrupts it
+        if bugs:  # the program has an error, or the user interrupts it
             self.state = State.FAILED
             bugs.sort(key=lambda bug: isinstance(bug, Retry))  # if the Retry came first, it would hide the other errors
             return chained(bugs[0], [*bugs[1:], *failures])
@@ -285,7 +285,7 @@ class Block:
         failed = BranchesFailed(self.name, failures)
         if self._collected is None:
             return failed
-        self._span.error = failed  # this error is only recorded in the task tree
+        self._span.error = failed  # this error appears only in the task tree
         return None
 
     def _outcome(self, error: BaseException | None, failures: tuple[PlanFailure, ...]) -> State:
@@ -310,7 +310,7 @@ class Block:
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
         """Wait for all branches; return the last interrupt.
 
-        The interrupt is ``interrupt``, which ended the body, or an error that a signal handler raised during the wait.
+        The interrupt is ``interrupt``, if it ended the body, or an error that a signal handler raised during the wait.
         An error during the wait cancels the branches.
         """
         own = self._scheduler
@@ -318,7 +318,7 @@ class Block:
             joining, own.joining = own.joining, own.joining or interrupt is not None
             try:
                 join(self._changed, self._all_ended, self._reason)
-            except LockHeld:  # the next wait would fail in the same way
+            except LockHeld:  # after another wait, the same failure would follow
                 raise
             except BaseException as error:  # noqa: BLE001  the interrupt is returned after the end of the branches
                 interrupt = error
@@ -329,8 +329,8 @@ class Block:
             if interrupt is not None:
                 interrupts.drop_pending()
             with self._closing:
-                if self._all_ended():  # else a thread of the plan has added a branch
-                    self.state = State.CANCELLED  # no branch can be added any more; _close() sets the final state
+                if self._all_ended():  # otherwise a thread of the plan has added a branch
+                    self.state = State.CANCELLED  # no branch can be added any more, and _close() sets the final state
                     return interrupt
 
     def _reason(self) -> tuple[str, str, list[str]]:
@@ -345,17 +345,17 @@ class Block:
 class ReadBlock(Block):
     """A block in the body of a concurrent block: its body is read in place, and a branch of its host runs its actions.
 
-    The block runs concurrently with its siblings, but Python runs a ``with`` statement in place. So Python only *reads*
-    the body: it adds the actions to a queue, and the branch runs them while Python reads the next statements. Using a
-    future in that body waits for its result. Attempts, timeouts, cleanups and waits for a fluent run in place, after
-    the earlier actions of a sequence. If earlier actions have not ended, RunsEarly rejects a change of a world, and a
-    branch that the body adds to an outer block.
+    The block runs concurrently with its siblings, but Python runs a ``with`` statement in place. Python therefore only
+    *reads* the body: it adds the actions to a queue, and the branch runs them while Python reads the next statements.
+    Using a future in that body waits for its result. Attempts, timeouts, cleanups and waits for a fluent run in place,
+    after the earlier actions of a sequence. If earlier actions have not ended, RunsEarly rejects a change of a world,
+    and also a branch that the body adds to an outer block.
     """
 
     def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:
         super().__init__(policy, failures)
         self.immediate, self.reads_blocks, self.adds_actions = False, True, True
-        self._host = None  # the block is a branch of its host already
+        self._host = None  # the block is already a branch of its host
         self._run_by = host
         self._pending: deque[Branch] = deque()
         self._dropping = False
@@ -363,19 +363,19 @@ class ReadBlock(Block):
         self._body_error: Exception | None = None
 
     def await_turn(self) -> None:
-        """Wait until the body itself may act: in a sequence, after the earlier actions."""
+        """Wait until the body's own code may act: in a sequence, after the earlier actions."""
         wait(self._changed, lambda: self.state is not State.CREATED)
         if not self.policy.concurrent:
             for branch in self.branches:
                 branch.wait()
 
     def before_change(self, change: str) -> None:
-        """Reject a change of a world by the body itself while earlier actions are pending."""
+        """Reject a change of a world by the body's own code while earlier actions haven't ended."""
         self._refuse_early(f"{change} in the world", None)
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
         block: Block = self
-        above: Branch | None = None  # consider only branches before this branch; None for all branches
+        above: Branch | None = None  # only branches before this branch count; None for all branches
         while isinstance(block, ReadBlock) and block is not outer:
             if not block.policy.concurrent:
                 earlier = block.branches if above is None else block.branches[: block.branches.index(above)]
@@ -403,10 +403,10 @@ class ReadBlock(Block):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
-            self.scope.cancel()  # the program is wrong, or the user interrupts it
+            self.scope.cancel()  # the program has an error, or the user interrupts it
         self._body_error = error if isinstance(error, Exception) else None
         self._entered.close()
-        if isinstance(error, Cancelled):  # if the decided block has cancelled its body, the code after it continues
+        if isinstance(error, Cancelled):  # if the decided block cancelled its body, the plan continues after the block
             return self._around is None or not self._around.is_cancelled
         return error is None or isinstance(error, PlanFailure)
 
@@ -430,7 +430,7 @@ class ReadBlock(Block):
             self.scope.cancel()  # ends the reading
             stopped = stop
         self._drop()
-        join(self._changed, lambda: self._body_ended, self._reason_to_read)  # the body's own code may still act
+        join(self._changed, lambda: self._body_ended, self._reason_to_read)  # the code of the body itself may still act
         error = self._body_error
         if isinstance(error, PlanFailure):
             self._body_failed(error)
@@ -451,7 +451,7 @@ class ReadBlock(Block):
 
 
 class Opening(Scope[Block]):
-    """Opens a block at the start of a ``with`` statement; reusable, also in other threads and nested."""
+    """Opens a block at the start of a ``with`` statement; it can be reused, also in other threads and nested."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         super().__init__(policy.name)
@@ -466,7 +466,7 @@ class Opening(Scope[Block]):
 
 
 class Nothing(Opening, list[Result]):
-    """Value of ``par()``: opens a block, and is also an empty list, as the result of ``par(*[])`` is."""
+    """The value of ``par()``: it opens a block, and is also an empty list, like the result of ``par(*[])``."""
 
     def __init__(self, policy: Policy) -> None:
         list.__init__(self)
@@ -474,7 +474,7 @@ class Nothing(Opening, list[Result]):
 
 
 class Kind(Opening):
-    """One of the five words: opens a block with or without parentheses, or runs functions."""
+    """One of the five words: it opens a block with or without parentheses, or runs functions."""
 
     @overload
     def __call__(self) -> Opening: ...
@@ -490,7 +490,8 @@ class Kind(Opening):
 
         Returns:
             Without functions, a context manager. With functions, a list of the results; ``pursue``, ``try_all`` and
-            ``try_in_order`` return the result of the deciding branch. In the body of a block, a future of this value.
+            ``try_in_order`` return the result of the deciding branch. In the body of a block, the result is a future of
+            this value.
 
         Raises:
             BadArgument: An argument is neither a function nor the only list.
@@ -519,16 +520,16 @@ class Kind(Opening):
 
 
 par: Final = Kind(Policy("par", concurrent=True, decided_by=frozenset()))
-"""Run branches concurrently to their ends; fail if any fails."""
+"""Run branches concurrently until all have ended; fail if any branch fails."""
 
 pursue: Final = Kind(Policy("pursue", concurrent=True, decided_by=frozenset({State.SUCCEEDED, State.FAILED})))
-"""Run branches concurrently; the first that ends decides, the others are cancelled."""
+"""Run branches concurrently; the first that ends decides the outcome, and the others are cancelled."""
 
 try_all: Final = Kind(Policy("try_all", concurrent=True, decided_by=frozenset({State.SUCCEEDED})))
-"""Run branches concurrently; the first that succeeds decides, the others are cancelled."""
+"""Run branches concurrently; the first that succeeds decides the outcome, and the others are cancelled."""
 
 seq: Final = Kind(Policy("seq", concurrent=False, decided_by=frozenset({State.FAILED})))
-"""Run branches in order up to the first that fails."""
+"""Run branches in order until one fails."""
 
 try_in_order: Final = Kind(Policy("try_in_order", concurrent=False, decided_by=frozenset({State.SUCCEEDED})))
-"""Run branches in order up to the first that succeeds."""
+"""Run branches in order until one succeeds."""

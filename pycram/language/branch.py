@@ -1,7 +1,7 @@
 """Branches: the actions of a block, and their outcomes.
 
-An action is a function of the plan. A function that contains ``async`` or ``yield`` is rejected: its call only makes a
-coroutine or a generator, and so would succeed without having run. A plain function may return a generator.
+An action is a function of the plan. A function that contains ``async`` or ``yield`` is rejected: its call would only
+make a coroutine or a generator, and so succeed without running the code. A plain function may return a generator.
 """
 
 from __future__ import annotations
@@ -78,9 +78,9 @@ class Branch:
         self.context = copy_context()
         self.span = span if span is not None else Span("branch", name)
         self.state = State.CREATED
-        self.error: BaseException | None = None  # the raised error; None after success or cancellation
-        self.label: Callable[[], str] = partial(str, name)  # returns the name with the arguments, for messages
-        self.runs_in = ""  # recorded name of the concurrent branch or thread that runs it; "" before its start
+        self.error: BaseException | None = None  # the error that the action raised; None after success or cancellation
+        self.label: Callable[[], str] = partial(str, name)  # returns the branch's name with its arguments, for messages
+        self.runs_in = ""  # recorded name of the concurrent branch or thread that runs this branch; "" before its start
         self._dropped = dropped
         self._begun = False
         self._changed = changed
@@ -96,7 +96,7 @@ class Branch:
         self._begun = True
         self.state = State.RUNNING
         result = unwrap(self.action())
-        if (error := scheduler().take_failure()) is not None:  # a failure that no checkpoint has raised
+        if (error := scheduler().take_failure()) is not None:  # a failure that hasn't been raised at any checkpoint
             raise error
         return result
 
@@ -104,11 +104,11 @@ class Branch:
         """Set the outcome; called once."""
         if not self._begun:
             self._dropped()
-            self.span.finish(error or Cancelled())  # the request of the span may be on record
+            self.span.finish(error or Cancelled())  # the request of the span may already be on record
         self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
         self.label = partial(str, self.name)
         self._result, self.error = result, error
-        self.state = state  # set after the outcome, because other threads read it
+        self.state = state  # set after the outcome, because other threads read this value
         self._changed.notify_all()
 
     def abandon(self, error: BaseException) -> None:
@@ -194,7 +194,7 @@ def _lambda_label(function: FunctionType, args: tuple[object, ...]) -> str:
         zip(names, args, strict=False)
     )
     for name, cell in zip(code.co_freevars, function.__closure__ or (), strict=True):
-        with suppress(ValueError):  # the variable has no value yet
+        with suppress(ValueError):  # a variable may have no value yet
             values[name] = cell.cell_contents
     try:
         body = ast.parse(text.strip(), mode="eval").body
@@ -225,7 +225,7 @@ def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Resul
     kind = type(result)  # isinstance() would wait for a future
     if kind is CoroutineType or kind is AsyncGeneratorType:
         if kind is CoroutineType:
-            result.close()  # else Python warns that it was never awaited
+            result.close()  # otherwise Python warns that the coroutine was never awaited
         expected = "a plain function; `lambda: asyncio.run(...)` runs an async function"
         raise BadArgument("action", name_of(action), expected)
     if kind is GeneratorType and getgeneratorstate(result) == GEN_CREATED:
@@ -246,14 +246,14 @@ def lazy(instead: str) -> Callable[[Function], Function]:
 
 
 def _unwrapped(action: Callable[..., Result]) -> object:
-    """Return the function that partials, methods, decorators and callable objects call in the end."""
+    """Return the function that partials, methods, decorators or callable objects finally call."""
     function: Any = action
     while True:
         if isinstance(function, partial):
             function = function.func
         elif isinstance(function, MethodType):
             function = function.__func__
-        elif hasattr(function, "__wrapped__"):  # set by a decorator
+        elif hasattr(function, "__wrapped__"):  # a decorator has set it
             function = function.__wrapped__
         elif isinstance(function, FunctionType) or not isinstance(type(function).__call__, FunctionType):
             return function

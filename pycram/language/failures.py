@@ -12,9 +12,9 @@ from recorder.records import format_error
 from recorder.records.tracebacks import format_traceback
 from recorder.tracing.call_stack import call_site
 
-#: Maximum number of nested failed blocks in a message, its data and a traceback; deeper nesting takes minutes to write.
+#: Maximum number of nested failed blocks in a message, its data and a traceback; more would take minutes to write.
 MAX_LEVELS: Final = 8
-#: Maximum number of shown failures if blocks are nested deeper than ``MAX_LEVELS``; the other failures are counted.
+#: Maximum number of shown failures if blocks are nested deeper than ``MAX_LEVELS``; other failures are counted.
 MAX_LEAVES: Final = 8
 _MAX_FRAMES: Final = 1000  # maximum number of frames of each failure in a traceback of several failures
 
@@ -24,7 +24,7 @@ class BlockClosed(UsageError):
 
     def __init__(self, block: str, branch: str) -> None:
         super().__init__(f"{branch} can't be a branch of this {block} block: the block has ended")
-        self.block = block  # kind of the block: "par", ...
+        self.block = block  # kind of the block, such as "par".
         self.branch = branch  # name of the branch
 
 
@@ -35,7 +35,7 @@ class RunsEarly(UsageError):
         self.what = what  # the premature action
         self.block = block  # kind of the sequence: "seq" or "try_in_order"
         self.pending = tuple(pending)  # names of the earlier actions that have not ended
-        self.file, self.line = call_site()  # file and line of the plan; the first line is 1
+        self.file, self.line = call_site()  # file and line in the plan of the code; the first line is 1
         have = "have" if len(self.pending) > 1 else "has"
         super().__init__(
             f"{notebook.place(self.file, self.line)} would {what} before earlier actions of this {block} block: "
@@ -46,10 +46,10 @@ class RunsEarly(UsageError):
 
 
 class OutlivesTimeout(UsageError):
-    """Code inside a timeout added a branch to a block outside: the deadline wouldn't apply to the branch."""
+    """Code inside a timeout added a branch to a block outside, where the deadline wouldn't apply to the branch."""
 
     def __init__(self, block: str, branch: str) -> None:
-        self.block = block  # kind of the block: "par", ...
+        self.block = block  # kind of the block, such as "par".
         self.branch = branch  # name of the branch
         self.file, self.line = call_site()  # file and line of the plan; the first line is 1
         super().__init__(
@@ -60,11 +60,11 @@ class OutlivesTimeout(UsageError):
 
 
 class BranchesFailed(PlanFailure):
-    """A block of the plan language failed; this failure has the failures of all branches.
+    """A block of the plan language failed; this failure contains the failures of all branches.
 
-    The failure of a block is an instance of all types that these failures have in common. If all are ``Unreachable``,
-    ``except Unreachable`` catches it, and it has the fields of the first failure. So ``except`` never hides failures of
-    other types.
+    The failure of a block is an instance of all types that these failures have in common. If all branches failed with
+    ``Unreachable``, ``except Unreachable`` catches the block's failure, which has the fields of the first. ``except``
+    therefore never hides failures of other types.
     """
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
@@ -77,7 +77,7 @@ class BranchesFailed(PlanFailure):
 
     def __init__(self, block: str, failures: Iterable[PlanFailure]) -> None:
         members = tuple(failures)
-        fields = vars(self)  # a property of the type may hide a field
+        fields = vars(self)  # a property of the type may have the name of a field
         if len(type(self).__bases__) > 1:
             fields.update(vars(next(_leaves(members))))
         leaves, causes, left_out = tuple(_leaves(members)), members, 0
@@ -88,13 +88,13 @@ class BranchesFailed(PlanFailure):
         self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
 
     _leaves: tuple[PlanFailure, ...]
-    _causes: tuple[PlanFailure, ...]  # the failures that its message shows; the leaves, if nested too deeply
-    _levels: int  # number of nested blocks that its message shows
-    _left_out: int  # number of leaves that its message doesn't show
+    _causes: tuple[PlanFailure, ...]  # the failures that the message shows; only leaves if they are nested too deeply
+    _levels: int  # number of levels of nested blocks that the message shows
+    _left_out: int  # number of leaves that the message doesn't show
 
     @property
     def block(self) -> str:
-        """The kind of block: "par", ... A property, because types of failures may have a field "block"."""
+        """The kind of block: "par", ... This is a property, because types of failures may have a field "block"."""
         return str(vars(self)["block"])
 
     @property
@@ -105,12 +105,12 @@ class BranchesFailed(PlanFailure):
 
     @property
     def leaves(self) -> tuple[PlanFailure, ...]:
-        """The failures, with each failed block replaced by its own leaves."""
+        """The failures; each failed block is replaced by its leaves."""
         return self._leaves
 
     @property
     def data(self) -> Mapping[str, object]:
-        """The fields by name; in "failures" are the type, message and fields of each branch's shown failure."""
+        """The fields by name; "failures" contains the type, message and fields of each shown failure of a branch."""
         failures = [{"type": type(f).__name__, "message": str(f), "data": f.data} for f in self._causes]
         return {**super().data, "failures": failures}
 
@@ -142,7 +142,7 @@ class Retry(BaseException):
         super().__init__(f"attempt {number} ended by retry()")
         self.attempt = attempt
         self.changed = changed  # parameters of the next attempt
-        self.error = error  # the error that the plan was handling
+        self.error = error  # the error that the plan was handling at that moment
 
 
 def leaves_uncleaned(failure: BaseException) -> bool:

@@ -26,7 +26,7 @@ from pycram.scheduling.schedule import scheduler
 from recorder.tracing import interrupts
 from recorder.tracing.span import Cancelled, span
 
-_RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR  # code that other functions can resume
+_RESUMABLE: Final = CO_GENERATOR | CO_COROUTINE | CO_ASYNC_GENERATOR  # code that others can resume, such as generators
 
 Arguments = ParamSpec("Arguments")
 Value = TypeVar("Value")
@@ -61,7 +61,7 @@ _open: Final[ContextVar[tuple[_Open, ...]]] = ContextVar("pycram_open", default=
 
 
 class Scope(ABC, Generic[Value]):
-    """A context manager that rejects an end out of order; reusable, also nested."""
+    """A context manager that rejects an end out of order; it can be reused, also nested."""
 
     def __init__(self, name: str) -> None:
         self._name = name  # kind of the scope, for messages
@@ -103,7 +103,7 @@ class Scope(ABC, Generic[Value]):
 def _generator() -> int:
     """Return the id() of the generator's frame that opens or ends a scope; 0 outside of generators.
 
-    Several ``with`` statements may use the same object, such as ``par``; their generators distinguish them.
+    Several ``with`` statements may use the same object, such as ``par``; the generators distinguish these statements.
     """
     frame = sys._getframe(2)  # noqa: SLF001  inspect.currentframe() returns only this frame
     while frame.f_back is not None and frame.f_globals.get("__name__") == "contextlib":  # skip frames of ExitStack
@@ -112,7 +112,7 @@ def _generator() -> int:
 
 
 class GeneratorScope(Scope[Value], ContextDecorator):
-    """A scope that :func:`scope` makes from a generator; also a decorator."""
+    """A scope that :func:`scope` makes from a generator; it is also a decorator."""
 
     def __init__(self, name: str, make: Callable[[], AbstractContextManager[Value]]) -> None:
         super().__init__(name)
@@ -138,12 +138,12 @@ def scope(function: Callable[Arguments, Iterator[Value]]) -> Callable[Arguments,
 
 
 def in_block(host: BlockBody | None) -> Binding[BlockBody | None]:
-    """Make actions in the ``with`` block branches of ``host``; if it is None, run actions in order."""
+    """Make actions in the ``with`` block branches of ``host``; if ``host`` is None, run actions in order."""
     return Binding(body_context, host)
 
 
 def leave_body() -> None:
-    """Make the present context that of a branch: actions run in order, and outer scopes can't be ended."""
+    """Make the present context that of a branch: its actions run in order, and it can't end outer scopes."""
     body_context.set(None)
     nothing_open()
 
@@ -165,7 +165,7 @@ def sequential() -> Iterator[Callable[[], None]]:
     """Run the ``with`` block in order, in the branch of the body; failures propagate as in plain Python.
 
     Yields:
-        A function to call at the end: it waits for branches that the body added to a surrounding sequence.
+        A function to call at the end: it waits for branches that the body has added to a surrounding sequence.
     """
     await_turn()
     raise_if_cancelled()
@@ -202,7 +202,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
         try:
             with shielded(), span("cleanup", name_of(action)) as task:
                 task.result = run(action, *args, **kwargs)
-        except BaseException as second:  # raised below, or chained with the first error
+        except BaseException as second:  # the error is raised below, or chained with the first error
             if first is None:
                 raise
             bug = isinstance(first, PlanFailure) and not isinstance(second, PlanFailure)

@@ -1,7 +1,7 @@
 """Failure handling: retries after plan failures, with the same or other parameters (thesis 3.5.3).
 
-In CRAM, ``with-failure-handling`` runs its body again when the body calls ``retry``. Python runs the body of a ``with``
-statement once, so a plan needs a loop, here of six attempts at most::
+In CRAM, ``with-failure-handling`` repeats its body when the body calls ``retry``. Python runs the body of a ``with``
+statement once, so a plan needs a loop, here with at most six attempts::
 
     handling = failure_handling(5, arm="left").on(Unreachable, lambda _: {"arm": "right"}).on(InCollision, step_back)
     for attempt in handling:
@@ -9,10 +9,10 @@ statement once, so a plan needs a loop, here of six attempts at most::
             pick_up(milk, attempt["arm"])
 
 After the last attempt, its failure is raised, with the earlier failures in its context. ``retry(arm="right")`` in the
-body ends the attempt as in CRAM. ``failure_handling(5).run(pick_up, milk)`` or ``@failure_handling(5)`` retries a
+body ends the attempt, as in CRAM. ``failure_handling(5).run(pick_up, milk)`` or ``@failure_handling(5)`` retries a
 function. Only plan failures are retried. Code after ``with attempt`` in the loop also runs after failed attempts. A
-``break`` or ``return`` there drops an unhandled failure, because Python can't raise it any more; :class:`FailureLeft`
-warns.
+``break`` or ``return`` there drops a failure that the plan doesn't handle, because Python can't raise it any more;
+:class:`FailureLeft` warns.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class RetriesUsedUp(PlanFailure):
 
 
 class FailureLeft(RuntimeWarning):
-    """After a failed attempt, a plan left the loop without handling or raising the failure."""
+    """After a failed attempt, a plan left the loop, but neither handled nor raised the failure."""
 
 
 class FailureHandling:
@@ -61,7 +61,7 @@ class FailureHandling:
     Args:
         retries: 0 or more; 5 retries make up to 6 attempts.
         kinds: Types of failures that are retried; by default all plan failures.
-        parameters: Parameters of the attempts, until a recovery or ``retry`` changes them.
+        parameters: Parameters of the attempts; a recovery or ``retry`` may change them.
 
     Raises:
         BadArgument: ``retries`` is below 0, or a type isn't a type of plan failures.
@@ -99,7 +99,7 @@ class FailureHandling:
 
     def handles(self, error: BaseException | None) -> bool:
         """Return whether to retry after an error."""
-        # in a cancelled handling, the cancellation of the next attempt would hide a failed cleanup
+        # in a cancelled handling, the cancellation of the next attempt would hide the failure of a cleanup
         hidden = error is not None and _is_cancelled() and leaves_uncleaned(error)
         return isinstance(error, self.kinds) and not hidden
 
@@ -187,7 +187,7 @@ class Attempt(Scope["Attempt"]):
         self.number = number  # number of the attempt, from 1
         self.parameters = parameters
         self.failures = tuple(failures)  # failures of the earlier attempts
-        self.used = False  # whether a ``with`` statement has used the attempt
+        self.used = False  # whether a ``with`` statement has used this attempt
         self._attempts = attempts
 
     def __getitem__(self, name: str) -> Any:
@@ -203,14 +203,14 @@ class Attempt(Scope["Attempt"]):
     @contextmanager
     def _run(self) -> Iterator[Attempt]:
         raised: BaseException | None = None
-        handled: BaseException | None = None  # the failure to handle; after ``retry`` it isn't ``raised``
+        handled: BaseException | None = None  # the failure that was handled; after ``retry`` it differs from ``raised``
         changed: Parameters | None = None
-        with OnError(self._attempts.finish), self._attempts.entered():  # the start or the recording may fail
+        with OnError(self._attempts.finish), self._attempts.entered():  # starting or recording may fail
             span = Span("attempt", f"attempt {self.number}", parameters=self.parameters, attempt=self.number)
             with span, Binding(_attempt, self):
                 try:
                     yield self
-                except BaseException as error:  # noqa: BLE001  raised below, unless it is handled
+                except BaseException as error:  # noqa: BLE001  the error is raised below, unless it is handled
                     raised = handled = span.error = error
                     if isinstance(error, Retry) and error.attempt is self:
                         handled, changed = error.error or error, error.changed
@@ -248,8 +248,8 @@ class Attempts:
     def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
         """Return whether another attempt follows. If not, the caller raises ``error``, or this method the last failure.
 
-        ``handled`` is the failure to handle: after ``retry``, the failure that the plan was handling. ``changed`` has
-        parameters for the next attempt; None without ``retry``.
+        ``handled`` is the failure to handle: after ``retry``, the failure that the plan was handling. ``changed``
+        contains parameters for the next attempt; None without ``retry``.
         """
         if handled is None or (changed is None and not self._handling.handles(handled)):
             self.finish(error)
@@ -272,7 +272,7 @@ class Attempts:
         return False
 
     def close(self) -> None:
-        """End the handling if the plan left its loop between two attempts; warn if the last attempt failed."""
+        """End the handling if the plan left its loop between two attempts; warn if the last attempt has failed."""
         if not self.over:
             last = self._failures[-1] if self._failures else None
             self.finish(last)

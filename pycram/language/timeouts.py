@@ -1,7 +1,7 @@
 """Timeouts: parts of the plan with a deadline.
 
 At the deadline, the part is cancelled. A cancelled part stops at its next checkpoint (:mod:`pycram.scheduling`), or at
-its end if there is no checkpoint before. The part fails with :class:`TimedOut`, which a plan may handle or retry.
+its end if no checkpoint comes before. The part fails with :class:`TimedOut`, which a plan may handle or retry.
 
 The body can't add a branch to a block around the timeout, because the branch would outlive the timeout.
 """
@@ -62,7 +62,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
                     raise_if_cancelled()
                     yield
                     settle()
-                    cancel_scope.refuse_late()  # a motion isn't interrupted, so it may end long after the deadline
+                    cancel_scope.refuse_late()  # motions aren't interrupted, so one may end long after the deadline
             except Cancelled as cancelled:
                 if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
                     task.checkpoint = 0 if simulated else cancel_scope.struck or scheduler().checkpoints
@@ -79,7 +79,7 @@ class _SimulatedDeadline(Limit):
 
     @property
     def has_come(self) -> bool:
-        """Whether the deadline is reached."""
+        """Whether the deadline has come."""
         return self._world.sim_step >= self.end
 
     @property
@@ -96,7 +96,7 @@ def _timer(seconds: float) -> Iterator[CancelScope]:
 
 @contextmanager
 def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
-    from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds know nothing of plans
+    from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds don't know plans
 
     world = BulletWorld.current_bullet_world
     if world is None:

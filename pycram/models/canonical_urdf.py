@@ -32,18 +32,18 @@ _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
 _ANY_CHILD: Final = ("geometry", "contact")  # _check_shape() checks shapes; "contact" is an element of PyBullet
 _MAX_JOINTS: Final = 127  # maximum number of joints, also fixed ones; with more, PyBullet returns no states
 _MAX_MOVABLE: Final = 121  # maximum number of movable joints: PyBullet's state has 128 values, 7 for the base's pose
-_MAX_NAME: Final = 1000  # maximum length of a name in bytes; PyBullet crashes the process at about 1,024
+_MAX_NAME: Final = 1000  # maximum length of a name in bytes; PyBullet crashes at about 1,024
 _FAR: Final = "10000"  # limit in m of the chains that replace planar and floating joints
 _SLIDE: Final = f'<limit lower="-{_FAR}" upper="{_FAR}" effort="0" velocity="0"/>'
 LARGEST: Final = 1e9
 """Largest number in a link (m, kg or kg m^2): the engine turns larger numbers into infinity."""
 DENSITY: Final = 700.0  # density in kg/m^3 of household objects of unknown mass
-_FRAME_MASS: Final = 1e-3  # mass in kg of links without shapes
+_FRAME_MASS: Final = 1e-3  # mass in kg of a link without shapes
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
 _JOINT_INERTIA: Final = (
     0.05  # inertia in kg m^2 of links between joints; with it, the motors of a chain converge sooner
 )
-_ROUNDING: Final = 1e-9  # limit in kg m^2: a value this little below 0 is a rounding error of a mesh tool
+_ROUNDING: Final = 1e-9  # lowest accepted moment in kg m^2; values so little below 0 are rounding errors of mesh tools
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),
@@ -58,7 +58,7 @@ def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
     """Return the checked <robot> element of a URDF in metres, without elements that URDF doesn't define.
 
     Args:
-        scale: Metres per unit of length of the file.
+        scale: Number of metres in the file's unit of length.
 
     Raises:
         AssetError: The text isn't XML, isn't a URDF, or has a link that the engine can't use.
@@ -109,7 +109,7 @@ def _scale(root: ET.Element, scale: float) -> None:
 
 
 def _multiply(element: ET.Element, attributes: Iterable[str], factor: float) -> None:
-    """Multiply the numbers in attributes; invalid numbers stay, because later checks report them."""
+    """Multiply the numbers in attributes; invalid numbers remain, and later checks report them."""
     for attribute in attributes if factor != 1.0 else ():
         with suppress(ValueError):
             numbers = [finite(part) * factor for part in element.attrib.get(attribute, "").split()]
@@ -271,9 +271,9 @@ def _normalize(element: ET.Element, tree: Urdf) -> None:
 def give_inertia(link: ET.Element, *, moved: bool) -> None:
     """Add the inertia of a household object to a checked ``<link>`` element without inertia.
 
-    A link without shapes gets a negligible inertia: PyBullet would make it 1 kg and print a warning. Impossible
-    moments, where two add up to less than the third, are replaced by their mean; the engine would make them 0.
-    ``moved`` says whether a joint moves the link.
+    A link without shapes gets a negligible inertia: PyBullet would make it 1 kg and print a warning. If two moments add
+    up to less than the third, all are replaced by their mean; the engine would make them 0. ``moved`` is whether a
+    joint moves the link.
     """
     inertia = link.find("inertial/inertia")
     if inertia is not None:
@@ -309,7 +309,7 @@ def _box(collision: ET.Element) -> tuple[float, float, float] | None:
 
 
 def check_size(source: Path, tree: Urdf) -> None:
-    """Raise an AssetError if the engine can't handle so many joints, so long names or so distant joints."""
+    """Raise an AssetError if the engine can't handle the number of joints, the lengths of names or the distances."""
     for count, most, what in (
         (len(tree.joints), _MAX_JOINTS, "joints, including fixed joints"),
         (len(tree.movable), _MAX_MOVABLE, "movable joints"),

@@ -1,8 +1,8 @@
 """A cache of converted meshes and of convex hulls in a folder of the user, shared by all processes.
 
 Without this cache, some robots take 1 to 3 s to load each time. The name of an entry is the hash of everything that the
-conversion reads, and of the converting code. So an entry is never out of date, and a user may delete entries at any
-time. If the folder isn't writable, or other users can write to it, each process converts the meshes.
+conversion reads, and of the converting code. An entry is never out of date, and a user may delete entries at any time.
+If the folder isn't writable, or if other users can write to it, each process converts the meshes itself.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from recorder.user_folders import cache_folder
 if TYPE_CHECKING:
     Piece = tuple[str, bytes, Sequence[float] | None]
 
-_WORTH: Final = 50_000  # size in bytes below which a binary STL takes longer to look up than to convert
+_WORTH: Final = 50_000  # size in bytes of a binary STL below which a conversion is faster than a look-up
 _LARGEST: Final = 1_000_000_000  # total size in bytes above which the least recently used entries are deleted
 _CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "shapes.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
@@ -56,7 +56,7 @@ def get(
 
 
 def kept(kind: str, sources: Iterable[bytes], convert: Callable[[], Sequence[Piece]]) -> Sequence[Piece]:
-    """Return the pieces of a conversion from the cache, else convert; the conversion reads only ``sources``."""
+    """Return the pieces of a conversion from the cache; otherwise convert the mesh, reading only ``sources``."""
     where = cache_folder()
     if where is None:
         return convert()
@@ -86,7 +86,7 @@ def _version(library: str) -> str:
 
     try:
         return version(library)
-    except PackageNotFoundError:  # some conversions don't need the library
+    except PackageNotFoundError:  # only some conversions need the library
         return "none"
 
 

@@ -1,8 +1,8 @@
 """Corrections of found furniture in a TOML file next to the URDF: ``kitchen.furniture.toml`` for ``kitchen.urdf``.
 
 Each table corrects the found surface or container with that name; a table with a new name adds a surface or container
-(``docs/guides/furniture.md``). Loading the model checks names of links and joints; finding its furniture checks names
-of furniture.
+(``docs/guides/furniture.md``). Names of links and joints are checked when the model is loaded, names of furniture when
+the furniture is found.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class _Correction:
         return Furniture(MappingProxyType(surfaces), MappingProxyType(containers))
 
     def _things(self, kind: str, found: Mapping[str, Any], said: Mapping[str, Mapping[str, Any]]) -> list[Any]:
-        """Return names and found surfaces or containers, without the removed; None stands for an added thing."""
+        """Return names with the found surfaces or containers, except removed ones; an added name has None."""
         for key, entries in said.items():
             needed = [part for part in _NEW[kind] if not any(name in entries for name in part.split(" or "))]
             if key not in found and (needed or "remove" in entries):

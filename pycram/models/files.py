@@ -2,7 +2,7 @@
 
 Models come from PyCRAM's resources, example-robot-data and the user. A URDF names a mesh by a relative path, an
 absolute path, ``file://`` or a path in a ROS package, ``package://NAME/PATH``. A package is a folder with that name, or
-a folder whose ``package.xml`` contains that name; ``docs/guides/models.md`` has the order of the search.
+a folder whose ``package.xml`` contains that name; ``docs/guides/models.md`` describes the order of the search.
 """
 
 from __future__ import annotations
@@ -71,11 +71,11 @@ def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -
         chains: Whether the caller will replace planar and floating joints with chains of single joints.
 
     Raises:
-        AssetError: The text isn't a URDF, its links aren't one tree, or a joint mimics itself.
+        AssetError: The text isn't a URDF, its links aren't one tree, or a joint copies its own position.
     """
     try:
         tree = Urdf.parse(text, chains=chains)
-        tree.mimics  # noqa: B018  the first reading checks the value
+        tree.mimics  # noqa: B018  the first reading has checked the value
     except UrdfError as error:
         raise AssetError(source, str(error)) from error
     return tree
@@ -164,7 +164,7 @@ def mount_gripper(robot: ET.Element, link: str, xyz: str, rpy: str, prefix: str 
 
 
 def with_absolute_meshes(robot: ET.Element, source: Path) -> bytes:
-    """Return the text of a URDF that was read from a file; in another folder, relative names would be wrong."""
+    """Return the text of a URDF from a file; its relative file names are valid only in the file's folder."""
     for mesh in robot.iter("mesh"):
         mesh.set("filename", os.fspath(find_mesh(source, mesh.get("filename", ""))))
     ET.indent(robot)
@@ -222,7 +222,7 @@ def find_package(source: Path, package: str, packages: Sequence[Path] = ()) -> P
 
 
 def _candidates(source: Path, package: str, packages: Sequence[Path]) -> Iterator[Path]:
-    """Yield folders that may be a package, likely folders first. The generator walks folders only on demand."""
+    """Yield folders that may be a package, likely folders first. The generator reads folders on demand."""
     for root in (*packages, *_variable(_VARIABLE)):
         yield from _below(root, package)
     for folder in source.parents:

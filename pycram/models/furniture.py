@@ -28,15 +28,15 @@ from recorder import geometry
 from recorder.geometry import Pose, Quaternion
 from recorder.urdf import Urdf, UrdfJoint
 
-_HIGHEST: Final = 1.8  # height in m above the model's lowest point; higher surfaces are out of reach and out of sight
-_GROUND: Final = 10.0  # area in m^2; larger surfaces are floors
+_HIGHEST: Final = 1.8  # height in m above the model's lowest point; higher surfaces are out of reach and sight
+_GROUND: Final = 10.0  # area in m^2 above which a surface is a floor
 _NARROW: Final = 0.2  # maximum width in m of the top of a wall
 _UPRIGHT: Final = 4.0  # minimum ratio of height to width of a wall
 _RAYS: Final = 24  # number of horizontal directions
-_NEAR: Final = 0.6  # distance in m; only parts this near to the outline of a surface hide the surface
+_NEAR: Final = 0.6  # distance in m from a surface's outline within which a part can hide the surface
 _HEIGHTS: Final = (0.3, 0.6, 0.9)  # heights of rays above a surface, as shares of ``_HAND``
 _HAND: Final = 0.2  # free height in m that a hand needs
-_LEVEL: Final = 0.5  # maximum |z| of the axis of a horizontal joint
+_LEVEL: Final = 0.5  # maximum |z| of the unit axis of a horizontal joint
 _TRAVEL: Final = (0.05, 2.0)  # range in m of the travel of a drawer
 _HANDLE: Final = ("handle", "knob", "grip", "pull")  # words in the names of handles
 _ANGLES: Final = np.arange(_RAYS) * 2 * math.pi / _RAYS
@@ -75,7 +75,8 @@ def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
     """Return the surfaces on top of a free object with closed joints, such as a plate, a tray or a box.
 
     Args:
-        orientation: Orientation xyzw of the object in the world. An object that lies on its side has another top.
+        orientation: Orientation xyzw of the object in the world. If an object lies on its side, another face is its
+            top.
     """
     urdf = stored_tree(path)
     turned = (0.0, 0.0, 0.0), orientation
@@ -88,7 +89,7 @@ def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
 
 
 def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:
-    """Return False for a floor, for the top of a wall, and for a face that is out of reach."""
+    """Return whether a face is a surface: not a floor, nor the top of a wall, nor out of reach."""
     if face.area > _GROUND or face.middle[2] - floor > _HIGHEST:
         return False
     width = float(np.ptp(face.outline, axis=0).min())
@@ -107,7 +108,7 @@ class _Search:
 
     def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
         self._urdf, self._poses, self._every, self._offered = urdf, poses, every, offered
-        self._movers: dict[str, UrdfJoint | None] = {}  # the nearest movable joint above each link
+        self._movers: dict[str, UrdfJoint | None] = {}  # the nearest movable joint above each link in the URDF's tree
         for link in urdf.links:
             joint = urdf.parent_joint(link)
             if joint is None or joint.movable:
@@ -136,7 +137,7 @@ class _Search:
         return self._named(kept, drawers | solid)
 
     def _drawer(self, link: str) -> UrdfJoint | None:
-        """Return the joint that moves a link like a drawer; None if no joint does."""
+        """Return the joint that moves a link like a drawer; None if there is no such joint."""
         joint = self._movers[link]
         if joint is None or joint.type != "prismatic" or not _TRAVEL[0] <= joint.upper - joint.lower <= _TRAVEL[1]:
             return None
@@ -173,7 +174,7 @@ class _Search:
             for name in joints
         ]
         by_joint = dict(zip(joints, distinct(names), strict=True))
-        # order of the numbers in names: in a container from low to high, else by size
+        # numbers in names follow this order: from low to high in a container, otherwise by size
         order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)
         named = dict(
             zip(order, distinct(readable(kept[number][0].link, self._urdf.name) for number in order), strict=True)

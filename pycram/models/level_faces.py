@@ -26,19 +26,19 @@ if TYPE_CHECKING:
 
 
 class Least(NamedTuple):
-    """Sizes of the smallest face on which an object can stand."""
+    """Minimum sizes of a face on which an object can stand."""
 
     area: float  # m^2
     side: float  # m
 
 
-AREA: Final = 0.02  # m^2, minimum area of a face of furniture
-FURNITURE: Final = Least(AREA, 0.06)  # as wide as a glass
+AREA: Final = 0.02  # minimum area in m^2 of a face of furniture
+FURNITURE: Final = Least(AREA, 0.06)  # width of a glass
 THINGS: Final = Least(0.0016, 0.04)  # sizes for a plate, a box, or another object that robots carry
 _CLEARANCES: Final = (0.25, 0.05)
-"""Minimum free heights in m, in the order of the search: so a low lamp excludes only the area below it."""
+"""Minimum free heights in m, in the order of the search; with several, a low lamp excludes only the area below it."""
 _LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
-_THICK: Final = 0.004  # m, maximum difference in height of the tops that form one face of a link
+_THICK: Final = 0.004  # maximum difference in m between the heights of tops that form one face of a link
 _ROUGH: Final = 0.002  # maximum height in m of a bump that isn't an obstacle on a face
 _GAP: Final = 0.001  # minimum distance in m of grid lines
 _FINE: Final = 0.02  # distance in m of grid lines if edges aren't parallel to the grid
@@ -47,7 +47,7 @@ _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
 _PARALLEL: Final = 1e-9  # maximum component of a plane's unit normal along a line that counts as parallel to the plane
 _SIMPLE: Final = 16  # number of planes of a piece above which lines that miss its bounding box are skipped
 _ROUNDING: Final = 1e-9  # maximum relative rounding error of an area
-_COLUMNS: Final = 8  # number of columns that BLAS multiplies together
+_COLUMNS: Final = 8  # number of columns that BLAS multiplies in one call
 _SAME_PLANE: Final = 6  # decimal places in which planes of triangles on one side of a hull agree
 
 
@@ -57,7 +57,7 @@ class Face:
 
     link: str
     middle: Array  # (3,), m
-    yaw: float  # rad, orientation of the outline's frame about z
+    yaw: float  # orientation of the outline's frame about z, rad
     outline: Array  # (n, 2) corners relative to the middle, counter-clockwise, m
     clearance: float  # free height in m; infinite if the face is open above
 
@@ -92,7 +92,7 @@ def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
 
 
 def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, least: Least) -> Iterator[Face]:
-    """Yield the faces that pieces of one height form; ``bounds`` (k, 2, 3) are corners of boxes around all pieces."""
+    """Yield the faces that pieces of one height form; ``bounds`` (k, 2, 3) has corners of boxes around pieces."""
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)
@@ -218,13 +218,13 @@ def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, ar
 
 
 def _largest(free: NDArray[np.bool_], rows: Array, columns: Array, side: float) -> tuple[float, Rectangle] | None:
-    """Return the largest rectangle of free cells and its area, by the largest rectangle in a histogram of each row."""
+    """Return the largest rectangle of free cells and its area, from a histogram of each row."""
     best: tuple[float, Rectangle] | None = None
-    starts = np.zeros(free.shape[1], dtype=np.intp)  # for each column, the first row of the free cells above ``row``
+    starts = np.zeros(free.shape[1], dtype=np.intp)  # for each column, the first row of free cells above ``row``
     for row, cells in enumerate(free):
         starts = np.where(cells, starts, row + 1)
         below = float(rows[row + 1])
-        pending: list[tuple[int, int]] = []  # columns, and their first free rows, ascending
+        pending: list[tuple[int, int]] = []  # columns with their first free rows, ascending
         for column, start in enumerate([*starts.tolist(), row + 1]):
             first = column
             while pending and pending[-1][1] < start:
@@ -265,7 +265,7 @@ def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tupl
 
 
 def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return the distances (n, m) at which lines enter and leave pieces; infinity and -infinity for a miss.
+    """Return the distances (n, m) at which lines enter and leave pieces; infinities for a line that misses.
 
     Args:
         every: m pieces.
@@ -287,16 +287,16 @@ def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple
 
 
 def _near(piece: Piece, origins: Array, directions: Array) -> NDArray[np.intp]:
-    """Return the indices of the lines that pass through a piece's bounding box, with a margin of ``_GAP``."""
+    """Return the indices of the lines that pass through a piece's bounding box, widened by ``_GAP``."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (np.stack([piece.low - _GAP, piece.high + _GAP])[:, None] - origins) / directions
     low, high = np.sort(ends, axis=0)  # (n, 3); infinite if a line is parallel to a side
     found = np.flatnonzero(low.max(axis=1) <= high.min(axis=1))
-    return np.resize(found, 2) if len(found) == 1 else found  # repeated, because BLAS rounds a single row differently
+    return np.resize(found, 2) if len(found) == 1 else found  # repeated, as BLAS rounds a single row differently
 
 
 def _between_planes(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return the distances of :func:`_through`, from all planes of all pieces."""
+    """Return the distances that :func:`_through` describes, from all planes of all pieces."""
     starts = np.cumsum([0, *(len(piece.planes) for piece in every[:-1])])
     planes = np.concatenate([piece.planes for piece in every])
     planes = np.concatenate([planes, planes[[-1] * (-len(planes) % _COLUMNS)]])  # BLAS rounds odd columns differently

@@ -1,8 +1,8 @@
 """Loading models: from a user's file or a recording's attachments to a checked, canonical URDF in the store.
 
-PyBullet rejects a broken file without a reason, loads it without a shape, or crashes the process. So this module checks
-every file first, also files of recordings, which a stranger may have written. A canonical URDF names its meshes
-``<sha256>/<file name>``, as the store does (:mod:`pycram.models.store`).
+PyBullet rejects some broken files without a reason, loads others without a shape, or crashes. This module checks every
+file first, also files of recordings, which a stranger may have written. A canonical URDF names its meshes
+``<sha256>/<file name>``, as the store names them (:mod:`pycram.models.store`).
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _CACHED_MESHES: Final = 1024
 _SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # shapes with textures
 _START: Final = b"<robot "  # start of a canonical URDF, which has no declarations and no entities
 _MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
-_MAX_NAME: Final = 230  # longest name of a file in bytes; file systems allow 255, and temporary files have longer names
+_MAX_NAME: Final = 230  # maximum bytes of a file's name; file systems allow 255, and temporary files have longer names
 _MAX_LINE: Final = 8000  # maximum length of a URDF's lines in bytes; PyBullet breaks longer lines
-_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # how recordings write a byte that isn't UTF-8
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # the form in which recordings contain a byte that isn't UTF-8
 _RESERVED: Final = ("", ".", "..")
 
 
@@ -53,7 +53,7 @@ class Model:
     path: Path  # the canonical URDF in the store
     urdf: Urdf  # tree of links and joints
     files: tuple[AssetFile, ...]  # the URDF, then the files that the URDF names, then corrections of furniture
-    loading: Loading = NOW  # how the engine makes a body of the model
+    loading: Loading = NOW  # options for loading a body of the model into the engine
     meshes: tuple[tuple[str, _FileVersion], ...] = ()  # links of a user's URDF and their collision meshes
 
 
@@ -66,7 +66,7 @@ def load(
         path: A .urdf, .xacro, .stl, .obj or .dae file; see :func:`pycram.models.files.find`.
         color: RGBA 0..1 of a mesh; None keeps the colours of the file.
         packages: Folders of ROS packages, or folders that contain them; see :mod:`pycram.models.files`.
-        scale: Metres per unit of length of the file.
+        scale: Number of metres in the file's unit of length.
 
     Raises:
         BadArgument: A folder in ``packages`` doesn't exist.
@@ -122,7 +122,7 @@ def _file_names(source: Path, content: bytes, scale: float) -> tuple[tuple[str, 
 def _cached_model(
     source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...], scale: float
 ) -> Model:
-    """Return the model of a URDF and of these versions of its files. The cache makes loading much faster."""
+    """Return the model of a URDF, from certain versions of its files."""
     root = canonical_urdf.read(source, content, scale)
     files = dict(versions)
     used: dict[str, AssetFile] = {}
@@ -176,7 +176,7 @@ def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: di
 def _color(
     link: ET.Element, visual: ET.Element, shown: ET.Element, parts: Sequence[_Painted], used: dict[str, AssetFile]
 ) -> None:
-    """Replace a visual with a visual for each colour of its mesh. As in RViz, meshes override colours of the URDF."""
+    """Replace a visual by one for each colour of its mesh. As in RViz, meshes override colours of the URDF."""
     place = list(link).index(visual)
     link.remove(visual)
     for number, (asset, rgba) in enumerate(parts):
@@ -279,7 +279,7 @@ def _tree(path: Path, key: str, meshes: frozenset[str]) -> Urdf:
     if max(map(len, content.splitlines())) > _MAX_LINE:
         raise AssetError(key, f"a line has more than {_MAX_LINE} bytes, which isn't canonical")
     canonical_urdf.read(path, content)
-    for element in ET.fromstring(content).iter():  # noqa: S314  without entities; the engine reads all elements
+    for element in ET.fromstring(content).iter():  # noqa: S314  a text without entities; the engine reads all elements
         named = element.get("filename")
         if element.tag == "texture" or (named is not None and named not in meshes):
             raise AssetError(key, f"the URDF names {named!r}, a file that the recording doesn't have for this body")

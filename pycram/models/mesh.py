@@ -1,4 +1,4 @@
-"""Meshes: this module checks STL, OBJ and COLLADA files, and converts them for the engine and viewers.
+"""Meshes: checks of STL, OBJ and COLLADA files, and conversions for the engine and viewers.
 
 PyBullet loads a truncated or ASCII STL as a body without a shape, so every mesh is parsed here first. pycollada reads
 COLLADA three times as fast as trimesh. Most OBJ files are read without trimesh, whose import takes a second.
@@ -39,7 +39,7 @@ else:
 
 _LARGE: Final = 5000  # number of faces of a large mesh
 _FAR: Final = 1e9  # maximum coordinate of a mesh, in the unit of the file
-_HOLLOW: Final = 0.5  # share of its convex hull that a hollow mesh fills at most
+_HOLLOW: Final = 0.5  # maximum share of its convex hull that a hollow mesh fills
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 _STL_HEADER: Final = 84
 _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
@@ -53,7 +53,7 @@ class ColoredPart(NamedTuple):
     rgba: Rgba | None  # RGBA 0..1; None if the file has no colour
 
 
-@lru_cache(maxsize=2)  # most models use a mesh for collision, and then for visuals
+@lru_cache(maxsize=2)  # loading uses most meshes twice: first for collision, then for visuals
 def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[ColoredPart, ...]:
     """Return the triangles of a .dae or .obj file, grouped by colour.
 
@@ -89,7 +89,7 @@ def _dae_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterato
         for primitive in geometry.primitives():
             mesh = primitive.triangleset() if hasattr(primitive, "triangleset") else primitive
             if not isinstance(mesh, collada.triangleset.BoundTriangleSet) or mesh.vertex is None or not len(mesh):
-                continue  # lines have no triangles
+                continue  # lines contain no triangles
             triangles = np.asarray(mesh.vertex[mesh.vertex_index], dtype=np.float64) * unit
             diffuse = getattr(getattr(mesh.material, "effect", None), "diffuse", None)
             if isinstance(diffuse, collada.material.Map):
@@ -136,7 +136,8 @@ def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
     """Return the vertices of an OBJ as texts of coordinates, and the indices of each face's vertices.
 
     Raises:
-        ValueError: A face has a missing corner, or a line is too long. PyBullet would crash in both cases.
+        ValueError: A face has a missing corner, or a line is too long. PyBullet would crash if a corner is missing or
+            if a line is too long.
     """
     known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
     vertices: list[list[bytes]] = []
@@ -253,8 +254,8 @@ def convert(file: Path) -> tuple[str, bytes]:
 def convert_collision(file: Path) -> tuple[str, bytes]:
     """Return file name and content of a collision mesh for the engine; see :func:`convert`.
 
-    The convex hull replaces a large mesh in one piece: the engine uses only the hull, and would compute it slowly each
-    time that it loads the model.
+    The convex hull replaces a large mesh in one piece: the engine uses only the hull, and would compute it slowly at
+    each loading.
     """
     content = _bytes(file)
     kind = file.suffix.lower()
@@ -272,7 +273,7 @@ def convert_collision(file: Path) -> tuple[str, bytes]:
 
 
 def is_convex(shape: trimesh.Trimesh, least: float) -> bool:
-    """Return whether a mesh fills at least this share of its convex hull; of an open mesh, the areas are compared."""
+    """Return whether a mesh fills at least a share of its convex hull; for an open mesh, areas are compared."""
     hull = shape.convex_hull
     if shape.is_watertight:
         return bool(shape.volume > least * hull.volume)
@@ -293,7 +294,7 @@ def is_filled(file: Path) -> bool:
 def _hull(triangles: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Return the triangles of the convex hull with outward normals; None for a flat mesh."""
     with needed():
-        from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415  pictures of recordings don't need SciPy
+        from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415  pictures of recordings work without SciPy
 
     corners = np.ascontiguousarray(triangles.reshape(-1, 3), dtype=np.float32)
     distinct = np.unique(corners.view("V12")).view(np.float32).reshape(-1, 3).astype(np.float64)
@@ -312,14 +313,14 @@ def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, by
     """Return file name, content and colour of each visual part of a mesh; a file without faces has no parts.
 
     The colour is RGBA 0..1, or None if the file has no colour. ``cover`` is the content of a texture for faces without
-    a material; faces without texture coordinates get its mean colour. Errors are as in :func:`convert`.
+    a material; faces without texture coordinates get its mean colour. The errors are those of :func:`convert`.
     """
     if file.suffix.lower() not in (".dae", ".obj"):
         image = None if cover is None else read_image(io.BytesIO(cover))
         return [(*convert(file), None if image is None else mean(image))]
     parts = read_parts(file, _bytes(file), cover)
     if file.suffix.lower() == ".obj" and len(parts) == 1:
-        return [(*convert(file), parts[0].rgba)]  # the file stays unchanged, so its normals are kept
+        return [(*convert(file), parts[0].rgba)]  # the file isn't changed, so its normals remain
     return [(f"{file.stem}-{number}.stl", stl(part.triangles), part.rgba) for number, part in enumerate(parts)]
 
 
@@ -378,7 +379,7 @@ def _with_normals(content: bytes) -> bytes:
     """Replace the zero normals that many exporters write, because viewers would render the mesh black."""
     table = stl_faces(content).copy()
     numbers = table["numbers"]
-    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # the absolute components of a unit vector add up to at least 1
+    missing = np.abs(numbers[:, 0]).sum(axis=1) < 0.5  # the absolute components of a unit vector have a sum >= 1
     if not missing.any():
         return content
     a, b, c = (numbers[missing, corner].astype(np.float64) for corner in (1, 2, 3))

@@ -1,6 +1,6 @@
 """The URDF of an object that is a single mesh file.
 
-PyBullet uses the convex hull of a mesh for collisions: a bowl would be solid. So a concave mesh gets a convex
+A bowl would be solid, because PyBullet uses the convex hull of a mesh for collisions. So a concave mesh gets a convex
 decomposition: the file ``NAME.collision.obj`` next to the mesh (one ``o`` group per convex piece), else by V-HACD. The
 table ``[NAME]`` of the file ``objects.toml`` next to the mesh may contain mass (kg), friction and coloured visual
 parts.
@@ -27,7 +27,7 @@ from recorder.records.values import AssetFile
 if TYPE_CHECKING:
     import trimesh
 
-_MIN_CONVEXITY: Final = 0.9  # share of the hull's volume that a convex mesh fills; for open meshes, share of the area
+_MIN_CONVEXITY: Final = 0.9  # minimum share of its hull's volume that a convex mesh fills; of the area for open meshes
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 
@@ -36,7 +36,7 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
 
     Args:
         color: RGBA 0..1 of the object; None for the colours of the mesh, or grey if the mesh has no colours.
-        scale: Metres per unit of length of the mesh, and of other meshes next to it.
+        scale: Number of metres in the unit of length of the mesh and of the other meshes next to it.
 
     Raises:
         AssetError: The mesh or a file next to it is broken, or the object is too large for the engine.
@@ -55,7 +55,7 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
 def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[tuple[str, bytes, None]]:
     """Yield name and content of the meshes, and then of the URDF.
 
-    The URDF has one link with convex collision shapes, mass, centre of mass and inertia. Keys name the meshes.
+    The URDF has one link with convex collision shapes, mass, centre of mass and inertia. The keys are names of meshes.
     """
     shape = parse(file)
     if scale != 1.0:
@@ -82,7 +82,7 @@ def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[
     if _pieces(file).is_file():
         _set_scale(mesh, scale)
     yield name, content, None
-    # escaped, because the name of the file may contain bytes that aren't UTF-8
+    # the name is escaped, because it may contain bytes that aren't UTF-8
     yield f"{file.stem}.urdf", escaped(ET.tostring(robot, encoding="unicode")).encode(), None
 
 

@@ -1,7 +1,7 @@
 """Rigid parts and single links of a model, as separate models for collision checks and simulation clones.
 
-The duration of an engine's step grows with the number of links, even of distant links. The duration of loading grows
-with the number of meshes. So simulation clones load furniture as rigid parts, and collision checks load single links.
+An engine's step takes longer with more links, even if they are distant. Loading takes longer with more meshes. So
+simulation clones load furniture as rigid parts, and collision checks load single links.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _CACHED_LINKS: Final = 4096
 
 @dataclass(frozen=True, slots=True)
 class RigidPart:
-    """Links that fixed joints connect, merged into one link."""
+    """Links that are connected by fixed joints, merged into one link."""
 
     frame: str  # name of the link whose frame is the frame of the part
     links: tuple[str, ...]  # names of the merged links with collision shapes
@@ -66,10 +66,10 @@ def single_link(path: Path, link: str) -> Path:
 
 
 def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
-    """Store a model of one link with the collision shapes of links of equal friction, at poses in the new link."""
+    """Store a model of one link that has the collision shapes of links of equal friction, at poses in the new link."""
     root = ET.Element("robot", name=name)
     merged = ET.SubElement(root, "link", name=name)
-    inertial = ET.SubElement(merged, "inertial")  # any inertia will do, because the base of a part is fixed
+    inertial = ET.SubElement(merged, "inertial")  # the inertia doesn't matter, because the base of a part is fixed
     ET.SubElement(inertial, "mass", value="1")
     ET.SubElement(inertial, "inertia", attrib=_INERTIA)
     for link, pose in links:

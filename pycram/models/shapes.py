@@ -1,7 +1,7 @@
 """Shapes of a model: triangles, colours, bounding boxes, and the convex pieces that the engine uses for collisions.
 
-Each canonical URDF is read once, because its name changes with its content. The engine uses the convex hull of each
-group of a collision mesh. The planes of a hull are half spaces, so lines can be intersected with a hull.
+A canonical URDF is read only once, because a URDF with another content has another name. The engine uses the convex
+hull of each group of a collision mesh. The planes of a hull are half spaces, so lines can be intersected with a hull.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ if TYPE_CHECKING:
 Number = TypeVar("Number", np.float64, np.int64)
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
 """The lowest and the highest corner of a bounding box, m."""
-_SMALL: Final = 300  # maximum number of values in a small array
-_SECTIONS: Final = 32  # sides of cylinders and spheres
-_NO_AREA: Final = 1e-12  # area in m^2, if the solid is 1 m high; smaller triangles have two corners on its axis
+_SMALL: Final = 300  # maximum number of values in an array that counts as small
+_SECTIONS: Final = 32  # number of sides of approximated cylinders and spheres
+_NO_AREA: Final = 1e-12  # area in m^2; in a solid 1 m high, a smaller triangle has two corners on the axis
 _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners of a cube with edges of 1 m
 _SIDES: Final = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
 """Indices of the corners of each side of the cube, counter-clockwise as seen from outside."""
 _CUBE_TRIANGLES: Final = np.array([_CUBE[[a, *ends]] for a, b, c, d in _SIDES for ends in ((b, c), (c, d))])
 _PLANE_DECIMALS: Final = 9  # decimal places in which planes of triangles on one face agree
-_MAX_CHOSEN: Final = 40  # maximum number of corners for trying every choice of three; with more, that takes over 3 ms
+_MAX_CHOSEN: Final = 40  # maximum number of corners for trying all choices of three; more would take over 3 ms
 _SHARED: Final = 6  # approximate number of triangles that share a corner
 _FLAT: Final = 1e-9  # tolerance in m for corners in front of a plane, and minimum thickness of a solid
-_IN_LINE: Final = 1e-12  # maximum of twice the area between three collinear corners, m^2
-_NEXT: Final = [1, 2, 0]  # axes of the first factors of a cross product
+_IN_LINE: Final = 1e-12  # twice the area in m^2 below which three corners are collinear
+_NEXT: Final = [1, 2, 0]  # axes of the first factors of the terms of a cross product
 _OTHER: Final = [2, 0, 1]  # axes of the second factors
 
 
@@ -48,7 +48,7 @@ class Shapes:
     """Shapes of a model, each in the frame of its link. Links without shapes are left out; k links remain."""
 
     links: tuple[str, ...]
-    #: Functions of a link's index; values are computed when they are first needed, because a camera sees few links.
+    #: Functions of a link's index; they compute values when a caller first needs them, because a camera sees few links.
     triangles: Callable[[int], Array]  # returns (n, 3, 3) corners, m
     colors: Callable[[int], Array]  # returns (n, 3) RGB 0..1 of the triangles
     low: Array  # (k, 3) lowest corners of bounding boxes, m
@@ -84,7 +84,7 @@ def bounds(corners: Array) -> tuple[Array, Array]:
     if corners.size <= _SMALL:
         few = corners.reshape(-1, 3)
         return few.min(axis=0), few.max(axis=0)
-    x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))  # each axis alone is much faster
+    x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))  # each axis alone is faster
     return np.array([x.min(), y.min(), z.min()]), np.array([x.max(), y.max(), z.max()])
 
 
@@ -139,7 +139,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
         yield _triangles(shape, folder)
         return
     corners: list[list[str]] = []
-    groups: list[set[str]] = [set()]  # indices as text, because each index occurs about six times
+    groups: list[set[str]] = [set()]  # the indices stay text, because each occurs about six times
     for key, words in _obj_lines(folder / shape.mesh):
         if key == "v":
             corners.append(words)
@@ -154,7 +154,7 @@ def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
 
 
 def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
-    """Yield key and words of each line of an OBJ: coordinates of a vertex, or indices from 1 of a face's vertices."""
+    """Yield key and words of each line of an OBJ: a vertex's coordinates, or a face's indices, from 1."""
     count = 0
     for line in file.read_text(encoding="utf-8", errors="replace").splitlines():
         key, *words = line.split() or [""]
@@ -162,7 +162,7 @@ def _obj_lines(file: Path) -> Iterator[tuple[str, list[str]]]:
             count += 1
             words = words[:3]
         elif key == "f":
-            if "/" in line:  # indices of normals and texture coordinates follow
+            if "/" in line:  # indices of normals and texture coordinates follow the vertex's index
                 words = [word.split("/")[0] for word in words]
             if "-" in line:  # negative indices are relative to the last vertex
                 words = [str(count + 1 + int(word)) if word.startswith("-") else word for word in words]
@@ -207,14 +207,14 @@ def _revolved(profile: Array) -> Array:
 
 @lru_cache(maxsize=1024)
 def _mesh_ends(file: Path) -> Array:
-    if file.suffix.lower() == ".stl":  # the number format of an STL is exact, too
+    if file.suffix.lower() == ".stl":  # an STL's number format is also exact
         return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
 
 
 @lru_cache(maxsize=256)
 def _mesh(file: Path) -> Array:
-    if file.suffix.lower() == ".stl":  # a binary STL, because the store has no ASCII STL
+    if file.suffix.lower() == ".stl":  # a binary STL, because the store contains no ASCII STL
         return np.array(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:], dtype=np.float64)
     corners: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
@@ -268,7 +268,7 @@ def _planes(corners: Array, hull: Hull | None) -> Array:
 
 
 def distinct(values: NDArray[Number], axis: int | None = None) -> NDArray[Number]:
-    """Return the sorted distinct values. Without counts, NumPy would load masked arrays, which takes 10 ms."""
+    """Return the sorted distinct values. Without counts, NumPy would import masked arrays, which takes 10 ms."""
     found: NDArray[Number] = np.unique(values, return_counts=True, axis=axis)[0]
     return found
 
@@ -284,7 +284,7 @@ class Hull(NamedTuple):
 def convex_hulls(every: Iterable[Array]) -> Sequence[Hull | None]:
     """Return the convex hulls of sets of points (n, 3), m; None for a set of coplanar points.
 
-    SciPy finds the hulls of many points. A cache keeps these hulls, because SciPy takes 0.25 s to import.
+    SciPy computes the hulls of large sets. A cache keeps these hulls, because SciPy takes 0.25 s to import.
     """
     sets = [
         distinct(corners, axis=0) if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED else corners
@@ -296,7 +296,7 @@ def convex_hulls(every: Iterable[Array]) -> Sequence[Hull | None]:
 
 
 def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
-    """Yield the hulls of sets of many points from the cache, else by SciPy."""
+    """Yield the hulls of large sets of points from the cache; SciPy computes missing hulls."""
 
     def find() -> Sequence[tuple[str, bytes, None]]:
         spatial, found = _spatial(), []
@@ -304,7 +304,7 @@ def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
             try:
                 hull = spatial.ConvexHull(corners)
                 parts: tuple[Array, ...] = corners[hull.vertices], hull.equations
-            except spatial.QhullError:  # the set is flat
+            except spatial.QhullError:  # the points of the set are in a plane
                 parts = np.zeros((0, 3)), np.zeros((0, 4))
             found += [("", np.ascontiguousarray(part).tobytes(), None) for part in parts]
         return found
@@ -319,7 +319,7 @@ def _small_hull(corners: Array) -> Hull | None:
     """Return a hull from all choices of three points: they span a side if no point is in front of their plane."""
     first, second, third = corners[_triples(len(corners))]
     u, v = second - first, third - first
-    normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross would take most of the time
+    normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross would take most of the running time
     areas = np.sqrt((normals * normals).sum(axis=1))
     spans = areas > _IN_LINE
     normals = normals[spans] / areas[spans, None]
@@ -334,7 +334,7 @@ def _small_hull(corners: Array) -> Hull | None:
 
 @cache
 def _spatial() -> Any:
-    """Return scipy.spatial, which pictures of recordings don't need."""
+    """Return scipy.spatial; pictures of recordings work without it."""
     with needed():
         return LazyModule("scipy.spatial")
 

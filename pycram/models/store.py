@@ -1,4 +1,4 @@
-"""The store of canonical models: a temporary folder of the process. The hash of a file's content is its name.
+"""The store of canonical models: a temporary folder of the process. The name of a file is the hash of its content.
 
 The process removes its store when it ends. If a process was killed, the user's next process that creates a store
 removes the abandoned store. A lock in the store shows whether its process is alive.
@@ -39,7 +39,7 @@ def folder() -> Path:
 
     def remove() -> None:
         if os.getpid() == owner:  # a fork uses the store of its parent, and doesn't remove it
-            with Uninterrupted():  # a second Ctrl-C prints no traceback
+            with Uninterrupted():  # a second Ctrl-C must not print a traceback
                 shutil.rmtree(made, ignore_errors=True)
                 drop_pending()
 
@@ -114,6 +114,6 @@ def write_mesh(name: str, content: bytes) -> AssetFile:
 
 
 def write_urdf(name: str, content: bytes) -> tuple[Path, AssetFile]:
-    """Store a URDF next to the folders of its meshes, where PyBullet looks for them; ``name`` is that in recordings."""
+    """Store a URDF next to the folders of its meshes, where PyBullet looks for them; recordings use the ``name``."""
     asset = AssetFile(name, content, URDF_TYPE)
     return write(f"{asset.sha256}.urdf", content), asset

@@ -1,4 +1,4 @@
-"""Textures as colours of triangles, because the engine and the viewers support one colour per shape.
+"""Textures become colours of triangles, because the engine and the viewers support one colour per shape.
 
 A texture is reduced to a palette, and triangles are divided until each has about one colour. A box shows the texture
 upright on each face; a cylinder shows it once around its side, and a disc of it on both ends; a sphere shows it once
@@ -33,10 +33,10 @@ else:
         Image = LazyModule("PIL.Image")
 
 _COLORS: Final = 8  # number of colours in the palette; each colour becomes a shape
-_SPOT: Final = 1 / 48  # maximum share of the texture's width that a triangle spans
+_SPOT: Final = 1 / 48  # maximum share of the texture's width that a triangle covers
 _MAX_TRIANGLES: Final = 20_000
-_MAX_SIDE: Final = 256  # largest size of an image in pixels; larger images are reduced
-_SECTIONS: Final = 32  # sides of cylinders and spheres
+_MAX_SIDE: Final = 256  # maximum size of an image in pixels; larger images are reduced
+_SECTIONS: Final = 32  # number of sides of approximated cylinders and spheres
 _AXES: Final = np.eye(3)
 
 
@@ -68,11 +68,12 @@ def mean(image: Image.Image) -> Rgba:
 
 
 def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Array, Rgba]]:
-    """Yield the triangles (m, 3, 3) of each visible colour, and the colour RGBA 0..1.
+    """Yield, for each visible colour, its triangles (m, 3, 3) and its RGBA 0..1.
 
     Args:
         triangles: (n, 3, 3) corners.
-        uv: (n, 3, 2) texture coordinates of the corners, from the lower left; the texture repeats outside 0..1.
+        uv: (n, 3, 2) texture coordinates of the corners, measured from the lower left; outside of 0..1 the texture
+            repeats.
     """
     reduced = (
         image.reduce(max(1, max(image.size) // _MAX_SIDE)).convert("RGB").quantize(_COLORS, Image.Quantize.FASTOCTREE)
@@ -104,7 +105,7 @@ def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
 
 
 def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[Array, Rgba]]:
-    """Return the triangles (m, 3, 3) of each colour of a shape, and the colour; an empty list without a readable image.
+    """Return the triangles (m, 3, 3) of each colour of a shape, with the colour; [] without a readable image.
 
     Args:
         kind: "box", "cylinder" or "sphere".

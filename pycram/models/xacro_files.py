@@ -27,7 +27,7 @@ def expanded(source: Path, content: bytes, packages: Sequence[Path] = ()) -> byt
     target = source.name.removesuffix(SUFFIX).removesuffix(".urdf") + ".urdf"
     command = f"xacro {source.name} > {target if target != source.name else f'expanded_{target}'}"
     try:
-        import xacro  # noqa: PLC0415  only few models need it
+        import xacro  # noqa: PLC0415  only few models need xacro
         from xacro import substitution_args  # noqa: PLC0415
     except ModuleNotFoundError as error:
         cause = f"the file is xacro; make a URDF first: {command}, or install xacro, {hint('xacro')}"
@@ -42,7 +42,7 @@ def expanded(source: Path, content: bytes, packages: Sequence[Path] = ()) -> byt
             text: bytes = xacro.process_file(str(source)).toxml(encoding="utf-8")
         except AssetError:
             raise
-        except Exception as error:  # macros run expressions of Python
+        except Exception as error:  # macros can run Python expressions
             cause = f"xacro can't expand the file ({error}); give its arguments to the command: {command}"
             raise AssetError(source, cause) from error
     return text

@@ -1,12 +1,12 @@
 """Designators: descriptions of motions, actions, objects and places, resolved late (thesis 3.5.1, 4.5, 4.6).
 
-A designator has slots: (key, value) pairs. Resolvers find its solutions: dictionaries with all parameters. The first
-solution is the *reference*. Each further solution belongs to another designator with the same slots. These designators
-are *equated*: they describe the same thing over time, and form a chain from the oldest to the newest. A designator with
-a reference, a found solution or the data of :meth:`make_effective`, is *effective*.
+A designator has slots: (key, value) pairs. Resolvers find solutions of a designator: dictionaries with all parameters.
+The first solution is the *reference*. Further solutions belong to further designators with the same slots. They are
+*equated*: they describe the same thing over time, and form a chain from the oldest designator to the newest. A
+designator with a reference (a found solution, or the data of :meth:`make_effective`) is *effective*.
 
-Designators are ``==`` only if they are identical; :meth:`Designator.equal` compares chains. Slots never change, so any
-number of threads may use a designator.
+Two designators are ``==`` only if they are identical; :meth:`Designator.equal` compares their chains. Slots never
+change, so any number of threads may use a designator.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from recorder.tracing import journal
 
 __all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesignator", "Solution"]
 
-_chains_lock = threading.Lock()  # one lock for all chains, because chains are joined
+_chains_lock = threading.Lock()  # one lock serves all chains, because chains can be joined
 
 #: All parameters of a motion, action, object or place, by name.
 Solution: TypeAlias = Mapping[str, Any]
@@ -44,15 +44,15 @@ Function = TypeVar("Function", bound="Callable[..., object]")
 
 
 class Resolvers(Generic[Function]):
-    """Functions that users register; they are called in order until one answers. Iteration uses a snapshot."""
+    """Functions that users register; they are called in order until one answers. Iteration uses a copy of the list."""
 
     def __init__(self, owner: str) -> None:
-        self.owner = owner  # what the functions resolve, for messages
+        self.owner = owner  # the objects that the functions resolve, for messages
         self._lock = threading.Lock()
         self._functions: tuple[Function, ...] = ()
 
     def append(self, function: Function) -> Function:
-        """Add a function at the end, unless it is registered, and return the function; also a decorator."""
+        """Add a function at the end, unless it is already registered, and return it; also usable as a decorator."""
         if not callable(function):
             raise BadArgument(f"resolver of {self.owner}", function, "a function that takes a designator")
         with self._lock:
@@ -93,25 +93,25 @@ class Resolution:
 
     resolver: str = ""  # qualified name of the function that found the solution; "" if no function found it
     index: int = 0  # index of the solution, from 0
-    known: int = 1  # number of solutions that were found until now
+    known: int = 1  # number of solutions that are known so far
     complete: bool = False  # whether all solutions are known
 
 
 class Solutions:
-    """The solutions that a designator and its successors share, in any number of threads.
+    """The solutions that a designator and its successors have in common, in any number of threads.
 
     Resolvers run without a lock, because they may wait for a thread that requests the same solutions. All concurrent
-    threads search, and the first found solution is used.
+    threads search, and use the solution that is found first.
 
     Args:
-        find: Yields solutions and the names of their resolvers. After a failure, ``find`` is called again; known
-            solutions are then skipped.
+        find: Yields solutions and the names of their resolvers. ``find`` is called again after a failure; solutions
+            that are already known are then skipped.
     """
 
     def __init__(self, find: Callable[[], Iterator[tuple[Solution, str]]]) -> None:
         self._lock = threading.Lock()
         self._find = find
-        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields the unknown solutions
+        self._rest: Iterator[tuple[Solution, str]] | None = None  # yields the solutions that aren't known yet
         self._kept: list[tuple[Solution, str]] = []
         self._complete = False
 
@@ -127,7 +127,7 @@ class Solutions:
                 rest = itertools.islice(self._find(), count, None)
             solution = next(rest, None)
             with self._lock:
-                if len(self._kept) == count:  # no other thread has found this solution already
+                if len(self._kept) == count:  # no other thread has found this solution before
                     self._rest = rest
                     self._complete = solution is None
                     if solution is not None:
@@ -145,7 +145,7 @@ _performed: ContextVar[tuple[Designator, ...]] = ContextVar("pycram_performed", 
 
 
 def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
-    """Don't record requests for solutions of a designator in the ``with`` block: they are parts of performing it."""
+    """Don't record requests for solutions in the ``with`` block: they are part of performing a designator."""
     return Binding(_performed, (*_performed.get(), designator))
 
 
@@ -153,8 +153,8 @@ def performing(designator: Designator) -> Binding[tuple[Designator, ...]]:
 def _recorded(name: str, designator: Designator, index: int | None = None) -> Iterator[Question]:
     """Record a plan's request for a solution, which the ``with`` block answers.
 
-    The caller records a UsageError as a refusal; other failures go into the record. ``name`` is "reference" or
-    "next_solution". ``index`` is the index of the solution; by default, that of the designator's own solution.
+    The caller records a UsageError as a refusal; the record contains other failures. ``name`` is "reference" or
+    "next_solution". ``index`` is the index of the solution; by default, the index of the designator's own solution.
     """
     request = Question(name, {"designator": designator})
     if any(each is designator for each in _performed.get()) or not journal.recording():
@@ -170,7 +170,7 @@ def _recorded(name: str, designator: Designator, index: int | None = None) -> It
 
 
 class Designator(ABC):
-    """A description of something, as slots: ``Designator([("type", "milk")])`` or ``Designator(type="milk")``.
+    """A description of something by slots: ``Designator([("type", "milk")])`` or ``Designator(type="milk")``.
 
     Args:
         description: Slots as (key, value) pairs or a mapping. A value may be a future of a ``par`` block, or another
@@ -192,7 +192,7 @@ class Designator(ABC):
         self._lock = threading.Lock()
         self._effective = False
         self._data: Value = None
-        self.timestamp: float | None = None  # time of becoming effective, in s since the Unix epoch
+        self.timestamp: float | None = None  # time at which the designator became effective, in s since the Unix epoch
         if parent is not None:
             self.equate(parent)
 
@@ -209,7 +209,7 @@ class Designator(ABC):
         return next((own(unwrap(value)) for name, value in self._slots if slot_name(name) == wanted), None)
 
     def check_constraints(self, properties: Iterable[str | tuple[str, object]]) -> bool:
-        """Whether the slots fulfil all constraints.
+        """Whether the slots satisfy all constraints.
 
         Args:
             properties: Names of slots that must not be None, and (name, value) pairs of slots that must have a value.
@@ -225,7 +225,7 @@ class Designator(ABC):
         return True
 
     def make_dictionary(self, properties: Iterable[str | tuple[str, object]]) -> dict[str, Value]:
-        """Make a solution from names of slots, and from other (key, value) pairs."""
+        """Make a solution from the named slots, and from further (key, value) pairs."""
         given = ((item, self.prop_value(item)) if isinstance(item, str) else item for item in properties)
         return {key: unwrap(value) for key, value in pairs(given)}
 
@@ -247,10 +247,10 @@ class Designator(ABC):
 
         Args:
             slot: The slot of the outer designator whose value is this designator.
-            given: All slots of the outer designator.
+            given: All slots that the outer designator has.
 
         Yields:
-            Values by slot: for ``slot``, and for other slots that these values determine.
+            Values by slot: for ``slot``, and for other slots that follow from these values.
 
         Raises:
             DesignatorError: This designator can't be the value of a slot.
@@ -310,7 +310,7 @@ class Designator(ABC):
 
     @abstractmethod
     def _solution(self) -> Solution:
-        """Find the solution of this designator in any thread; raise DesignatorError without a solution."""
+        """Find the solution of this designator in any thread; raise DesignatorError if there is no solution."""
 
     @refusing("designator")
     def reference(self) -> Solution:
@@ -327,7 +327,7 @@ class Designator(ABC):
         if self._data is not None:
             known: Solution = self._data
             return known
-        solution = self._solution()  # without a lock, because this is code of the user
+        solution = self._solution()  # without a lock, because this calls code of the user
         with self._lock:
             self._effective = True
             if self.timestamp is None:
@@ -340,7 +340,7 @@ class Designator(ABC):
         return None
 
     def resolution(self, index: int | None = None) -> Resolution:
-        """Return how a solution was found, by default the designator's own; the resolver is "" if it wasn't found."""
+        """Return how a solution was found, by default the designator's own; the resolver is "" if none was found."""
         resolver = qualified_name(type(self)._solution) if self._data is None else ""  # noqa: SLF001  same class
         return Resolution(resolver, index or 0)
 
@@ -349,9 +349,9 @@ class Designator(ABC):
         return None
 
     def solutions(self, from_root: object = None) -> Iterator[Solution]:
-        """Yield this and all further solutions, and find each on demand; raise DesignatorError without a solution.
+        """Yield this and all further solutions, each found on demand; raise DesignatorError if there is none.
 
-        If ``from_root`` is neither None nor False, start with the oldest designator of the chain.
+        If ``from_root`` is true, start with the oldest designator of the chain.
         """
         start = self if from_root is None or from_root is False else self.first()
         return start._all_solutions()  # noqa: SLF001  same class
@@ -380,12 +380,12 @@ class Designator(ABC):
     def make_effective(
         self, properties: Description | None = None, data: Value = None, timestamp: float | None = None
     ) -> Self:
-        """Return a new effective designator in the same chain, for something that was found.
+        """Return a new effective designator in the same chain, for something that the robot has found.
 
         Args:
             properties: Slots of the new designator; by default the slots of this designator.
             data: Reference of the new designator.
-            timestamp: In seconds since the Unix epoch; now by default.
+            timestamp: Time in s since the Unix epoch; by default the present time.
         """
         designator = type(self)(self._slots if properties is None else properties)
         designator._effective = True  # noqa: SLF001  same class
@@ -415,7 +415,7 @@ class ResolvedDesignator(Designator):
     A resolver takes the designator and returns a list or a generator of solutions, or None for designators of other
     types. Users add resolvers with :meth:`add_resolver`, also a decorator. The order of calls is: resolvers of the
     subclass, resolvers of its parents, PyCRAM's resolver. If a resolver raises DesignatorError, the next resolver is
-    called; the error is raised if no resolver has a solution.
+    called; if no resolver has a solution, the error is raised.
     """
 
     resolvers: ClassVar[Resolvers[Resolver]] = Resolvers("designators")
@@ -478,7 +478,7 @@ class ResolvedDesignator(Designator):
         return solution
 
     def _all_solutions(self) -> Iterator[Solution]:
-        yield self.reference()  # further solutions need no further designators
+        yield self.reference()  # the solutions can be found without further designators
         if self._data is None:
             for index in itertools.count(self._index + 1):
                 solution = self._following(index)
@@ -508,7 +508,7 @@ class ResolvedDesignator(Designator):
                 errors.append(error)
         if errors and not number:
             *earlier, last = errors
-            if earlier and last.slot == "type":  # only a resolver of the user knows this type
+            if earlier and last.slot == "type":  # only a user's resolver knows this type
                 earlier, last = [last, *earlier[:-1]], earlier[-1]
             raise chained(last, earlier)
 
@@ -524,9 +524,9 @@ class MotionDesignator(ResolvedDesignator):
         return motion_types.resolve
 
     def resources(self) -> Resources | None:
-        """Return the needs of the robot by the type; for an effective designator, by the ``cmd`` of its solution.
+        """Return the parts of the robot that the motion needs, from its type; if it is effective, from its ``cmd``.
 
-        Motions of other packages get the whole robot, unless their process module or a subclass returns less.
+        Motions of other packages get the whole robot, unless their process module or a subclass requests less.
         """
         if self._effective and isinstance(solution := self._referenced(), Mapping):
             return motion_types.resources_of(solution)
@@ -534,5 +534,5 @@ class MotionDesignator(ResolvedDesignator):
 
 
 def unfinished(designator: Designator) -> list[str]:
-    """Return the names of unfinished branches in a designator's slots that may wait for later requests."""
+    """Return the names of unfinished branches in a designator's slots that may wait for motions requested later."""
     return [branch.name for branch in designator.branches() if not branch.done and not branch.ordered]

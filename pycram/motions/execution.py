@@ -29,39 +29,39 @@ from recorder import geometry
 from recorder.geometry import Pose, Vector
 from recorder.records import STEPS_PER_SECOND
 
-#: A function that follows a plan.
+#: A function that moves parts of the robot by a plan.
 Step: TypeAlias = Callable[[], None]
 
 TIMEOUT: Final = 5
 """Maximum simulated time in s until all objects are at rest."""
 
 LEVEL: Final[ContextVar[bool]] = ContextVar("pycram_level", default=False)
-"""Whether motions keep what a hand holds upright; see :func:`pycram.motions.process_module.execution_environment`."""
+"""Whether motions keep held objects upright; see :func:`pycram.motions.process_module.execution_environment`."""
 
 LEAN: Final = math.radians(15)
 """Largest angle in rad by which the tool may lean more than at the start of a level motion."""
 
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # tried lengths of straight lines, m
-_BACK: Final = (-1.0, 0.0, 0.0)  # the hand's backward direction, in the tool frame
-_UP: Final = (0.0, 0.0, 1.0)  # the upward direction, in the world
-_DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # lengths of detours up and back, m
+_BACK: Final = (-1.0, 0.0, 0.0)  # backward direction of the hand, in the tool frame
+_UP: Final = (0.0, 0.0, 1.0)  # upward direction, in the world
+_DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # lengths of detours in m
 _SAMPLES: Final = 15  # checks per second for contacts between moving parts of a robot
-_THERE: Final = 0.01  # maximum distance in rad or m of a joint to its goal in an arm that isn't moved out of the way
+_THERE: Final = 0.01  # maximum distance in rad or m of joints from their goal in an arm that needn't move
 _SAME: Final = 1e-4  # maximum difference in rad or m of equal joint positions
 
 
 class Execution:
-    """Moves joints and bases to their targets: they jump there, and time passes only in :meth:`settle`.
+    """Moves joints and bases to their targets in jumps; time passes only in :meth:`settle`.
 
     Each change is exact. A motion holds the world's lock, so other threads never see an unfinished motion.
-    :class:`ContinuousExecution` moves in simulated time; its steps raise PlanFailure if there is no way.
+    :class:`ContinuousExecution` moves in simulated time; its steps raise PlanFailure if there is no path.
     """
 
     takes_time = False
-    """Whether simulated time passes during a motion, so that other motions continue."""
+    """Whether simulated time passes during a motion, so that other motions can continue."""
 
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
-        """Return the context for all steps of a motion."""
+        """Return the context in which all steps of a motion run."""
         return world.lock
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
@@ -73,7 +73,7 @@ class Execution:
         return partial(robot.set_joint_positions, positions)
 
     def move_level(self, robot: Object, arm: Arm, posture: Mapping[str, float]) -> Step:  # noqa: ARG002
-        """Move the tool on straight lines to its pose in a posture; it turns only about the vertical."""
+        """Move the tool on straight lines to its pose in a posture; the tool turns only about the vertical."""
         return partial(robot.set_joint_positions, posture)
 
     def approach(
@@ -87,14 +87,14 @@ class Execution:
         ignored: Sequence[Object] = (),  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step:
-        """Move an arm to a posture, on a straight line for the last centimetres.
+        """Move an arm to a posture; the last centimetres are a straight line.
 
         Args:
             posture: Positions in rad or m by joint.
-            direction: Unit vector in the tool frame of that posture; the tool comes from this direction.
+            direction: Unit vector in the tool frame of that posture, from which the tool comes.
             opened: Positions of the gripper's joints at the beginning of the motion.
             ignored: Objects that the hand may touch on the straight line.
-            ignored_links: Links, with their objects, that the hand may touch on the straight line.
+            ignored_links: Links that the hand may touch on the straight line, with the objects on them.
         """
         return _all([partial(robot.set_joint_positions, each) for each in (opened, posture) if each is not None])
 
@@ -133,18 +133,18 @@ class Execution:
         arm: Arm,  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
     ) -> Step | None:
-        """Draw a hand straight back from a released object; return None if the hand stays.
+        """Draw a hand straight back from a released object; return None if the hand must not move.
 
-        ``ignored_links`` are links, with their objects, that the hand may touch.
+        ``ignored_links`` are links that the hand may touch, with the objects on them.
         """
         return None
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:  # noqa: ARG002
-        """Lift a grasped object off its support; return None if the object stays."""
+        """Lift a grasped object off its support; return None if the object must not move."""
         return None
 
     def settle(self, world: BulletWorld) -> Collection[Object]:
-        """Let simulated time pass until all objects are at rest, at most :data:`TIMEOUT`; return the moving objects.
+        """Let simulated time pass until all objects are at rest, at most :data:`TIMEOUT`; return objects still moving.
 
         Raises:
             WorldClosed: Another thread closed the world during the simulation.
@@ -168,7 +168,7 @@ class ContinuousExecution(Execution):
     takes_time = True
 
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:  # noqa: ARG002
-        """Return a context without effect, so that other motions continue."""
+        """Return a context that does nothing, so that other motions continue."""
         return nullcontext()
 
     def drive(self, robot: Object, position: Sequence[float], orientation: Sequence[float]) -> Step:
@@ -178,7 +178,8 @@ class ContinuousExecution(Execution):
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
         """Move the joints around obstacles. Without a path, move one arm after another, or draw each hand back first.
 
-        After a cancelled placement, a hand may surround an object. Path searches miss the narrow way out.
+        After a cancelled placement, an object may be between the fingers. Path searches often miss the narrow way out
+        of such a place.
         """
         now = robot.get_joint_positions()
         away = [joint for joint, at in _unwound(robot, [positions])[0].items() if abs(at - now[joint]) > _THERE]
@@ -290,7 +291,7 @@ class ContinuousExecution(Execution):
         return partial(_along, (robot, postures), (container, [{joint: value} for value in values]))
 
     def retreat(self, robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()) -> Step | None:
-        """Draw the hand straight back until something would be touched; return None if it can't move at all."""
+        """Draw the hand straight back until it would touch something; return None if it can't move at all."""
         line = self._line_back(robot, arm, ignored_links)
         return None if line is None else partial(_along, (robot, line))
 
@@ -303,7 +304,7 @@ class ContinuousExecution(Execution):
         return _line(robot, arm, now, ways, (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
-        """Lift the object straight up until something would be touched; return None if it can't move at all."""
+        """Lift the object straight up until it would touch something; return None if it can't move at all."""
         line = _line(robot, arm, _now(robot, arm.joints), (_UP,))
         return None if line is None else partial(_along, (robot, line))
 
@@ -325,7 +326,7 @@ def level(robot: Object, arm: Arm) -> bool:
 def _in_turn(
     robot: Object, positions: Mapping[str, float], order: Sequence[Arm] | None, start: Mapping[str, float]
 ) -> list[Step]:
-    """Return steps that move joints from a start to positions: all together, or one arm after another in an order.
+    """Return steps that move joints from a start to positions: all together, or one arm after another.
 
     Raises:
         NoPath: No path was found for one of the steps.
@@ -346,7 +347,7 @@ def _in_turn(
 def _upright(
     robot: Object, plan: Callable[..., planning.PlannedMotion], start: Mapping[str, float] | None = None
 ) -> planning.PlannedMotion:
-    """Return a plan for joints; raise NoPath if an object that has to stay upright would lean on its way."""
+    """Return a plan for joints; raise NoPath if an object that must stay upright would lean on the way."""
     planned = plan(start=start)
     for arm in robot.description.arms.values() if robot.description else ():
         if not level(robot, arm) or set(arm.joints).isdisjoint(planned.trajectory.joints):
@@ -362,7 +363,7 @@ def _upright(
 
 
 def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal: Pose) -> None:
-    """Raise Blocked if the arm on its way would touch an object that it doesn't touch at the start."""
+    """Raise Blocked if the arm would touch an object on its way that it doesn't touch at the start."""
     with CollisionChecker(robot, way[0]) as checker:
         first, *others = checker.predict(way)
         known = checker.touched(first)
@@ -373,7 +374,7 @@ def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal
 
 
 def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of joints that mimic no other of these joints; motors follow a mimic only roughly."""
+    """Return the positions of joints that don't mimic others of these joints; motors follow a mimic only roughly."""
     mimics = robot.urdf.mimics if robot.model.loading.mimic else {}
     return {name: at for name, at in positions.items() if name not in mimics or mimics[name].leader not in positions}
 
@@ -399,14 +400,14 @@ def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Ste
         active = robot.world.trajectories.active
         while _is_crossed(robot, planned.trajectory):
             simulation.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
-            planned = plan()  # begins at the new posture
+            planned = plan()  # the path begins at the new posture
         _follow(robot.world, [(robot, planned)])
 
     return step
 
 
 def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
-    """Return whether other moving parts of a robot would touch the parts that a new trajectory moves."""
+    """Return whether other moving parts of a robot would touch the parts that a new trajectory will move."""
     with robot.world.lock:
         active = robot.world.trajectories.active.values()
         others = [each for each in active if each.body is robot and each.joints]
@@ -428,7 +429,7 @@ def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
 
 
 def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
-    """Move bodies together from their present state along way points: joint values in rad or m by name."""
+    """Move bodies together from their present states through way points: joint values in rad or m by name."""
     world = paths[0][0].world
     with world.lock:
         planned = planning.together([(body, _unwound(body, way_points)) for body, way_points in paths])
@@ -436,7 +437,7 @@ def _along(*paths: tuple[Object, Sequence[Mapping[str, float]]]) -> None:
 
 
 def _follow(world: BulletWorld, motions: Sequence[tuple[Object, planning.PlannedMotion]]) -> None:
-    """Follow plans together; raise Displaced if a body isn't at the beginning of its plan."""
+    """Follow plans together; raise Displaced if a body isn't where its plan begins."""
     for body, planned in motions:
         displaced = _displacement(body, planned)
         if displaced is not None:
@@ -450,7 +451,7 @@ def _displacement(body: Object, planned: planning.PlannedMotion) -> tuple[str, f
 
 
 def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """Return way points in which joints without limits have the nearest equivalent angle."""
+    """Return way points in which joints without limits have the equivalent angle nearest to the one before."""
     before: Mapping[str, float] = body.get_joint_positions()
     unwound: list[Mapping[str, float]] = []
     for way_point in way_points:
@@ -487,9 +488,10 @@ def _line(
 
     Args:
         start: Posture at the beginning: positions in rad or m by joint; other joints keep their present positions.
-        ways: Directions to try, as unit vectors in the world.
-        ignored: Objects that the arm may touch before the end of the line. At its beginning, it may touch all objects.
-        ignored_links: Links, with their objects, that the arm may touch.
+        ways: Directions of the line to try, as unit vectors in the world.
+        ignored: Objects that the arm may touch before the end of the line. At its beginning, the line may touch all
+            objects.
+        ignored_links: Links that the arm may touch, with the objects on them.
     """
     tool = _tool_pose(robot, arm, start)
     for way, length in itertools.product(ways, _STRAIGHT):

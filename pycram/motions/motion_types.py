@@ -1,6 +1,6 @@
 """The eleven types of motion designators of the thesis (4.5, tables 4.4-4.14) as data: their slots and resources.
 
-One resolver serves all types. The resolver checks the slots, infers missing parameters, and yields solutions:
+One resolver handles all types. The resolver checks the slots, infers missing parameters, and yields solutions:
 dictionaries with ``cmd`` and all parameters of the process module.
 """
 
@@ -28,9 +28,9 @@ class MotionType(SlotTable):
 
     takes_designators = True
     cmd: str  # ``cmd`` of the solutions, which selects the process module
-    resources: Callable[[dict[str, Value]], Resources]  # returns the needs of a motion by its slots or solution
+    resources: Callable[[dict[str, Value]], Resources]  # returns a motion's needs from its slots or solution
     fixed: tuple[tuple[str, str], ...] = ()  # further parameters of the solutions
-    per_arm: bool = False  # whether the only slot, ``NAME-arm``, represents a slot for each arm
+    per_arm: bool = False  # whether the slot ``NAME-arm`` represents one slot for each arm
 
     def for_robot(self) -> MotionType:
         """Return the type with its slots for the current robot."""
@@ -205,8 +205,8 @@ def resources_of(solution: Solution) -> Resources | None:
 def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
     """Yield the solution of a designator of the eleven types (thesis 4.6), or of a process module of another package.
 
-    For ``moving`` with an orientation, a second solution has the robot's present orientation. A solution for a process
-    module of another package has all slots, as the plan wrote them.
+    For ``moving`` with an orientation, a second solution keeps the robot's present orientation. A solution for a
+    process module of another package has all slots, as the plan wrote them.
     """
     kind = designator.type
     if kind and kind not in TYPES and plugins.load(plugins.PROCESS_MODULES, kind) is not None:
@@ -229,7 +229,7 @@ def resolve(designator: ResolvedDesignator) -> Iterator[Solution]:
 
 
 def _filled(motion: MotionType, given: Mapping[str, Value]) -> Iterator[dict[str, Value]]:
-    """Yield the slots with each solution of the designators that are their values."""
+    """Yield the slots, combined with each solution of the designators that are values of slots."""
     names = {slots.slot_name(name): slot for slot in motion.slots for name in (slot.name, *slot.aliases)}
     for key, value in given.items():
         values_for = getattr(type(value), "values_for", None)

@@ -1,8 +1,8 @@
 """Process modules execute motions: each module serves one robot in one execution environment (thesis 4.7-4.9).
 
-``ProcessModule.perform(designator)`` makes a :class:`Motion`. The motion queues for resources, resolves the designator,
-and runs the module that serves the robot in the current execution environment. The plan names neither robot nor module,
-so the same plan runs in simulation and, with other modules, on a real robot.
+``ProcessModule.perform(designator)`` makes a :class:`Motion`. A motion waits for its resources, resolves the
+designator, and runs the module for the robot in the current execution environment. The plan names neither robot nor
+module, so the same plan runs in simulation and, with other modules, on a real robot.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from recorder.tracing.span import Span, span
 
 @runtime_checkable
 class Module(Protocol):
-    """The methods of a process module that environments and motions use."""
+    """The methods of a process module that environments and motions call."""
 
     def resources(self, designator: Any) -> Resources | None:
         """Return the resources that a designator needs."""
@@ -62,7 +62,7 @@ AS_ASKED: Final = "as asked"
 """The only candidate of a choice if the plan leaves nothing open."""
 
 FOLLOWING: Final = (TrackingLost, Displaced, TrajectoryEnded)
-"""Failures of motions that follow a trajectory."""
+"""Types of failures of motions that follow a trajectory."""
 
 SIMULATED: Final = "simulated"
 """The execution environment in which motions are instantaneous."""
@@ -82,11 +82,11 @@ _of_world: weakref.WeakKeyDictionary[BulletWorld, dict[tuple[str, str], Modules]
 
 _queues: weakref.WeakKeyDictionary[BulletWorld, ResourceQueue] = weakref.WeakKeyDictionary()
 _queues_lock = threading.Lock()
-#: In a motion: the queues in which parts of the motion wait for its resources, by world.
+#: In a motion: by world, the queues in which parts of the motion wait for its resources.
 _parts: ContextVar[Mapping[BulletWorld, ResourceQueue]] = ContextVar("pycram_parts", default=MappingProxyType({}))
-#: In a motion: the queues of its inner motions' modules. Concurrent modules have separate queues.
+#: In a motion: the queues of the modules of its inner motions. Modules that run concurrently have separate queues.
 _inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVar("pycram_modules", default=None)
-#: The designator that this branch executes, with the record of its resolution and of the choice of its module.
+#: The designator that this branch executes, with the records of its resolution and of the choice of its module.
 _decided: ContextVar[tuple[Designator | None, Decision | None]] = ContextVar("pycram_decided", default=(None, None))
 
 # --- execution environments ------------------------------------------------------------------------------------------
@@ -240,7 +240,7 @@ def _current_world() -> BulletWorld:
 
 
 def _undescribed(robot: Object) -> str:
-    """Return why a robot has no description, and the remedy; "" if it has a description."""
+    """Return why a robot has no description, and the remedy; "" if it has one."""
     if robot.description:
         return ""
     _, misfits = find_description(robot.urdf)
@@ -255,8 +255,8 @@ def _undescribed(robot: Object) -> str:
 class Motion:
     """A motion from its request to its end: it queues for resources, is resolved, and is executed in a world.
 
-    The parts of a motion queue among themselves for the resources of that motion. So two motions never wait for each
-    other. If a motion performs a motion in another world, the inner motion uses the queue of that world.
+    The parts of a motion wait among themselves for the resources of that motion. Two such motions therefore never wait
+    for each other. If a motion performs a motion in another world, the inner motion uses the queue of that world.
     """
 
     def __init__(self, designator: Designator, world: BulletWorld) -> None:
@@ -272,9 +272,9 @@ class Motion:
         self.span = Span("motion", self.name, parameters=slots)
 
     def carry_out(self) -> Any:
-        """Wait for the turn, resolve the designator, run the process module, and return the module's result."""
+        """Wait for the motion's turn, resolve the designator, run the process module, and return its result."""
         try:
-            for branch in self._designator.branches():  # before the motion holds resources that the branches may need
+            for branch in self._designator.branches():  # the branches may need resources that the motion will hold
                 branch.result()
             with self.ticket.turn():
                 checkpoint()
@@ -304,7 +304,7 @@ class Motion:
         return module
 
     def _holding(self) -> Binding[Mapping[BulletWorld, ResourceQueue]]:
-        """Make motions that the ``with`` block performs in this world parts of this motion, within its resources."""
+        """Make motions that the ``with`` block performs in this world parts of this motion; they use its resources."""
         return Binding(_parts, {**_parts.get(), self._world: ResourceQueue(self.ticket.resources)})
 
 
@@ -320,7 +320,7 @@ def _motion(designator: Designator) -> Motion:
 
 
 def forget_claims() -> None:
-    """Forget all motions that run or wait; a forked child continues only this branch, without resources."""
+    """Forget all running and waiting motions; a forked child process continues only this branch, without resources."""
     _queues.clear()
     _parts.set(MappingProxyType({}))
     forget_tickets()
@@ -331,9 +331,9 @@ def forget_claims() -> None:
 
 
 class ProcessModule(ABC):
-    """Executes one kind of motion, one designator at a time, in order of arrival.
+    """Executes one kind of motion; designators are executed one by one in order of arrival.
 
-    Motions that a module performs are parts of its motion, within the resources of that motion.
+    Motions that a module performs are parts of its motion, and use the resources of that motion.
     """
 
     one_at_a_time = True
@@ -367,9 +367,9 @@ class ProcessModule(ABC):
     def resources(self, designator: Any) -> Resources | None:
         """Return the resources that a designator needs; None for the whole robot.
 
-        The designator is resolved, and nothing has moved. The ``cmd`` determines the resources of PyCRAM's motions. A
-        module for another ``cmd`` gets the whole robot, unless its own method returns the resources of the motion and
-        of all its parts::
+        The designator is resolved at this time, and nothing has moved. The ``cmd`` determines the resources of PyCRAM's
+        motions. A module for another ``cmd`` gets the whole robot, unless the module's own method returns the resources
+        of the motion and all its parts::
 
             def resources(self, designator):
                 return Resources(moves={"left-arm"}, at_rest={"base"})
@@ -378,7 +378,7 @@ class ProcessModule(ABC):
         return needs
 
     def execute(self, designator: Designator) -> Result:
-        """Execute a designator, if necessary after earlier designators; a failure frees the module."""
+        """Execute a designator, after earlier designators; a failure frees the module."""
         inner = _inner_queues.get()
         queue = self._queue if inner is None else inner.setdefault(self, ResourceQueue())
         turn = Ticket(queue, _ONE_AT_A_TIME if self.one_at_a_time else _TOGETHER).turn()
@@ -423,7 +423,7 @@ class ProcessModule(ABC):
 
 
 class SimulatedModule(ProcessModule):
-    """A process module for the current world's robot; ``execution`` moves the robot, instantaneously by default."""
+    """A process module for the current world's robot; ``execution`` moves the robot, by default instantaneously."""
 
     def __init__(self, execution: Execution = INSTANT) -> None:
         self.execution = execution

@@ -1,22 +1,23 @@
-"""Resources: the parts of the robot that a motion needs, and the queue in which motions wait for these parts.
+"""Resources: the parts of the robot that a motion needs, and the queue in which motions wait for them.
 
 The resources of a robot are its base, head, arms and grippers. A motion *moves* some resources, and needs other
 resources *at rest*. Two motions conflict if one moves a resource that the other moves or needs. A motion enters the
-queue when it is requested. A motion gets all its resources together, as soon as no earlier motion conflicts with it. So
-conflicting motions run in the order of the plan, and other motions run concurrently. There is no deadlock, because each
-motion waits only for earlier motions.
+queue when it is requested. A motion gets all its resources together, as soon as no earlier motion conflicts with it.
+Conflicting motions therefore run in the order of the plan, and other motions run concurrently. There is no deadlock,
+because each motion waits only for earlier motions.
 
-The exact needs of a motion are known when it is resolved and its process module is chosen, at its turn. Until then, a
-motion requests the resources of its designator, or the whole robot. The resources are corrected *before* the motion
-moves anything. If it needs more, the motion releases its resources, keeps its place, and also waits for later motions
-that already run. Running motions wait for no motion of this queue, so there is still no deadlock.
+The exact needs of a motion are known only at its turn, when it is resolved and its process module is chosen. Until its
+turn, a motion requests the resources of its designator, or the whole robot. Resources are corrected *before* the motion
+moves anything. If the motion then needs more, it releases its resources, keeps its place in the queue, and also waits
+for later motions that already run. Running motions don't wait for other motions of this queue, so there is still no
+deadlock.
 
 Each world has a queue, and a motion may perform motions in another world. If such motions would wait for each other,
 the last motion is rejected.
 
 Example: the ``par`` block of the thesis' Listing 5.3 parks the arms, moves the base, looks at a place and detects. The
-base starts after the arms, because their posture decides whether the robot fits through. The head turns after the base,
-because it looks at a place in the world. Detecting needs the whole robot at rest, so it comes last.
+base starts after the arms, because the arms' posture decides whether the robot fits through gaps. The head turns after
+the base, because it looks at a place in the world. Detecting comes last, because it needs the whole robot at rest.
 """
 
 from __future__ import annotations
@@ -47,12 +48,12 @@ class ResourceError(UsageError):
         )
         self.motion = motion  # name of the inner motion
         self.moves = sorted(excess.moves)  # resources that the inner motion moves and the outer motion doesn't hold
-        self.at_rest = sorted(excess.at_rest)  # needed at rest by the inner motion, and not held by the outer one
+        self.at_rest = sorted(excess.at_rest)  # resources needed at rest by the inner motion only
         self.held = held  # the outer motion's resources
 
 
 class Deadlock(UsageError):
-    """A motion would wait for a motion in another world, which waits for the outer motion of the first."""
+    """A motion would wait for a motion in another world that waits for the outer motion of the first."""
 
     def __init__(self, motion: str, blocker: str) -> None:
         super().__init__(
@@ -116,7 +117,7 @@ class ResourceQueue:
         self._outer = outer
 
     def within(self, resources: Resources | None, motion: str) -> Resources:
-        """Return the resources that a motion gets for its request; None requests all resources.
+        """Return the resources that a motion gets for its request; None stands for all resources.
 
         Raises:
             ResourceError: The outer motion doesn't hold all requested resources.
@@ -131,7 +132,7 @@ class ResourceQueue:
         return resources
 
 
-#: The tickets of the motions that this context runs, from the outside in.
+#: The tickets of the motions that this context runs, from the outermost to the innermost.
 _around: ContextVar[tuple[Ticket, ...]] = ContextVar("pycram_tickets", default=())
 
 
@@ -141,7 +142,7 @@ def forget_tickets() -> None:
 
 
 class Ticket:
-    """A motion's place in a queue. :meth:`enqueue` takes the place, and :meth:`leave` gives it up.
+    """A motion's place in a queue. :meth:`enqueue` takes a place in the queue, and :meth:`leave` gives it up.
 
     Args:
         resources: The resources that the motion needs; None for all resources.
@@ -161,7 +162,7 @@ class Ticket:
         self._branch = current_name()  # name of the branch or thread that performs the motion
 
     def enqueue(self) -> None:
-        """Take the last place in the queue, unless the motion has a place; don't wait."""
+        """Take the last place in the queue, unless the motion already has a place; don't wait."""
         with self._queue.lock:
             if self not in self._queue.tickets:
                 self._queue.tickets.append(self)
@@ -201,7 +202,7 @@ class Ticket:
             self._queue.changed.notify_all()
 
     def _wait(self) -> None:
-        """Wait until no earlier ticket conflicts, and no later ticket that has its resources."""
+        """Wait until no earlier ticket conflicts, nor a later ticket that already has its resources."""
         for outer in self._outer:
             outer._waiting[self] = None  # noqa: SLF001  same class
         try:
@@ -213,7 +214,7 @@ class Ticket:
                 outer._waiting.pop(self, None)  # noqa: SLF001  same class
 
     def _grant(self) -> bool:
-        with self._queue.lock:  # so that only one of two conflicting tickets gets its resources
+        with self._queue.lock:  # then only one of two conflicting tickets gets its resources
             self.granted = next(self._blockers(), None) is None
             return self.granted
 

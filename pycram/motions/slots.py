@@ -1,6 +1,6 @@
 """Slots of designators: (name, value) pairs, and the tables that check these pairs.
 
-The slots of a designator never change, because lists and other containers are copied on their way in and out.
+The slots of a designator never change, because lists and other containers are copied when they enter and leave it.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class SolutionSlots(dict[str, Value]):
 
     def get(self, key: str, default: Value = None) -> Value:
         """Return a parameter, or the default for a missing parameter."""
-        return self[key] if key in self else default  # noqa: SIM401  self.get() would be this method again
+        return self[key] if key in self else default  # noqa: SIM401  self.get() would call this method again
 
     def __contains__(self, key: object) -> bool:
         return super().__contains__(key) or slot_name(str(key)) in (slot_name(str(name)) for name in self)
@@ -108,7 +108,7 @@ def own(value: T) -> T:
 
 
 def _own(value: Value, known: dict[int, Value]) -> Value:
-    if id(value) in known:  # the container contains itself
+    if id(value) in known:  # a container may contain itself
         return known[id(value)]
     if type(value) is list:
         items: list[Value] = []
@@ -143,8 +143,8 @@ class ValueKind:
 
     text: str  # the possible values, with units and frames
     check: Check
-    python: str = "Any"  # Python type of the values, as an annotation
-    designator: str = ""  # class of designators that may replace such a value in a motion
+    python: str = "Any"  # Python type of the values, in the form of an annotation
+    designator: str = ""  # class of designators that may replace a value of this kind in a motion
 
     def __call__(self, name: str, value: Value) -> Value:
         """Return the checked value of a slot."""
@@ -158,10 +158,10 @@ class Slot:
     name: str
     check: Check
     required: bool = False
-    default: Callable[[dict[str, Value]], Value] | None = None  # infers a missing value from the given slots
+    default: Callable[[dict[str, Value]], Value] | None = None  # infers a missing value from the slots that are given
     aliases: tuple[str, ...] = ()
     text: str = ""  # text about the possible values; by default :attr:`ValueKind.text`
-    otherwise: str = ""  # what happens if the slot is missing
+    otherwise: str = ""  # the default, or the effect of leaving the slot out
 
     @property
     def values(self) -> str:
@@ -179,9 +179,9 @@ class SlotTable:
     """The slots of a type of designators."""
 
     type: str
-    slots: tuple[Slot, ...]  # all slots but ``type``
+    slots: tuple[Slot, ...]  # all slots except ``type``
     one_of: tuple[str, ...] = ()  # at least one of these slots is required
-    only_one: bool = False  # whether exactly one of these slots is required
+    only_one: bool = False  # whether exactly one of the slots in ``one_of`` is required
     designator: str = ""  # name of a class without a slot ``type``, such as "an ObjectDesignator"
     takes_designators: ClassVar[bool] = False  # whether designators may replace values (ValueKind.designator)
 
@@ -234,7 +234,8 @@ def given_slots(
 ) -> tuple[Type, dict[str, Value]]:
     """Return the table of a designator's type, and the other slots that aren't None; wait for futures.
 
-    Raise DesignatorError for an unknown type, or for a repeated slot; ``kind`` is a word of its message ("action ").
+    Raise DesignatorError for an unknown type, or for a repeated slot; ``kind`` is a word for its message, such as
+    "action ".
     """
     given: dict[str, Value] = {}
     for name, value in designator.description:
@@ -262,7 +263,7 @@ def arm_names() -> tuple[str, ...]:
 
 
 def default_arm() -> str:
-    """Return the default arm: the only arm, or "left" as in the thesis; raise BadArgument without such an arm."""
+    """Return the default arm: the only arm, or "left" as in the thesis; raise BadArgument if there is none."""
     arms = arm_names()
     return "left" if len(arms) > 1 and "left" in arms else only_arm()
 

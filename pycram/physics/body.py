@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 from recorder.geometry import Pose, Vector
 
-_SUPPORT_SLOPE: Final = 0.5  # minimum z of a contact's unit normal; steeper contacts than 60 degrees support nothing
+_SUPPORT_SLOPE: Final = 0.5  # minimum z of a contact's unit normal; a surface steeper than 60 degrees supports nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +27,12 @@ class MovableJoint:
 class LoadedBody:
     """A body in the engine."""
 
-    id: int  # PyBullet's id, which may be used again after removal
+    id: int  # PyBullet's id, which may be reused after the body's removal
     links: Mapping[str, int]  # indices of links by name; the base link has -1
     joints: Mapping[str, MovableJoint]  # movable joints by name
-    offset: Pose | None  # pose of the base's centre of mass in the base link's frame; None if they coincide
+    offset: Pose | None  # pose of the base's centre of mass in the base link's frame; None if both are equal
     indices: tuple[int, ...]  # indices of the movable joints, in order
-    gain: float  # share of a joint's position error that its motor corrects in a simulated step
+    gain: float  # share of the error of a joint's position that its motor corrects in a simulated step
     forces: Mapping[str, float]  # largest forces of the motors by joint, N m or N
     targets: dict[str, float] = field(default_factory=dict)  # positions that the motors hold, by joint
 
@@ -70,4 +70,4 @@ class Contact(NamedTuple):
     other_link: int  # index of the other body's link
     position: Vector  # point on the other body, world frame, m
     normal: Vector  # unit vector from the other body to this body
-    force: float  # N along the normal
+    force: float  # force along the normal, N

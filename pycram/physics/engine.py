@@ -38,8 +38,8 @@ if len(list(Path(bullet.__file__).parent.glob("pybullet*-*.dist-info"))) > 1:
 
 __all__ = ["Engine", "bullet", "decompose"]
 
-# Bits of the collision filter. Two bodies collide if the mask of either body has the group of the other body. So both
-# masks must exclude a pair that doesn't collide.
+# Bits of the collision filter. Two bodies collide if the mask of either body has the group of the other body. Both
+# masks must therefore exclude a pair that doesn't collide.
 _DYNAMIC_GROUP: Final = 1
 _STATIC_GROUP: Final = 2
 _HELD_GROUP: Final = 32
@@ -50,8 +50,8 @@ _BUTTON: Final = 2  # kind of a mouse event: a button was pressed or released
 
 _KINDS: Final = {bullet.JOINT_REVOLUTE: "revolute", bullet.JOINT_PRISMATIC: "prismatic"}
 
-_NEXT_TO_NOTHING: Final = 1e-9  # distance in m that replaces a distance of exactly 0
-_FAR: Final = 1e4  # length in m of PyBullet's vectors for the picture
+_NEXT_TO_NOTHING: Final = 1e-9  # distance in m that replaces an exact 0
+_FAR: Final = 1e4  # length in m of the vectors with which PyBullet describes the picture
 
 
 def decompose(source: Path, target: Path) -> None:
@@ -66,8 +66,8 @@ class Engine:
 
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
-        self._grip: tuple[int, int] | None = None  # body and link that the mouse drags
-        #: States of bodies by id: a list of one state, or an empty list. Threads share these lists.
+        self._grip: tuple[int, int] | None = None  # the body and the link that the mouse drags
+        #: States of bodies by id: a list with one state, or an empty list. Threads share these lists.
         self._known: dict[int, list[Snapshot]] = {}
         if window:
             with silenced(1):
@@ -105,9 +105,9 @@ class Engine:
         """
         c = self._client
         flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
-        if not self._window:  # cameras render the model's own meshes
+        if not self._window:  # cameras render the model's own meshes instead
             flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
-        journal.flush()  # loading takes up to 90 ms, in which a killed process writes nothing
+        journal.flush()  # loading takes up to 90 ms, and a process that is killed then writes nothing
         try:
             number = bullet.loadURDF(str(urdf), *pose, useFixedBase=fixed, flags=flags, physicsClientId=c)
         except bullet.error as error:  # the model of a damaged recording may pass all checks
@@ -160,7 +160,7 @@ class Engine:
         if robot:  # the base of a fixed body must not collide with static bodies
             self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP & ~_STATIC_GROUP, links=(-1,))
             self._filter(body, _ROBOT_GROUP, ~_HELD_GROUP, links=[index for index in body.links.values() if index >= 0])
-        elif fixed:  # furniture doesn't collide with the floor, so the solver has no such contacts
+        elif fixed:  # furniture doesn't collide with the floor, so the solver has fewer contacts
             self._filter(body, _STATIC_GROUP, ~_STATIC_GROUP)
         else:
             self._filter(body, _DYNAMIC_GROUP, _ALL)
@@ -179,7 +179,7 @@ class Engine:
         self._forget(body)
 
     def snapshot(self, body: LoadedBody) -> Snapshot:
-        """Return the state of a body, the same Python object until the state changes."""
+        """Return the state of a body: the same Python object as before if the state hasn't changed."""
         known = self._known.setdefault(body.id, [])
         if not known:
             known.append(Snapshot(self.pose(body), self.velocity(body), *self.joints(body)))
@@ -239,7 +239,7 @@ class Engine:
     def set_joints(
         self, body: LoadedBody, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None
     ) -> None:
-        """Set joints to positions (rad or m), with speeds (rad/s or m/s) or at rest. Motors hold these positions."""
+        """Set joints to positions (rad or m), with speeds (rad/s or m/s) or at rest. Motors then hold them."""
         for name, position in positions.items():
             joint, speed = body.joints[name], speeds[name] if speeds else 0.0
             bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)
@@ -263,7 +263,7 @@ class Engine:
         self._forget(body)
 
     def set_targets(self, body: LoadedBody, targets: Mapping[str, float]) -> None:
-        """Set the motors' targets (rad or m) by joint name, without moving the joints."""
+        """Set the positions (rad or m) that motors hold, by joint name, without moving the joints."""
         for name, position in targets.items():
             self._hold(body, body.joints[name], position)
 
@@ -272,7 +272,7 @@ class Engine:
     ) -> None:
         """Command motors to move joints in one step from planned positions to the next positions (rad or m).
 
-        The motor gets the difference as a velocity, and corrects a remaining error by its gain.
+        The motor gets the difference as a velocity, and its gain corrects a remaining error.
         """
         bullet.setJointMotorControlArray(  # this call keeps the velocity limit that ``_hold`` has set
             body.id,
@@ -302,12 +302,12 @@ class Engine:
             force=body.forces[joint.name],
             positionGain=body.gain,
             velocityGain=1.0,
-            maxVelocity=100.0,  # without a limit here, the engine uses an earlier limit
+            maxVelocity=100.0,  # if this call sets no limit, the engine uses an earlier limit
             physicsClientId=self._client,
         )
 
     def link_pose(self, body: LoadedBody, link: str) -> Pose:
-        """Return the pose of a link's frame in the world. It is valid without a simulation step."""
+        """Return the pose of a link's frame in the world. The pose is up to date without a simulation step."""
         index = body.links[link]
         if index < 0:
             return self.pose(body)
@@ -336,7 +336,7 @@ class Engine:
         return found[:, :3], found[:, 3:]
 
     def box(self, body: LoadedBody, link: str) -> tuple[Vector, Vector]:
-        """Return the axis-aligned bounds of a link's shape in the world. They are valid without a simulation step."""
+        """Return the axis-aligned bounds of a link's shape in the world. The bounds need no simulation step."""
         bounds: tuple[Vector, Vector] = bullet.getAABB(body.id, body.links[link], physicsClientId=self._client)
         return bounds
 
@@ -382,7 +382,7 @@ class Engine:
         return number
 
     def _to_inertial(self, body: LoadedBody, link: str, pose: Pose) -> Pose:
-        """Return a pose in a link's frame relative to the link's inertial frame, which constraints use."""
+        """Return a pose in a link's frame relative to the link's inertial frame, as constraints need it."""
         at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
         return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
 
@@ -430,8 +430,8 @@ class Engine:
     def dragged(self, bodies: Iterable[LoadedBody]) -> list[tuple[LoadedBody, str]]:
         """Return the bodies and links that the mouse has dragged since the last call.
 
-        PyBullet doesn't report drags. It grips the body under the pointer when the left button is pressed, and releases
-        the body with the button. If Alt or Control is pressed, the mouse turns the camera.
+        PyBullet doesn't report drags. The mouse grips the body under the pointer when the left button is pressed, and
+        releases it with the button. If Alt or Control is pressed, the mouse turns the camera.
         """
         if not self._window:
             return []
@@ -480,7 +480,7 @@ class Engine:
         return [Contact(p[3], p[2], p[4], p[6], p[7], p[9]) for p in points]
 
     def friction(self, body: int, link: int) -> float:
-        """Return a link's coefficient of sliding friction, by id and index; contacts have the product of two."""
+        """Return a link's coefficient of sliding friction, by id and index; a contact has the product of both."""
         coefficient: float = bullet.getDynamicsInfo(body, link, physicsClientId=self._client)[1]
         return coefficient
 
@@ -511,10 +511,10 @@ def _named(a: LoadedBody, b: LoadedBody, points: Sequence[tuple[Any, ...]] | Non
 
 
 def _pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends of the line of sight through a pixel of the window, in the world, m.
+    """Return both ends, in the world in m, of the line of sight through a pixel of the window.
 
-    ``camera`` has PyBullet's order: width, height, ..., forward, horizontal, vertical, ..., distance, target. The
-    vectors ``horizontal`` and ``vertical`` span the picture at a great distance. x and y count pixels from the upper
+    ``camera`` has PyBullet's order of values: width, height, ..., forward, horizontal, vertical, ..., distance, target.
+    The vectors ``horizontal`` and ``vertical`` span a picture at a great distance. x and y are pixels from its upper
     left corner.
     """
     width, height, *_ = camera

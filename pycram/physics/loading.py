@@ -1,7 +1,7 @@
 """Options of loading a model into the engine, and the forces of joint motors.
 
-A recording must give the same result in later releases, so the options are recorded. If a record lacks an option, the
-option has the value of release 0.1.0.
+A recording must give the same result in later releases, so recordings contain the options. If a record lacks an option,
+the option has the value of release 0.1.0.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from recorder.records import LoadBody, Loading as LoadingRecord
 from recorder.urdf import Urdf
 
 MOTOR_GAIN: Final = 0.1
-"""Share of a joint's error that a motor corrects in a step. It is PyBullet's default, for bodies that aren't robots."""
-#: Least forces (N m, N) with which motors hold joints. With less than 1e4 N the PR2's torso sinks.
+"""Share of a joint's error that a motor corrects in a step. This is PyBullet's default for other bodies."""
+#: Minimum forces (N m, N) with which motors hold joints. With less than 1e4 N, the torso of the PR2 sinks.
 _LEAST: Final = {"revolute": 500.0, "prismatic": 1e4}
-_GRAVITY: Final = 9.81  # gravity in m/s^2 for which the motor forces of robots are computed
+_GRAVITY: Final = 9.81  # gravity in m/s^2 from which the motor forces of robots are computed
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,11 @@ class Loading:
 
     undamped: bool = True
     """Whether damping and friction of the URDF's joints are ignored. PyBullet integrates damping explicitly, so damping
-    that is large for a link's inertia causes growing oscillations. A published PR2 has 2e10 N m s/rad."""
+    that is large for a link's inertia causes growing oscillations. A published URDF of the PR2 has a damping of 2e10 N
+    m s/rad.
+    """
     clamped: bool = True
-    """Whether joints start within their limits. Joints that start outside would jump in the first steps."""
+    """Whether joints start within their limits. Joints outside of limits would jump at first."""
     mimic: bool = True
     """Whether joints that mimic another joint are set with it. In simulation, motors hold them, because PyBullet has no
     mimic joints."""
@@ -39,14 +41,16 @@ class Loading:
     """Whether links of robots have the URDF's moments of inertia. Otherwise PyBullet computes them from collision
     shapes, and a link without a shape has no inertia."""
     armature: float = 0.001
-    """Least moment of inertia of a robot's moving links in kg m^2, like that of rotors of geared motors. Without it,
-    the solver's 50 iterations don't converge for wrists and fingers."""
+    """Minimum moment of inertia of a robot's moving links in kg m^2, similar to rotors of geared motors. Without it,
+    the solver's 50 iterations don't converge for wrists and fingers.
+    """
     gain: float = 1.0
     """Share of the error of a robot's joint that its motor corrects in a step. With 0.1, long chains of joints sagged
     by up to 5 mrad."""
     strength: float = 2.0
     """Largest force of a robot's motors as a multiple of the largest load by gravity; the least forces are the
-    minimum. Without it, an industrial arm of 330 kg sank by 1.3 rad."""
+    minimum. Without these forces, an industrial arm of 330 kg sank by 1.3 rad.
+    """
 
     @classmethod
     def of(cls, record: LoadBody) -> Loading:
@@ -60,7 +64,7 @@ class Loading:
         return LoadingRecord(**asdict(self)) if self != _AS_0_1_0 else None
 
     def start(self, urdf: Urdf) -> dict[str, float]:
-        """Return the start positions (rad or m) of the joints that don't start at 0, by joint name."""
+        """Return the start positions (rad or m), by joint name, of the joints that don't start at 0."""
         values = {}
         if self.clamped:
             joints = (urdf.joints[name] for name in urdf.movable)
@@ -88,18 +92,18 @@ class Load(NamedTuple):
 
 
 def least_forces(joints: Collection[MovableJoint]) -> dict[str, float]:
-    """Return the least motor forces (N m or N) by joint."""
+    """Return the minimum motor forces (N m or N) by joint."""
     return {joint.name: _LEAST[joint.kind] for joint in joints}
 
 
 def holding_forces(joints: Collection[MovableJoint], loads: Sequence[Load], strength: float) -> dict[str, float]:
     """Return the motor forces (N m or N) by joint that hold a robot's links in any posture.
 
-    ``loads`` has the loads of all joints by index; ``strength`` is a multiple of the largest load by gravity.
+    ``loads`` has each joint's load by index; ``strength`` is the factor for the largest load by gravity.
     """
     slides = [joint for joint in joints if joint.kind == "prismatic" and math.isfinite(joint.upper - joint.lower)]
     travels = {joint.index: max(abs(joint.lower), abs(joint.upper)) for joint in slides}
-    weights = [_GRAVITY * load.mass for load in loads]  # weights of all links that hang on each joint
+    weights = [_GRAVITY * load.mass for load in loads]  # weights of all links below each joint
     torques = [_GRAVITY * load.mass * load.lever for load in loads]
     for index in reversed(range(len(loads))):
         load = loads[index]

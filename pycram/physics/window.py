@@ -1,4 +1,4 @@
-"""PyBullet's window. If the window can't open, PyBullet ends the process, so the display is checked before."""
+"""PyBullet's window. If the window can't open, PyBullet ends the process, so the display is checked first."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _POLL_PERIOD: Final = 1 / 30  # s
 
 @contextmanager
 def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
-    """Check that a window can open. The display stays open during the ``with`` block, which opens the window.
+    """Check that a window can open. The display stays open during the ``with`` block, for the window.
 
     Many display servers reset when their last client disconnects; they reject new clients during a reset.
     ``open_windows`` has the names of worlds with a window.
 
     Raises:
-        DisplayError: There is no display, it doesn't answer, or another world has PyBullet's only window.
+        DisplayError: There is no display, the display doesn't answer, or another world has PyBullet's only window.
     """
     if open_windows:
         raise DisplayError(f"PyBullet has only one window, and {open_windows[0]} uses it; end that world first")
@@ -64,7 +64,7 @@ def watch(engine: Engine) -> None:
     """Keep a window open until a user closes it."""
     while engine.connected:
         engine.pump()
-        time.sleep(_POLL_PERIOD)  # the engine has no event for a window that a user closes
+        time.sleep(_POLL_PERIOD)  # the engine reports no event when a user closes a window
 
 
 def outlives_script(engine: Engine, world: str) -> None:
@@ -77,7 +77,7 @@ def _at_end(reference: weakref.ref[Engine], world: str, process: int) -> None:
     if engine is None or not engine.connected or os.getpid() != process:  # a forked process has no window
         return
     if os.environ.get("CI") or sys.stdin is None or sys.stdin.closed or not sys.stdin.isatty():
-        return  # nobody could close the window
+        return  # nobody is there who could close the window
     print(f"pycram: the window of {world} stays open until you close it or press Ctrl-C", file=sys.stderr)
     with suppress(KeyboardInterrupt):
         watch(engine)

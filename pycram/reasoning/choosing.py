@@ -1,6 +1,6 @@
-"""Questions to a world and their answers, as records. A choice also has the rejected candidates.
+"""Records of questions to a world and of their answers. A choice also has the rejected candidates.
 
-Reasoning queries are questions, and so are the choices of process modules, for example of a grasp or a place. While a
+Reasoning queries are questions; choices of process modules are, too, for example of a grasp or a place. While a
 question is answered, its world is locked and refuses changes.
 """
 
@@ -104,7 +104,7 @@ class Choice(Question):
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
-        """Choose in the ``with`` block, as in :meth:`Question.asked`; a fork may force a candidate."""
+        """Choose in the ``with`` block, which the question's record follows; a fork may force a candidate."""
         self.forced = forced(f"choice {self.name}", self.arguments) or ""
         try:
             with super().asked(world, trace=trace):
@@ -183,7 +183,7 @@ class Choice(Question):
 
 
 def considering() -> Choice:
-    """Return a choice that collects candidates for a query, which returns it with the answer."""
+    """Return a choice among candidates for a query; the query returns it with its answer."""
     return Choice("", {}, wanted=journal.recording())
 
 

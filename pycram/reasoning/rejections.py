@@ -1,4 +1,4 @@
-"""Reasons for rejecting candidates. A record of a reason has the name of its type, and its fields."""
+"""Reasons for rejecting candidates. The record of a reason contains the name of the reason's type, and its fields."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final
 
 from pycram.foundation.failures import CollisionPair
 
-_DIGITS: Final = 6  # decimals of recorded numbers, which are only read
+_DIGITS: Final = 6  # number of decimals of recorded numbers; the numbers are only read by people
 _MAX_PAIRS: Final = 3
 
 
@@ -25,7 +25,7 @@ class Rejection:
         return {each.name: short(getattr(self, each.name)) for each in fields(self)}
 
     def alike(self) -> Hashable:
-        """Return the properties that all candidates of a group share, besides the type of their reason."""
+        """Return the properties that all candidates of a group share, in addition to the type of their reason."""
         return tuple(getattr(self, name) for name in self._common)
 
     def group(self) -> Hashable:
@@ -50,7 +50,7 @@ class OutOfReach(Rejection):
     turn: float = 0.0  # angle in rad between the nearest posture and the target
 
     def miss(self) -> float:
-        """Return the distance plus the rotation of a tool of 1 m."""
+        """Return the distance, plus the angle in rad as if the tool were 1 m long."""
         return math.inf if self.distance is None else self.distance + self.turn
 
 
@@ -83,7 +83,7 @@ class Misfit(Rejection):
     most: float  # width in m of the widest object that the fingers hold
 
     def miss(self) -> float:
-        """Return by how much the width exceeds a limit, m."""
+        """Return by how much the width exceeds the limit that it violates, m."""
         return 0.0 if self.width is None else max(self.width - self.most, self.least - self.width)
 
 
@@ -99,7 +99,7 @@ class Uneven(Rejection):
 
 
 TAKEN: Final = "the place is taken, or leaves no room for a finger"
-"""Reason of a :class:`NoRoom` that may disappear if objects are removed from the surface."""
+"""A reason of a :class:`NoRoom` that may disappear if objects are removed from the surface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +120,7 @@ class Slips(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Contorted(Rejection):
-    """The arm would have to change its posture during the motion."""
+    """The arm would have to change to another posture during the motion."""
 
     value: float  # position of the moving joint at which the posture would change, rad or m
 
@@ -145,7 +145,7 @@ class Unseen(Rejection):
     share: float  # share of the object that is seen
     hidden_by: Sequence[str] = ()  # names of the objects that hide the candidate
     outside: float = 0.0  # share of the object outside of the picture
-    #: The link that hides most, for each object with several links that hides it.
+    #: For each object that hides it and has several links, the link that hides most.
     hiding_links: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def data(self) -> Mapping[str, object]:
@@ -169,13 +169,13 @@ class Inferior(Rejection):
     """Another candidate is better."""
 
     _common = ("by",)
-    by: str  # name of the quantity
-    value: float  # value of the quantity
+    by: str  # name of the compared quantity
+    value: float  # value of the compared quantity
 
 
 @dataclass(frozen=True, slots=True)
 class Untried(Rejection):
-    """The candidate wasn't checked, because another candidate is good or all similar candidates fail."""
+    """The candidate wasn't checked, because another candidate is good, or because all similar candidates fail."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ Value = TypeVar("Value")
 
 
 class Binding(Generic[Value]):
-    """Sets a context variable for a ``with`` block. It is a class because a generator would be slower."""
+    """Sets a context variable for a ``with`` block. This is a class, because a generator would be slower."""
 
     __slots__ = ("_token", "_value", "_variable")
     _token: Token[Value]
@@ -42,21 +42,22 @@ class CancelScope(Condition):
     A scope is also cancelled with its ``parent``, the scope around it.
 
     Raises:
-        RecursionError: The scopes would be nested deeper than Python's recursion limit.
+        RecursionError: Scopes are nested deeper than Python's recursion limit.
     """
 
     def __init__(self, parent: CancelScope | None = None, deadline: Limit | None = None) -> None:
         super().__init__()
-        #: The scopes around this scope, innermost first; without this scope, because reference cycles are freed late.
+        #: The scopes around this scope, innermost first; this scope is left out, because reference cycles are freed
+        #: late.
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
-        if len(self.around) >= sys.getrecursionlimit():  # Python checks the depth of the stack only within one branch
+        if len(self.around) >= sys.getrecursionlimit():  # Python checks the stack's depth only within a single branch
             raise RecursionError(f"{len(self.around)} nested blocks and timeouts of the plan")
         known = parent.deadlines if parent is not None else ()
         #: The deadlines of this scope and of the scopes around it, innermost first.
         self.deadlines: tuple[Limit, ...] = known if deadline is None else (deadline, *known)
         self._deadline = deadline
         self.cancel_called = False  # whether cancel() was called
-        self.struck = 0  # number of the checkpoint at which the thread noticed that the deadline had passed; 0 before
+        self.struck = 0  # number of the checkpoint at which the thread noticed that the deadline had passed; or 0
 
     @property
     def is_overdue(self) -> bool:
@@ -75,12 +76,12 @@ class CancelScope(Condition):
 
     @property
     def sources(self) -> tuple[Condition, ...]:
-        """The conditions that wake the waits in this scope."""
+        """The conditions that can wake the waits in this scope."""
         return (self, *self.around, *self.deadlines)
 
     @property
     def is_cancelled(self) -> bool:
-        """Whether this scope or a scope around it was cancelled or is overdue."""
+        """Whether this scope or a scope around it was cancelled or has missed its deadline."""
         if self.cancel_called:
             return True
         for scope in self.around:
@@ -113,7 +114,7 @@ def enter(scope: CancelScope) -> None:
 
 
 def shielded() -> Binding[CancelScope | None]:
-    """Shield the ``with`` block from cancellation; a cancelled branch uses this for work that it must finish."""
+    """Shield the ``with`` block from cancellation; a cancelled branch does work that it must finish in such a block."""
     return entered(None)
 
 
@@ -128,7 +129,7 @@ def uninterruptible() -> Iterator[None]:
 
 
 def begin_alone() -> None:
-    """Leave all scopes and branches in a forked child, which continues only this context."""
+    """Leave all scopes and branches in a forked child process, which continues only this context."""
     _scope.set(None)
     _uninterruptible.set(False)
     body.set(None)
@@ -139,7 +140,7 @@ class BlockBody(Protocol):
     """The body of a block of the plan, which checks changes of worlds."""
 
     def before_change(self, change: str) -> None:
-        """Raise RunsEarly if plain Python in the body changes a world before earlier actions have run."""
+        """Raise RunsEarly if plain Python in the body changes a world before earlier actions have ended."""
 
     def await_turn(self) -> None:
         """Wait until plain Python in the body may change worlds."""
@@ -161,18 +162,18 @@ def before_change(change: str) -> None:
     around = body.get()
     if around is not None:
         around.before_change(change)
-    if not _uninterruptible.get() and not is_held():  # several changes under a lock may belong together
+    if not _uninterruptible.get() and not is_held():  # changes that are made under one lock may belong together
         checkpoint()
 
 
 def checkpoint() -> None:
-    """Run other branches first. Raise Cancelled if the branch is cancelled, or LockHeld if it holds a lock."""
+    """Let other branches run first. Raise Cancelled if the branch is cancelled, or LockHeld if it holds a lock."""
     scheduler().yield_turn()
     raise_if_cancelled()
 
 
 def raise_if_cancelled() -> None:
-    """Raise Cancelled if the branch is cancelled, or a deferred error of the branch, without running other branches."""
+    """Raise Cancelled if the branch is cancelled, or else its deferred error, without running other branches."""
     thread = scheduler()
     thread.checkpoints += 1
     if thread.failing and (error := thread.take_failure()) is not None:
@@ -188,7 +189,7 @@ def raise_if_cancelled() -> None:
 def wait(
     condition: Condition, predicate: Callable[[], bool], timeout: float | None = None, reason: Reason = unknown_reason
 ) -> bool:
-    """Wait until a predicate holds, while other branches run. Return False if the timeout came first, else True.
+    """Wait until a predicate holds, while other branches run. Return False if the timeout came first, otherwise True.
 
     Args:
         condition: Notified whenever the predicate may have changed.
@@ -218,7 +219,7 @@ def wait_until(
 ) -> bool:
     """Wait until a predicate holds or a deadline has passed; see :func:`wait`. The caller has entered the deadline.
 
-    While nothing else is ready, a simulated clock runs: ``clock``, or the clock of a deadline around the wait.
+    While no branch is ready, a simulated clock runs: ``clock``, or the clock of a deadline around the wait.
     """
     scope = _scope.get()
     sources = (condition, *(() if scope is None else scope.sources), *(() if limit is None else (limit,)))
@@ -229,7 +230,7 @@ def wait_until(
             raise_if_cancelled()
             if (
                 limit is not None and limit.struck
-            ):  # the deadline passed before the wait; other branches still run first
+            ):  # the deadline has passed before the wait; other branches still run first
                 waiter.wake()
             if waiter.sleep() and clock is not None:
                 clock.let_pass()

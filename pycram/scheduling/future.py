@@ -35,7 +35,7 @@ class Pending(Protocol):
 class Future:
     """The result of a branch: every operation waits for the result, and is applied to it.
 
-    Its only own method is :meth:`result`. Using the future of a failed branch raises the branch's error.
+    The only method of a future itself is :meth:`result`. Using the future of a failed branch raises the branch's error.
     """
 
     __slots__ = ("__weakref__", "_branch")
@@ -53,8 +53,8 @@ class Future:
         branch = self._branch
         return branch.result() if branch.state is State.SUCCEEDED else {"branch": branch.name}
 
-    @property  # type: ignore[misc]  # it is read-only
-    def __class__(self) -> type:  # isinstance() reads this attribute after the type
+    @property  # type: ignore[misc]  # futures are read-only
+    def __class__(self) -> type:  # isinstance() reads this attribute after it has read the type
         return type(self._branch.result())
 
     def __repr__(self) -> str:
@@ -106,7 +106,7 @@ _FUNCTIONS: Final[dict[str, Callable[..., Result]]] = {
     **{function.__name__: function for function in (*_BUILTIN, copy.copy, copy.deepcopy, os.fspath)},
     "rdivmod": _reflected(divmod),
 }
-"""Functions behind ``__add__``, ``__len__`` and so on. They are applied to the results of futures."""
+"""The functions of ``__add__``, ``__len__`` and so on. They are applied to the results of futures."""
 
 
 def _operation(name: str, function: Callable[..., Result]) -> Callable[..., Result]:
@@ -135,7 +135,7 @@ def branch_of(value: object) -> Pending | None:
 def branches_in(value: object) -> Iterator[Pending]:
     """Yield the branches of all futures in a value, also in nested lists, tuples and dictionaries, without waiting.
 
-    If the caller waits for each branch before the next one, it also gets the branches of futures in results.
+    If the caller waits for each branch before requesting the next, it also gets the branches of futures in results.
     """
     queue = [value]
     seen = set()

@@ -2,12 +2,12 @@
 
 Branches have ranks, at first in the order in which they were added. The ready branch with the first rank runs until it
 waits or ends. A :class:`Precedence` is an exception: "branch 2 before branch 1 at its 3rd stop". Ranks with exceptions
-can describe every order, so a random order can be repeated, and simplified exception by exception.
+can describe every order, so a random order can be repeated, and simplified by removing exceptions.
 
-The command line and records have an order as text:
+On the command line and in records, an order is a text:
 
 - ``added``: ranks without exceptions.
-- ``added:2-1@3,1.2-1.1@0``: ranks with precedences. Branch 1.2 is the second branch that branch 1 began; 0 is the code
+- ``added:2-1@3,1.2-1.1@0``: ranks with exceptions. Branch 1.2 is the second branch that branch 1 began; 0 is the code
   outside of all branches. Stop 0 is the start of a branch; each checkpoint and each wait is another stop.
 - ``pct:17:3:120``: :class:`Pct` draws the order, with number 17 and depth 3 over 120 turns.
 """
@@ -34,10 +34,10 @@ _PRECEDENCE: Final = re.compile(r"(\d+(?:\.\d+)*)-(\d+(?:\.\d+)*)@(\d+)")
 
 @dataclass(frozen=True, slots=True)
 class BlockedWait:
-    """A wait that nothing can end."""
+    """A wait that no event can end."""
 
-    branch: str  # name of the branch, or of the thread for code outside of branches
-    line: str  # FILE:LINE of the plan's line that waits; "" if unknown
+    branch: str  # name of the waiting branch, or of the thread if the code is outside of all branches
+    line: str  # The plan's line that waits, as FILE:LINE; "" if unknown
     reason: str  # what the branch waits for; "" if unknown
     depends_on: tuple[str, ...]  # names of the branches that could end the wait, or that last set the awaited value
 
@@ -48,12 +48,12 @@ class BlockedWait:
 class DeadlockedBranches(UsageError):
     """All branches wait, and nothing can wake a branch.
 
-    It isn't raised if a deadline, or a thread or signal handler of the plan, may end a wait.
+    The error isn't raised if a deadline, or a thread or signal handler of the plan, may end a wait.
     """
 
     def __init__(self, waits: Sequence[BlockedWait]) -> None:
         self.waits = tuple(waits)
-        self.cycle = _cycle(waits)  # names of branches in a circle of waits; the first is also the last; () for none
+        self.cycle = _cycle(waits)  # names of branches that wait in a circle; the first is also the last; () for none
         where = "; ".join(map(str, waits))
         cycle = f"; cycle: {' -> '.join(self.cycle)}" if self.cycle else ""
         super().__init__(f"deadlock: all branches wait, and nothing can wake them: {where}{cycle}")
@@ -85,21 +85,21 @@ export("pycram.failures", DeadlockedBranches)
 class Precedence(NamedTuple):
     """A rule by which one branch runs before another branch that has the first rank, and stays ahead of it."""
 
-    branch: str  # number of the branch that runs first
-    before: str  # number of the other branch
-    stop: int  # stop of the other branch at which the rule applies
+    branch: str  # number of the branch that overtakes
+    before: str  # number of the branch that is overtaken
+    stop: int  # stop of the overtaken branch at which the rule applies
 
     def __str__(self) -> str:
         return f"{self.branch}-{self.before}@{self.stop}"
 
 
 class BranchLine(NamedTuple):
-    """The plan's line at which a branch waits or is ready."""
+    """The plan's line at which a branch waits or will continue."""
 
     branch: str  # name of the branch, or of the thread for code outside of branches
     file: str  # "" if unknown
     line: int  # the next line of the branch; the line that added the branch if it hasn't begun
-    label: str = ""  # the branch's name with its arguments, for people; "" for the name
+    label: str = ""  # the branch's name with its arguments, for people; "" if it equals the name
 
 
 class AppliedPrecedence(NamedTuple):
@@ -108,7 +108,7 @@ class AppliedPrecedence(NamedTuple):
     precedence: Precedence
     first: BranchLine  # line of the branch that ran first
     second: BranchLine  # line of the other branch
-    #: Smaller precedences that put the branch before only some of the branches that it overtook; near ranks first.
+    #: Weaker precedences: they put the branch before only some of the branches that it overtook, near ranks first.
     passed: list[Precedence]
 
 
@@ -121,10 +121,10 @@ class Runnable(Protocol):
 
 @dataclass(slots=True, eq=False)
 class Ranked:
-    """A branch, or the code outside of all branches, in an order."""
+    """A branch, or the code outside of all branches, as an order sees it."""
 
-    number: str  # "2" is the second branch that the code outside began, "2.1" the first branch that branch 2 began
-    stops: int = 0  # number of its past checkpoints and waits
+    number: str  # "2" is the second branch that code outside of branches began, "2.1" the first that branch 2 began
+    stops: int = 0  # number of checkpoints and waits that it has passed
     begun: int = 0  # number of branches that it has begun
 
 
@@ -137,7 +137,7 @@ class Pct:
 
     Args:
         depth: The depth d; priorities change d - 1 times.
-        steps: The number k of turns.
+        steps: The expected number k of turns.
     """
 
     def __init__(self, seed: int | None, number: int, depth: int, steps: int) -> None:
@@ -170,7 +170,7 @@ class Order:
     """Decides which branch of a thread runs next.
 
     Args:
-        draw: Chooses branches at random; None to choose the branch with the first rank.
+        draw: Draws branches at random; None to run the branch with the first rank.
     """
 
     def __init__(self, draw: Pct | None = None, precedences: Iterable[Precedence] = ()) -> None:
@@ -221,10 +221,10 @@ class Order:
         return chosen
 
     def _preceding(self, top: Ranked, ready: Collection[Ranked]) -> Ranked:
-        """Return the branch that a precedence puts before the branch with the first rank; early precedences count."""
+        """Return the branch that a precedence puts before the first branch by rank; earlier precedences win."""
         asked = self._asked.get((top.number, top.stops), ())
         while asked:
-            number = asked.popleft()  # the precedence is lost if its first branch isn't ready
+            number = asked.popleft()  # the precedence has no effect if the branch that it prefers isn't ready
             for each in ready:
                 if each.number == number:
                     return each
@@ -232,7 +232,7 @@ class Order:
 
 
 def order_of(text: str, seed: int | None) -> Order | None:
-    """Return a new order for its text, which the module describes; None for "", the scheduler's default order.
+    """Return a new order from a text (see the module); None for "", which is the scheduler's default order.
 
     ``seed`` is the run's seed.
 

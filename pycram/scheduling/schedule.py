@@ -1,15 +1,17 @@
 """The scheduler of a thread: it chooses the branch that runs next, and wakes branches that wait.
 
 With a seed, the scheduler draws the next branch from all ready branches, so the same seed gives the same order. Without
-a seed, the branch that has been ready longest runs next. :mod:`pycram.scheduling.order` has other orders. A branch that
-yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. If no branch is
-ready, the first patient wait resumes, such as a wait in simulated time. Without a patient wait, the thread sleeps until
-another thread rings its bell or a deadline passes. If neither can happen, the branches are in a deadlock.
+a seed, the branch that has been ready longest runs next. :mod:`pycram.scheduling.order` contains other orders. A branch
+that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. A patient wait,
+such as a wait in simulated time, resumes only if no branch is ready. Without a patient wait, the thread sleeps until
+another thread wakes it or a deadline passes. If neither a deadline nor a worker can end a wait, the branches are in a
+deadlock.
 
 A strike is an event that no seed determines: a deadline passes, or a worker ends. The scheduler polls for strikes at
-checkpoints and when it chooses the next branch. Recordings have the polls with strikes, so that a guided run repeats
-them. A signal handler may raise an error between any two instructions, and a deep recursion may end in any call. Then
-the loop ends, the error is raised outside of all branches, and the next loop schedules all branches again.
+checkpoints and when it chooses the next branch. Recordings contain the polls with strikes, so that a guided run repeats
+them. A signal handler may raise an error between any two instructions, and any call may exceed the recursion limit.
+Then the scheduler's loop ends, the error is raised outside of all branches, and the next loop schedules all branches
+again.
 """
 
 from __future__ import annotations
@@ -47,17 +49,17 @@ if TYPE_CHECKING:
     from pycram.scheduling.strikes import StrikeSource
 
 _BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  ids of threads that existed before the plan
-#: Seconds; Python doesn't wake a thread for a signal that arrives just before the thread sleeps.
+#: Limit in s of a sleep; Python doesn't wake a thread for a signal that arrives just before the thread sleeps.
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
-#: A function that is called in a deadlock. It returns the text of what a wait waits for, the names of the branches that
-#: the wait depends on, and between them the words before these names ("" if the text contains the names).
+#: A function that describes a wait in a deadlock. It returns three values: the awaited event as text; the names of the
+#: branches on which the wait depends; and the words between both ("" if the text contains the names).
 Reason: TypeAlias = "Callable[[], tuple[str, str, Collection[str]]]"
 
 
 def unknown_reason() -> tuple[str, str, Collection[str]]:
-    """Return an empty reason, for waits that give no reason."""
+    """Return an empty reason, for waits that have none."""
     return "", "", ()
 
 
@@ -66,8 +68,8 @@ class Waiter:
 
     Args:
         sources: The conditions that wake the wait during its ``with`` block.
-        patience: Returns whether a patient wait may resume now; a patient wait resumes when nothing else is ready.
-        last: Whether other patient waits resume before this one.
+        patience: Tells whether a patient wait may resume now; it resumes when no branch is ready. None: not patient.
+        last: Whether all other patient waits resume before this one.
     """
 
     __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "last", "parked", "patience", "reason", "undisturbed")
@@ -83,11 +85,11 @@ class Waiter:
         self._greenlet = getcurrent()
         self._scheduler = scheduler()
         self._sources = sources
-        self.branch = self._scheduler.running  # None outside of all branches
+        self.branch = self._scheduler.running  # None for code outside of all branches
         self.patience, self.last = patience, last
         self.reason = reason
-        self.parked = False  # whether the wait sleeps
-        self.undisturbed = False  # whether the wait resumed because nothing else was ready
+        self.parked = False  # whether the waiting code sleeps
+        self.undisturbed = False  # whether the wait resumed because no branch was ready
 
     def wake(self) -> None:
         """Make the wait check its predicate again; any thread may call this."""
@@ -111,7 +113,7 @@ class Waiter:
         return _plan_line(self.branch, self._greenlet)
 
     def sleep(self) -> bool:
-        """Yield until something wakes the wait. Return whether a patient wait resumes because nothing else is ready."""
+        """Yield until something wakes the wait. Return whether a patient wait resumes because no branch is ready."""
         self._scheduler.park(self)
         return self.undisturbed
 
@@ -147,11 +149,11 @@ class _Branch:
 
     @property
     def branch(self) -> _Branch:
-        """The branch itself; waits have the same property."""
+        """The branch itself; waits have a property with the same name."""
         return self
 
     def plan_line(self) -> BranchLine:
-        """Return the waiting line of the plan; the line that added the branch before the branch starts."""
+        """Return the plan's line at which the branch waits; before its start, the line that added the branch."""
         return _plan_line(self, self._greenlet)
 
     @property
@@ -194,7 +196,7 @@ def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine
 
 
 def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order: Order | None = None) -> Ready:
-    """Remove and return the branch or wait that runs next: by an order, at random, or the longest ready.
+    """Remove and return the branch or wait that runs next: by an order, at random, or the one that is ready longest.
 
     Only this function decides the order of a plan's branches.
     """
@@ -227,7 +229,7 @@ def seed_order(seed: int | None, order: str = "") -> None:
 
     Args:
         seed: None to run the branch that has been ready longest.
-        order: Another order, as text of :mod:`pycram.scheduling.order`; raises BadArgument if it isn't an order.
+        order: Text of an order (:mod:`pycram.scheduling.order`); raises BadArgument if it isn't an order.
     """
     global _seed, _order  # a process runs one plan
     order_of(order, seed)
@@ -244,7 +246,7 @@ class Condition:
     """A condition that branches and threads wait for; see :func:`pycram.scheduling.cancellation.wait`."""
 
     def __init__(self) -> None:
-        self.waiters: dict[Waiter, None] = {}  # present waits; the longest wait is first
+        self.waiters: dict[Waiter, None] = {}  # present waits; the wait that began first is first
 
     def notify_all(self) -> None:
         """Wake all waits after a change, so that they check their predicates again; any thread may call this."""
@@ -252,7 +254,7 @@ class Condition:
             waiter.wake()
 
 
-#: Returns the recorded strikes of a poll for its number; None after the end of the recording.
+#: Returns the recorded strikes of a poll, given the poll's number; None after the end of the recording.
 RecordedStrikes: TypeAlias = "Callable[[int], Collection[int] | None]"
 
 
@@ -264,18 +266,18 @@ class Scheduler:
 
     def __init__(self) -> None:
         self.branches: dict[_Branch, None] = {}  # branches that haven't ended; the first was added first
-        self.joining = False  # whether the code outside of all branches waits for their ends after Ctrl-C
-        self.checkpoints = 0  # number of past checkpoints of this thread
+        self.joining = False  # whether the code outside of all branches waits for the branches to end after Ctrl-C
+        self.checkpoints = 0  # number of checkpoints that this thread has passed
         self.running: _Branch | None = None  # None while the code outside of all branches runs
-        self.failing: dict[_Branch | None, BaseException] = {}  # errors for the next checkpoints of branches
+        self.failing: dict[_Branch | None, BaseException] = {}  # errors that branches raise at their next checkpoints
         self._ready: OrderedDict[Ready, None] = OrderedDict()
         self.draw_from(_seed, _order)
         self._parked: dict[Waiter, None] = {}  # waits that sleep
-        self._deadlocked = False  # whether the error of a deadlock was raised outside of the present branches
-        self.patient: dict[Waiter, None] = {}  # patient waits; the longest wait is first
-        self._first: Waiter | None = None  # this wait resumes before everything that is ready
-        self.strike_sources: dict[StrikeSource, None] = {}  # sources in the order of polling
-        self.polls = 0  # number of past polls
+        self._deadlocked = False  # whether the present deadlock was already raised outside of the branches
+        self.patient: dict[Waiter, None] = {}  # patient waits; the wait that began first is first
+        self._first: Waiter | None = None  # a wait that resumes before everything that is ready
+        self.strike_sources: dict[StrikeSource, None] = {}  # sources of strikes, in the order of polling
+        self.polls = 0  # number of polls so far
         self.recorded_strikes: RecordedStrikes | None = None  # None if no recording guides this thread
         self._bell = _thread.allocate_lock()
         self._bell.acquire()
@@ -284,14 +286,14 @@ class Scheduler:
 
     def draw_from(self, seed: int | None, order: str = "") -> None:
         """Set the order of branches; see :func:`seed_order`."""
-        self._dice = None if seed is None else random.Random(f"order {seed}")  # separate from the plan's random numbers
+        self._dice = None if seed is None else random.Random(f"order {seed}")  # not the plan's random numbers
         self.order = order_of(order, seed)
         for ready in list(self._ready):
-            if isinstance(ready, Waiter) and not ready.parked:  # the wait isn't waiting any more
+            if isinstance(ready, Waiter) and not ready.parked:  # this wait has already been woken
                 self.forget(ready)
 
     def continue_order(self, other: Scheduler) -> None:
-        """Continue the order of another scheduler, which isn't used any more."""
+        """Continue the order of another scheduler, which must not be used any more."""
         self.checkpoints = other.checkpoints
         self._dice = copy(other._dice)
         self.order = other.order
@@ -310,9 +312,10 @@ class Scheduler:
         """Schedule a new branch; any thread may call this. After an error, the branch isn't scheduled.
 
         Args:
-            context: The branch runs in this context, not in a copy.
-            action: Runs the branch. It handles the branch's errors; an error that it raises ends the scheduler's loop.
-            failed: Called first with an error that ``action`` raises.
+            context: Context in which the branch runs; it isn't copied.
+            action: Runs the branch. ``action`` handles the branch's errors; an error that ``action`` raises ends the
+                scheduler's loop.
+            failed: Called with an error that ``action`` raises, before the loop ends.
             label: Returns the branch's name with its arguments, for people; "" for the name in records.
         """
         branch = _Branch(self, name, context, action, failed, site, label)
@@ -336,9 +339,9 @@ class Scheduler:
         self._ready.pop(ended, None)
 
     def ring(self) -> None:
-        """Wake the thread if it sleeps; any thread and signal handlers may call this."""
+        """Wake the thread if it sleeps; any thread and any signal handler may call this."""
         if self._bell.locked():  # otherwise the thread is awake
-            with suppress(RuntimeError):  # another thread has just released the bell
+            with suppress(RuntimeError):  # another thread has released the bell at the same time
                 self._bell.release()
 
     def fail_later(self, error: BaseException) -> None:
@@ -361,7 +364,7 @@ class Scheduler:
                 waiter.wake()
                 waiter.sleep()
                 return
-        if self.order is not None:  # another order might run other branches here
+        if self.order is not None:  # another order might let other branches run here
             self._ranked(self.order).stops += 1
 
     def park(self, waiter: Waiter) -> None:
@@ -391,7 +394,7 @@ class Scheduler:
             interrupts.raise_pending()
 
     def leave(self, branch: _Branch) -> None:
-        """Return from an ended branch to the present loop; the loop that started the branch may have ended."""
+        """Return from an ended branch to the present loop; the loop that started the branch may no longer exist."""
         if self._loop is not None:
             getcurrent().parent = self._loop
         self.branches.pop(branch, None)
@@ -402,7 +405,7 @@ class Scheduler:
         return order.outside if self.running is None or self.running.ranked is None else self.running.ranked
 
     def suspended(self) -> Iterator[tuple[FrameType, Context]]:
-        """Yield the innermost frames and contexts of all branches, and of the code outside of them, if suspended."""
+        """Yield the innermost frames and contexts of all suspended branches, and of the suspended code outside."""
         waiting = [branch._greenlet for branch in self.branches]  # noqa: SLF001  same module
         if self._loop is not None:
             waiting.append(self._loop.parent)
@@ -435,7 +438,7 @@ class Scheduler:
                     self._sleep()
                     slept = True
                     continue
-                self.running = chosen.branch if not chosen.ended else None  # an ended branch resumes the code outside
+                self.running = chosen.branch if not chosen.ended else None  # then the code outside continues
                 chosen.resume()
             self._deadlocked = False
         finally:
@@ -444,7 +447,7 @@ class Scheduler:
             self.running = None
 
     def _next_patient(self) -> Waiter | None:
-        """Return the first patient wait that may resume when nothing is ready."""
+        """Return the first patient wait that may resume when no branch is ready."""
         for waiter in sorted(self.patient, key=lambda each: each.last):
             if waiter.parked and waiter.patience is not None and waiter.patience():
                 waiter.undisturbed = True
@@ -457,7 +460,7 @@ class Scheduler:
         return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
 
     def _resume_all(self) -> None:
-        """Schedule all branches, because an error has interrupted the loop and may have lost a wake-up."""
+        """Schedule all branches again, because an error has interrupted the loop and may have lost a wake-up."""
         for branch in list(self.branches):
             if branch.ended:
                 self.branches.pop(branch, None)
@@ -472,7 +475,7 @@ class Scheduler:
             self._sleep()
             self.poll(again=True)
         for ready in list(self._ready):
-            if isinstance(ready, Waiter):  # the waiting code checks its predicate next
+            if isinstance(ready, Waiter):  # the waiting code then checks its predicate
                 self._ready.pop(ready, None)
 
     def _sleep(self) -> None:
@@ -490,14 +493,14 @@ class Scheduler:
     def can_be_woken(self) -> bool:
         """Return whether a deadline, a thread or a signal handler of the plan may wake a wait of this thread.
 
-        A thread of native code is unknown until it runs Python.
+        A thread of native code isn't known until it runs Python code.
         """
         if self.awaits_strike() or threads_of_plan() or interrupts.has_handlers():
             return True
-        return not self._bell.locked()  # this check is last, because a thread may ring the bell and end
+        return not self._bell.locked()  # this check comes last, because a thread may wake this one and end
 
     def _fail_deadlocked(self) -> None:
-        """Raise DeadlockedBranches outside of the branches; if that didn't end the waits, raise it in a branch.
+        """Raise DeadlockedBranches outside of the branches; if the waits remain, raise it in a branch.
 
         The first error cancels the branches, so only their cleanup code can wait afterwards.
         """
@@ -528,7 +531,7 @@ class Scheduler:
     def poll(self, *, again: bool = False) -> None:
         """Poll the sources of strikes, and notify the waits of each source that strikes.
 
-        With ``again``, the thread has only slept since the last poll; both polls have one number.
+        With ``again``, the thread has only slept since the last poll, and both polls have the same number.
         """
         waiting = [each for each in self.strike_sources if not each.struck]
         if not waiting:
@@ -551,7 +554,7 @@ class Scheduler:
         return not self._is_outside() or _in_own_code(frame)
 
     def interrupt(self) -> None:
-        """Handle a deferred Ctrl-C: the code outside of all branches runs next and raises KeyboardInterrupt."""
+        """Handle a deferred Ctrl-C: the code outside of all branches runs next, and raises KeyboardInterrupt."""
         if self.branches and (self.joining or interrupts.is_pending()) and sys.stderr is not None:
             names = ", ".join(branch.name for branch in list(self.branches))
             sys.stderr.write(f"waiting for {names} to reach the next action; Ctrl-\\ ends the process immediately\n")
@@ -562,7 +565,7 @@ class Scheduler:
 
 
 def _in_own_code(frame: FrameType) -> bool:
-    """Return whether PyCRAM's language or scheduler runs in a frame, rather than the plan's own code."""
+    """Return whether a frame runs code of PyCRAM's language or scheduler, not the plan's own code."""
     plan = plan_frame(frame)[0]
     current: FrameType | None = frame
     while current is not None and current is not plan:
@@ -597,7 +600,7 @@ journal.looks = lambda: scheduler().polls
 
 
 def schedule_alone() -> None:
-    """Give this thread of a forked child a new scheduler without branches, which continues the order."""
+    """Give this thread of a forked child process a new scheduler without branches, which continues the order."""
     before, _local.scheduler = _local.scheduler, Scheduler()
     _local.scheduler.continue_order(before)
 
@@ -606,7 +609,7 @@ def schedule_alone() -> None:
 
 
 class LockHeld(UsageError):
-    """A branch waits or yields while it holds a lock, which the other branches of its thread would also hold."""
+    """A branch waits or yields while it holds a lock; all branches of its thread would then hold the lock."""
 
     def __init__(self) -> None:
         super().__init__("a branch must not wait or perform a motion while it holds the lock of a world or of fluents")

@@ -12,25 +12,25 @@ from pycram.scheduling.schedule import Condition, RecordedStrikes, scheduler
 
 
 class Clock(Protocol):
-    """A simulated clock, which a wait lets run when nothing else of its thread is ready."""
+    """A simulated clock; a wait lets it run when no branch of its thread is ready."""
 
     def may_pass(self) -> bool:
         """Return whether simulated time may pass now."""
 
     def let_pass(self) -> None:
-        """Let simulated time pass until something is ready."""
+        """Let simulated time pass until a branch is ready."""
 
 
 class Limit(Condition, ABC):
     """A deadline of a part of the plan, which notifies waits when it comes."""
 
     clock: Clock | None = None
-    """The simulated clock of the deadline; None for wall-clock time."""
+    """The simulated clock by which the deadline is measured; None for wall-clock time."""
 
     @property
     @abstractmethod
     def has_come(self) -> bool:
-        """Whether the deadline is now or has passed."""
+        """Whether the deadline has come."""
 
     @property
     @abstractmethod
@@ -42,12 +42,12 @@ class StrikeSource(Condition):
     """A deadline or a worker that the scheduler polls during a ``with`` block.
 
     Args:
-        end: Value of ``time.monotonic()`` at which it strikes; infinity if unknown.
+        end: Value of ``time.monotonic()`` at which the strike comes; infinity if unknown.
     """
 
     def __init__(self, end: float = math.inf) -> None:
         super().__init__()
-        self.struck = False  # whether the scheduler has polled it after the strike
+        self.struck = False  # whether the scheduler has polled the source after the strike
         self.end = end
         self._scheduler = scheduler()
 
@@ -63,7 +63,7 @@ class StrikeSource(Condition):
         """Whether the strike has come."""
         if self.struck:
             return True
-        if self._scheduler is not scheduler():  # the caller is another thread or a forked child
+        if self._scheduler is not scheduler():  # the caller may be another thread or a forked child
             return self.is_due()
         self._scheduler.poll()
         return self.struck
@@ -96,8 +96,8 @@ class Deadline(StrikeSource, Limit):
 def guide_strikes(recorded: RecordedStrikes, polls: int) -> None:
     """Make strikes come at the same polls of this thread as in a recorded run.
 
-    If the recording has no strike for a sleeping thread, strikes come by themselves: a signal or another thread woke
-    the recorded thread, or the plan has changed.
+    If the recording has no strike for a sleeping thread, strikes come as in an unguided run: a signal or another thread
+    woke the recorded thread, or the plan has changed.
 
     Args:
         recorded: The recorded strikes by the recorded run's poll numbers.

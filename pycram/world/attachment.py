@@ -1,10 +1,10 @@
 """Attachments: the pairs of a carrier and a carried object, and the objects that move along with a moving object.
 
-An attached body keeps its pose relative to the carrier's link: without simulation it is moved, too, in simulation a
-fixed constraint holds it. Each of :func:`attach` and :func:`detach` is a transaction; :func:`put_back`, :func:`renew`
-and :func:`end` are parts of other transactions. A link supports a body if the body rests on the link, hangs just above
-its floor, or rests on a supported body. Supported bodies move with drawers. If a hand takes a body, bodies in or on it
-are attached to it loosely (:func:`taken_along`).
+An attached body keeps its pose relative to the carrier's link: without simulation it is moved with the carrier; in
+simulation, a fixed constraint holds it. Each of :func:`attach` and :func:`detach` is a transaction; :func:`put_back`,
+:func:`renew` and :func:`end` are parts of other transactions. A link supports a body if the body rests on the link,
+hangs just above its floor, or rests on a supported body. Bodies that a drawer supports move with the drawer. If a hand
+takes a body, bodies in or on it are attached to it loosely (:func:`taken_along`).
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ class BodyAttachment:
     carrier: Object
     carrier_link: str
     body: Object
-    body_link: str  # the link that the carrier holds
+    body_link: str  # the carrier's link that holds the body
     pose: Pose  # pose of the body's base link in the carrier's link: position in m, orientation xyzw
     constraint: int  # the engine's id of the constraint that holds the body in simulation
     loose: bool = False  # whether the body only lies in or on the carrier, and is released with the carrier
-    left: Sequence[Object] = ()  # bodies that don't collide with the body in simulation while it is held
+    left: Sequence[Object] = ()  # bodies that don't collide with this body in simulation while it is held
 
     def other(self, side: Object) -> Object:
         """Return the other object of the attachment."""
@@ -79,21 +79,22 @@ def attach(
     left: Sequence[Object] = (),
     loose: bool = False,
 ) -> None:
-    """Make an object carry another object; an existing attachment doesn't change.
+    """Make an object carry another object; an attachment that exists doesn't change.
 
-    If only the body has a fixed base, as robots and furniture do, it becomes the carrier.
+    If only the body has a fixed base, as robots and furniture have, the body becomes the carrier.
 
     Args:
         link: The carrier's link; None for its base link.
         body_link: The held link of the body; None for its base link.
         pose: Pose of the body's base link in the carrier's link; None for the present pose.
         along: Bodies in or on the body that move along until the body is released; see :func:`taken_along`.
-        left: Bodies that stay but overlap the moving bodies or lean on them; these don't collide in simulation.
+        left: Bodies that stay, but overlap the moving bodies or lean on them; in simulation they don't collide with
+            these.
         loose: Whether the body only lies in or on the carrier, and is released with the carrier.
 
     Raises:
         UnknownName: There is no such link.
-        AttachmentError: The objects are the same, are in different worlds or are both fixed, another object carries the
+        AttachmentError: The objects are the same, are both fixed or in different worlds, or another object carries the
             body, or the body carries the carrier.
     """
     if body in carrier.attachments:
@@ -161,7 +162,7 @@ def end(attachment: BodyAttachment, transaction: Transaction) -> None:
     """End an attachment in a transaction, and release the objects that lie loosely in or on the body."""
     carrier, body = attachment.carrier, attachment.body
     if carrier.attachments.get(body) is not attachment:
-        return  # the attachment has ended with another attachment of its carrier
+        return  # the attachment has already ended together with another attachment of its carrier
     del carrier._attachments[body], body._attachments[carrier]  # noqa: SLF001  both objects refer to the attachment
     for held in body.carried:
         if held.loose:
@@ -224,7 +225,7 @@ def _check(carrier: Object, body: Object) -> None:
 
 
 def move_attached(carrier: Object, transaction: Transaction) -> None:
-    """Move everything that an object carries to its relative pose after the object or its joints have moved."""
+    """Move everything that an object carries to its relative pose, after the object or one of its joints has moved."""
     engine = carrier.world.engine
     for attachment in carrier.carried:
         body = attachment.body
@@ -309,7 +310,7 @@ def supported_bodies(container: Object, links: Iterable[str]) -> dict[Object, st
 def move_supported(
     container: Object, before: Mapping[str, Pose], supported: Mapping[Object, str], transaction: Transaction
 ) -> None:
-    """Move supported bodies along with their links.
+    """Move the supported bodies together with their links.
 
     Args:
         before: Poses of the links before the links moved.
@@ -325,8 +326,8 @@ def move_supported(
 def taken_along(body: Object) -> tuple[list[Object], list[Object]]:
     """Return the free objects that move along when a hand lifts an object, and the free objects that it leaves.
 
-    Objects in or on the lifted object move along, unless they also rest on an object that stays: then they lean on the
-    lifted object, and are left. Other objects that overlap the lifted object are also left.
+    Objects in or on the lifted object move along. If such an object also rests on an object that stays, it only leans
+    on the lifted object, and is left. Other objects that overlap the lifted object are also left.
     """
     engine, objects = body.world.engine, body.world.objects
     free = [other for other in objects if other is not body and not other.fixed and other.carrier is None]
@@ -343,7 +344,7 @@ def taken_along(body: Object) -> tuple[list[Object], list[Object]]:
 
     def rests_elsewhere(load: Object) -> bool:
         others = [other for other in objects if other not in (body, load, *along)]
-        return any(  # the shape of furniture may be a hull around its contents
+        return any(  # a shape of furniture may be a hull that contains objects
             point.carries and not (other.fixed and point.distance < -DEEP)
             for other in others
             for point in points(other, load)

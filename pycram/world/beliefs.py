@@ -33,7 +33,7 @@ class WorldBeliefs:
     def of(self, robot: str) -> list[tuple[Belief, int]]:
         """Return a robot's beliefs, the latest first, with the step of the record from which it learned each belief.
 
-        The step is -1 if no running recording has the record.
+        The step is -1 if no running recording contains the record.
         """
         own = [belief for (name, _), belief in self._beliefs.items() if name == robot]
         return [(belief, self._step(belief)) for belief in reversed(own)]
@@ -77,12 +77,12 @@ class WorldBeliefs:
         self._steps = dict(steps)
 
     def rebuild(self, recorded: Iterable[Belief]) -> None:
-        """Set the beliefs from a recording, in a world that is rebuilt from it."""
+        """Set the beliefs from a recording, in a world that is rebuilt from the recording."""
         fold.restore(self._beliefs, recorded)
         self._steps.clear()
 
     def records(self, journal: Journal | None = None) -> list[Belief]:
-        """Return copies of the beliefs for a record, with the steps of a recording, or -1 without a recording."""
+        """Return copies of the beliefs for a record, with the steps in a recording, or -1 without a recording."""
         copies = []
         for key, belief in self._beliefs.items():
             copy = Belief()

@@ -1,8 +1,8 @@
 """Coasting: intervals of simulated time in which bodies follow trajectories without the engine's simulation.
 
-A body that follows its trajectory in free space moves as planned, and everything at rest stays at rest. So if all else
-is at rest, and nothing is near the moving links at both ends of an interval of 1/30 s, the bodies are set to their
-positions at the end of the interval. The engine's steps would take ten times as long.
+A body that follows its trajectory in free space moves as planned, and all resting bodies stay where they are. If all
+other bodies rest, and nothing is near the moving links at both ends of an interval of 1/30 s, the bodies are set to
+their positions at its end. The engine's steps would take ten times as long.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_NEAR: Final = 0.005  # minimum distance in m, in addition to the way of a link in the interval
-_ALONG: Final = 0.05  # maximum distance in m between the boxes of two moving links that may move along with each other
-_RIGID: Final = (1e-3, 1e-2)  # largest motion in m and rad of such links relative to each other
+_NEAR: Final = 0.005  # minimum distance in m between bodies, plus the distance that a link covers in the interval
+_ALONG: Final = 0.05  # maximum distance in m between the boxes of two moving links that may move together
+_RIGID: Final = (1e-3, 1e-2)  # largest relative motion in m and rad of links that move together
 
 
 class Coasting:
-    """Decides whether the bodies of a world that follow trajectories may coast."""
+    """Decides whether those bodies of a world that follow trajectories may coast."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
@@ -44,12 +44,12 @@ class Coasting:
         self._possible: NDArray[np.bool_] = np.zeros((0, 0), bool)  # pairs (moving link, link) that may collide
         self._boxes = np.zeros((0, 2, 3))  # bounds of all links, m
         self._before = np.zeros((0, 2, 3))  # bounds of the moving links at the start of the interval, m
-        self._along: dict[tuple[int, int], Pose] = {}  # relative poses of moving links near each other at the start
-        self._clear = np.zeros(0)  # distances in m from the moving links to others at the end of the last interval
-        self._is_clear = False  # whether nothing was near at the end of the last interval
+        self._along: dict[tuple[int, int], Pose] = {}  # relative poses at the start of moving links near each other
+        self._clear = np.zeros(0)  # distances in m between moving and other links at the end of the last interval
+        self._is_clear = False  # whether the moving links had a free space at the end of the last interval
 
     def may_begin(self, following: Sequence[tuple[Object, Sequence[str]]]) -> bool:
-        """Return whether all else is at rest, and nothing is near the moving links at the start of an interval.
+        """Return whether all other bodies rest, and nothing is near the moving links at the start of an interval.
 
         Args:
             following: The bodies that follow trajectories, and the moving joints of each; no joints for a base.
@@ -59,7 +59,7 @@ class Coasting:
             self._following, self._rows = list(following), []
         if self._detector is None or self._state != self._present():
             self._detector, self._rows = simulation.RestDetector(self._world, furniture), []
-        elif furniture != self._furniture:  # whatever has coasted to the end of its trajectory is at rest
+        elif furniture != self._furniture:  # a body that has coasted to the end of its trajectory is at rest
             self._detector.ignore(furniture, stopped=self._is_clear)
         self._furniture = furniture
         if not self._detector.sample():
@@ -76,10 +76,10 @@ class Coasting:
         return self._is_clear
 
     def may_end(self) -> bool:
-        """Return whether nothing is near the moving links at the end of an interval, to which they were moved."""
+        """Return whether nothing is near the moving links at the end of an interval, after they were moved there."""
         after = self._moving_boxes()
         way = np.abs(after - self._before).max(axis=(1, 2), initial=0.0)
-        if len({body for body, _ in self._following}) == 1:  # distances at both ends together exceed the way
+        if len({body for body, _ in self._following}) == 1:  # both distances have a larger sum than the way
             way = np.maximum(way / 2, way - self._clear)
         self._clear = way + _NEAR
         self._is_clear = not self._is_near(after, self._clear)
@@ -89,7 +89,7 @@ class Coasting:
         return self._is_clear
 
     def simulated(self) -> None:
-        """Note the state of the world after an interval that the engine simulated."""
+        """Store the state of the world after an interval that the engine simulated."""
         self._state, self._rows = self._present(), []
 
     def _present(self) -> tuple[object, ...]:
@@ -108,7 +108,7 @@ class Coasting:
         self._columns = [(body, link) for body in objects for link in body.links]
         self._boxes = np.array([engine.box(body.handle, link) for body, link in self._columns]).reshape(-1, 2, 3)
         has_shape = np.ptp(self._boxes, axis=1).max(axis=1) > 0.0
-        moved: dict[tuple[Object, str], bool] = {}  # moving links, and whether a base moves them
+        moved: dict[tuple[Object, str], bool] = {}  # moving links, and whether a base moves each of them
         for body, joints in self._following:
             moved |= dict.fromkeys(_moving(body, joints), not joints)
         self._rows = [each for each, shaped in zip(self._columns, has_shape, strict=True) if shaped and each in moved]
@@ -118,7 +118,7 @@ class Coasting:
         turning = {body: {*attachment.moved_links(body.urdf, body.urdf.movable)} for body in objects}
         still = [body.is_environment and link not in turning[body] for body, link in self._columns]
         others = np.array([[roots[body] is not roots[other] for other, _ in self._columns] for body, _ in self._rows])
-        driving = np.array([moved[each] for each in self._rows])  # paths of bases are checked, and bases aren't stopped
+        driving = np.array([moved[each] for each in self._rows])  # paths of bases were checked before
         self._possible = others.reshape(-1, len(self._columns)) & has_shape & ~(driving[:, None] & np.array(still))
 
     def _moving_boxes(self) -> Array:
@@ -147,7 +147,7 @@ class Coasting:
         return False
 
     def _pairs_along(self) -> dict[tuple[int, int], Pose]:
-        """Return the relative poses of moving links that may move along with each other, as a hand and a handle."""
+        """Return the relative poses of moving links that may move along with each other, like hand and handle."""
         near = np.zeros_like(self._possible)
         near[:, self._numbers] = self._overlap(self._before, np.full(len(self._rows), _ALONG))[:, self._numbers]
         return {(row, column): self._relative(row, column) for row, column in np.argwhere(near).tolist()}
@@ -159,7 +159,7 @@ class Coasting:
         return geometry.multiply(geometry.invert(poses[0]), poses[1])
 
     def _is_rigid(self, row: int, column: int) -> bool:
-        """Return whether two moving links are as they were to each other at the start."""
+        """Return whether two moving links have the same relative pose as at the start."""
         was = self._along.get((row, column))
         if was is None:
             return False

@@ -1,8 +1,8 @@
 """Driving: bodies follow trajectories in simulated time, and plans wait until the trajectories have ended.
 
 Before each step, a motor gets the joint's planned position as its target, and the velocity to the next planned
-position. So motors of any gain follow without lag. A base is set to its pose in each step, with all attached
-objects. Everything else is physics: pushed objects move, and obstacles keep joints from following.
+position. Motors of any gain follow their trajectories without lag. A base is set to its pose in each step, with all
+attached objects. Physics determines everything else: pushed objects move, and obstacles stop joints.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 LOST: Final = {"revolute": 0.1, "prismatic": 0.05}
 """Largest deviation of a joint from its trajectory, rad or m; without contacts, joints deviate by less than 1e-3."""
 _MAX_SECONDS: Final = 3600.0
-_MAX_NUMBERS: Final = 200_000  # maximum number of values of a trajectory: a minute with 100 rows a second for 30 joints
+_MAX_NUMBERS: Final = 200_000  # maximum number of values of a trajectory: 30 joints for a minute, at 100 rows a second
 _FARTHEST: Final = 1e6  # largest position of a trajectory, m or rad
 _FASTEST: Final = 1e3  # largest velocity of a trajectory, m/s or rad/s
-_START: Final = 0.2  # deviation at the start of a trajectory that is allowed for a joint, as a share of ``LOST``
-_BASE_START: Final = (0.01, 0.01, 0.02)  # deviations at the start that are allowed for a base: x and y in m, yaw in rad
+_START: Final = 0.2  # allowed deviation of a joint at the start of a trajectory, as a share of ``LOST``
+_BASE_START: Final = (0.01, 0.01, 0.02)  # allowed deviations of a base from the start of a trajectory: m, m, rad
 
 
 class Followed:
@@ -50,8 +50,8 @@ class Followed:
 
     def __init__(self, body: Object, following: records.Following, sim_step: int) -> None:
         self.body = body
-        self.following = following  # the record; ``stopped`` is set when the trajectory is stopped
-        #: The trajectory of all moving joints, including joints that mimic other joints.
+        self.following = following  # the trajectory's record; ``stopped`` is set when the trajectory is stopped
+        #: The trajectory of all moving joints, also of joints that mimic others.
         self.trajectory = with_followers(body, Trajectory.of_record(following.begin.trajectory))
         #: The moving joints; empty for the base.
         self.joints: tuple[MovableJoint, ...] = tuple(body.handle.joints[name] for name in self.trajectory.joints)
@@ -110,7 +110,7 @@ class Followed:
                 self.lost = joint.name, error
 
     def hold(self) -> None:
-        """Make the motors hold the joints at their targets, or at their present positions after a lost track."""
+        """Make the motors hold the joints at their targets, or, after a lost track, at their present positions."""
         if self.joints and self.body.alive:
             engine, handle = self.body.world.engine, self.body.handle
             targets = engine.positions(handle, self.joints) if self.lost else self._targets
@@ -211,20 +211,20 @@ class FollowableMotion(Protocol):
 
     @property
     def search(self) -> records.PathSearch | None:
-        """The search for the trajectory's path; None if the path was given."""
+        """The search for the trajectory's path; None if the plan has given the path."""
 
 
 @refusing(name="follow")
 def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]]) -> None:
     """Make bodies follow trajectories that start together, and wait in simulated time until all have ended.
 
-    If an error ends the wait early, all trajectories are stopped before the error is raised. They slow down along their
-    paths for at most 0.2 s of simulated time.
+    If an error ends the wait early, all trajectories are stopped before the error is raised. Then bodies slow down
+    along their paths for at most 0.2 s of simulated time.
 
     Raises:
         TrackingLost: A joint deviated too far from its trajectory.
         TrajectoryEnded: Another call stopped a trajectory, or the world was reset or restored.
-        BadArgument: A body can't follow its trajectory, or isn't at its start; no body has moved.
+        BadArgument: A body can't follow its trajectory, or isn't at the trajectory's start; no body has moved.
         FollowsTrajectory: A joint follows another trajectory; no body has moved.
         Cancelled: The branch is cancelled.
     """
@@ -247,7 +247,7 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]
 
 
 def _stop_all(world: BulletWorld, begun: Sequence[Followed]) -> None:
-    """Stop the trajectories, and let time pass until all have ended, even if the branch is cancelled."""
+    """Stop the trajectories, and let simulated time pass until all have ended, even if the branch is cancelled."""
     with shielded(), uninterruptible():
         with world.lock:
             for each in begun:
@@ -301,7 +301,7 @@ def stop(world: BulletWorld, number: int) -> None:
         if followed is None:
             raise UnknownName("trajectory", number, world.name, map(str, world.trajectories.active))
         mutation.stop_trajectory.body = followed.body.name
-        if followed.following.began == world.sim_step:  # the body hasn't moved
+        if followed.following.began == world.sim_step:  # the body hasn't moved since then
             world.trajectories.end(followed)
         elif not followed.following.stopped:
             followed.following.stopped = world.sim_step
@@ -341,9 +341,9 @@ def _check(body: Object, trajectory: Trajectory) -> None:
 
 
 def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, float] | None:
-    """Return the first coordinate of a body that isn't at the start of a trajectory, its start and its position.
+    """Return a coordinate of a body that isn't at its trajectory's start, with the start and its position.
 
-    Start and position are in rad or m. Returns None if all coordinates are near enough for motors to follow.
+    Start and position are in rad or m. The result is None if all coordinates are near enough for motors to follow.
     """
     engine, joints = body.world.engine, body.handle.joints
     if trajectory.joints:
@@ -364,7 +364,7 @@ def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, floa
 
 
 def _touching(body: Object, joint: str) -> list[CollisionPair]:
-    """Return the contacts of a joint's moving links and their load in the last step; the strongest contact is first."""
+    """Return the contacts of a joint's moving links, with loads in the last step, the strongest first."""
     moved = set(attachment.moved_links(body.urdf, [joint]))
     movers: dict[Object, set[str]] = {body: moved}
     for mover in movers.copy():

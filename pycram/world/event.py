@@ -1,8 +1,8 @@
 """Events and their handlers (thesis 4.2.3).
 
-``Event.prepare`` records an event and returns a function that calls the handlers. A world prepares events under its
-lock, so their records have the order of transactions. Handlers are called without the lock, so they may
-change any world.
+``Event.prepare`` records an event and returns a function that calls the handlers. A world prepares events while its
+lock is held, so their records have the order of transactions. Handlers are called without the lock, so they may change
+any world.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ class Event:
 
     ``event += handler`` registers a handler once, ``event -= handler`` removes it, and ``event(...)`` or
     ``event.fire(...)`` calls all handlers in the order of registration. Handlers are called in the thread that fires
-    the event, without a lock. All handlers are called, then the first error is raised; other errors are its context.
+    the event, without a lock. First all handlers are called; then their first error is raised, with other errors as its
+    context.
     """
 
     def __init__(
@@ -65,7 +66,7 @@ class Event:
 
         Raises:
             BadArgument: The handler isn't callable.
-            RecordingError: The registration can't be recorded, so it isn't made.
+            RecordingError: The registration can't be recorded; the handler isn't registered.
         """
         if not callable(handler):
             raise BadArgument(f"handler of {self}", handler, "a function")
@@ -82,7 +83,7 @@ class Event:
 
         Raises:
             UnknownName: The handler isn't registered.
-            RecordingError: The removal can't be recorded, so it isn't made.
+            RecordingError: The removal can't be recorded; the handler stays registered.
         """
         name = qualified_name(handler)
         with Uninterrupted(), self._lock:
@@ -121,7 +122,7 @@ class Event:
         def call_one(handler: Handler) -> None:
             with (
                 span.span("handler", qualified_name(handler), {"event": self.name, "sender": self.sender}),
-                OnError(mark_recorded, Exception),  # the handler's task has the error, so it isn't a refusal
+                OnError(mark_recorded, Exception),  # the handler's task has the error, so the call wasn't refused
             ):
                 handler(*args, **kwargs)
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
 
 _LIMIT_TOLERANCE: Final = 1e-3  # tolerance in rad or m of limits; motors and splines exceed limits a little
-_MIMIC_TOLERANCE: Final = 1e-3  # tolerance in rad or m of positions in a mimic group; files contain rounded values
+_MIMIC_TOLERANCE: Final = 1e-3  # tolerance in rad or m of joints that mimic each other; files contain rounded values
 
 
 def set_positions(body: Object, positions: Mapping[str, float]) -> None:
@@ -56,7 +56,7 @@ def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
 
     Raises:
         BadArgument: Given positions of a group contradict each other, or contradict a joint that can't be moved.
-        JointLimitError: The position of the leader, which other joints mimic, is outside its limits.
+        JointLimitError: The position of the joint that the others mimic is outside its limits.
     """
     urdf = body.urdf
     if not (body.model.loading.mimic and urdf.mimics):
@@ -110,7 +110,7 @@ def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
 
 
 def _speeds(urdf: Urdf, given: Mapping[str, float], moved: Iterable[str]) -> tuple[float, ...]:
-    """Return the given speeds of joints (rad/s or m/s), or the speeds that follow from mimicked joints."""
+    """Return the given speeds of joints (rad/s or m/s), or those that follow from the joints that they mimic."""
     speeds = dict(given)
     for name, speed in given.items():
         mimic = urdf.mimics.get(name)

@@ -31,10 +31,11 @@ from recorder.urdf import Urdf
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
-#: None where a world, robot or description may be missing. Type checkers accept any use, so plans need no assertions.
+#: None, in attributes whose world, robot or description may be missing. Type checkers accept any use of it, so plans
+#: need no assertions.
 MaybeNone: TypeAlias = Any
 
-_SCALES = (1e-6, 1e6)  # least and greatest scale, m per unit of length
+_SCALES = (1e-6, 1e6)  # lowest and highest scale, in m per unit of length
 ENVIRONMENT = "environment"
 ROBOT = "robot"
 
@@ -43,7 +44,7 @@ ROBOT = "robot"
 class Object(ReadOnlyAttributes):
     """An object in a world.
 
-    Positions are [x, y, z] in m and orientations are quaternions [x, y, z, w]. Without a link, they are those of the
+    Positions are [x, y, z] in m and orientations are quaternions [x, y, z, w]. Without a link, poses are those of the
     base link in the world. Joint positions are in rad or m. Setting poses and joints is exact, without a simulation.
     Attributes are read-only; methods change them, and record each change.
 
@@ -59,10 +60,11 @@ class Object(ReadOnlyAttributes):
         orientation: Orientation of the base link, xyzw.
         world: None for the current world.
         color: RGBA 0..1 for a mesh; None for the mesh's own colours.
-        description: Description of a robot; None to find it by the name in the URDF.
+        description: Description of a robot; None to find it by the robot's name in the URDF.
         packages: Folders of ROS packages with the URDF's meshes (``package://``), or parents of such folders. Other
-            packages are searched for as in :mod:`pycram.models.files`.
-        scale: Metres per unit of length of the file: 0.001 for a file in millimetres. Masses of a URDF stay in kg.
+            packages are searched as :mod:`pycram.models.files` describes.
+        scale: Number of metres in the file's unit of length: 0.001 for a file in millimetres. Masses of a URDF stay in
+            kg.
         model: A model that was loaded from a recording; it replaces the file.
 
     Raises:
@@ -100,7 +102,7 @@ class Object(ReadOnlyAttributes):
         scale: float = 1.0,
         model: Model | None = None,
     ) -> None:
-        from pycram.world.world import BulletWorld  # noqa: PLC0415  pycram.world.world imports this module
+        from pycram.world.world import BulletWorld  # noqa: PLC0415  the module pycram.world.world imports this one
 
         around = world if world is not None else BulletWorld.current_bullet_world
         if around is None:
@@ -132,7 +134,7 @@ class Object(ReadOnlyAttributes):
         self.original_joints: Mapping[str, float] = MappingProxyType({})
         self._attachments: dict[Object, BodyAttachment] = {}
         self._handle: LoadedBody | None = None
-        #: Objects that this object overlapped when it was loaded; a warning (:class:`Overlapping`) named them.
+        #: Objects that this object overlapped when it was loaded; the warning :class:`Overlapping` named them.
         self.overlaps: Sequence[records.Overlap] = ()
         self._seal(Object)
         self.world.add(self)
@@ -230,14 +232,14 @@ class Object(ReadOnlyAttributes):
         """Return PyBullet's index of a movable or fixed joint."""
         if checks.text("joint", name) not in self.urdf.joints:
             raise UnknownName("joint", name, self.name, self.urdf.joints)
-        return self.handle.links[self.urdf.joints[name].child]  # PyBullet gives a joint and its child link one index
+        return self.handle.links[self.urdf.joints[name].child]  # PyBullet gives joint and child link the same index
 
     def get_link_id(self, name: str) -> int:
         """Return PyBullet's index of a link; the base link has -1."""
         return self.handle.links[self.check_link(name)]
 
     def check_link(self, name: str | None) -> str:
-        """Return the name of an existing link; of the base link for None."""
+        """Return the name of a link if it exists; None stands for the base link."""
         links = self.handle.links
         if name is None:
             return next(iter(links))
@@ -246,7 +248,7 @@ class Object(ReadOnlyAttributes):
         return name
 
     def check_joint(self, name: str) -> str:
-        """Return the name of an existing movable joint."""
+        """Return the name of a movable joint if it exists."""
         if checks.text("joint", name) not in self.handle.joints:
             raise UnknownName("movable joint", name, self.name, self.joints)
         return name
@@ -356,7 +358,7 @@ class Object(ReadOnlyAttributes):
     # --- changes -----------------------------------------------------------------------------------------------------
 
     def set_position_and_orientation(self, position: Sequence[float], orientation: Sequence[float]) -> None:
-        """Set the pose. Attached objects move along; a carried object gets a new pose relative to its carrier."""
+        """Set the pose. Attached objects move along; a carried object gets a new relative pose."""
         self._move(checks.vector("position", position), checks.quaternion("orientation", orientation))
 
     def set_position(self, position: Sequence[float], orientation: Sequence[float] | None = None) -> None:
@@ -369,7 +371,7 @@ class Object(ReadOnlyAttributes):
         self._move(None, checks.quaternion("orientation", orientation))
 
     def _move(self, position: Vector | None, orientation: Quaternion | None) -> None:
-        """Set the pose; None keeps the value at the start of the transaction."""
+        """Set the pose; a part that is None keeps its value at the start of the transaction."""
         with self.world.transactions.begin(records.Mutation(move_body=records.MoveBody(body=self.name))) as transaction:
             self.world.trajectories.refuse("set its pose", self)
             now = self.world.engine.pose(self.handle)
@@ -388,7 +390,7 @@ class Object(ReadOnlyAttributes):
         self.set_joint_positions({name: position})
 
     def set_joint_positions(self, positions: Mapping[str, float]) -> None:
-        """Set positions (rad or m) of joints by name; objects on a moving link, or in a drawer, move along.
+        """Set positions (rad or m) of joints by name; objects on moving links and in drawers move along.
 
         Raises:
             JointLimitError: A position is outside the joint's limits.
@@ -417,9 +419,9 @@ class Object(ReadOnlyAttributes):
         return next((held.carrier for held in self._attachments.values() if held.body is self), None)
 
     def attach(self, other: Object, link: str | None = None, other_link: str | None = None) -> None:
-        """Carry another object at its present relative pose (thesis 4.3.1); an existing attachment doesn't change.
+        """Carry another object at its present relative pose (thesis 4.3.1); an attachment that exists doesn't change.
 
-        If only the other object has a fixed base, as robots and furniture do, it becomes the carrier.
+        If only the other object has a fixed base, as robots and furniture have, that object becomes the carrier.
 
         Args:
             link: The link of this object; None for its base link.
@@ -472,7 +474,7 @@ def _object(argument: str, value: object) -> Object:
 
 def _warn_of_shape(body: Object) -> None:
     """Warn that an object's mesh is probably in millimetres, or that hollow meshes of a URDF are filled."""
-    is_mesh = not body.path.lower().endswith((".urdf", ".xacro"))  # lengths in a URDF are in m
+    is_mesh = not body.path.lower().endswith((".urdf", ".xacro"))  # lengths in a URDF are always in m
     width = sizes.width(body.model.path) if is_mesh and not body.fixed else 0.0
     if width > sizes.WIDEST:
         warnings.warn_explicit(sizes.warning(body.name, width), sizes.Oversized, *call_site())

@@ -1,4 +1,4 @@
-"""Overlaps: objects that are inside of each other."""
+"""Overlaps: objects that are partly or completely inside of each other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 DEEP: Final = 5e-3
 """Depth in m above which an overlap is an error; the solver lets resting objects overlap a little."""
 
-_SUNK: Final = 0.015  # depth in m below a surface from which the engine doesn't push an object straight up
+_SUNK: Final = 0.015  # depth in m below a surface; the engine doesn't push deeper objects straight up
 
 
 class Overlapping(UserWarning):
@@ -35,10 +35,11 @@ def overlaps(body: Object) -> list[records.Overlap]:
 
 
 def sunk(world: BulletWorld) -> list[tuple[Object, records.Overlap, float]]:
-    """Return the free objects with their underside far below a surface of furniture that they are inside of.
+    """Return the free objects that stick in a surface of furniture, with their underside far below it.
 
-    Each has its overlap, and the distance in m from its underside up to the surface. The engine throws such an object,
-    also through the furniture. Objects inside of a hull of furniture aren't sunk: no surface goes through them.
+    The results have the overlap of each object, and the distance in m from its underside up to the surface. The engine
+    throws such an object away, sometimes through the furniture. Objects inside of a hull of furniture don't count if no
+    surface passes through them.
     """
     found = []
     furniture = [body for body in world.objects if body.fixed and not body.is_robot]

@@ -79,7 +79,7 @@ def put_back(
     """Restore a recorded state of a world.
 
     Args:
-        objects: The objects of the state; None if names identify the objects.
+        objects: The objects of the state; None to find them by their names.
         steps: Steps of the records from which robots learned the beliefs; None if the command contains them.
     """
     with world.transactions.begin(records.Mutation(restore=command)) as transaction:
@@ -116,7 +116,7 @@ def put_back(
         world.beliefs.restored(steps or {})
         if steps is not None:
             transaction.number = partial(_number, transaction.command.restore, steps)
-        world._robot = bodies.get(command.robot)  # noqa: SLF001  set_robot() would make a second record
+        world._robot = bodies.get(command.robot)  # noqa: SLF001  set_robot() would write a second record
 
 
 def _check(command: records.Restore, bodies: Mapping[str, Object]) -> None:
@@ -156,7 +156,7 @@ def _state_of(body: Object) -> records.SavedBody:
 
 
 def _put(body: Object, state: records.SavedBody, transaction: Transaction) -> None:
-    """Restore an object's state; if its state is the same already, the solver keeps its cached contacts."""
+    """Restore an object's state; if the state doesn't differ, the solver keeps its cached contacts."""
     if _state_of(body) == state:
         return
     engine, handle = body.world.engine, body.handle

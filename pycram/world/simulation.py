@@ -1,6 +1,6 @@
 """Simulated time of a world: steps of 1/240 s, waits, objects at rest, and real time.
 
-Every simulation is one transaction, with 30 samples a simulated second for the recording.
+Every simulation is one transaction; its record has 30 samples for each simulated second.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ SLOW: Final = 2e-3
 SLOW_TURN: Final = 2e-2
 """Angular speed in rad/s below which an object may be at rest."""
 INTERVALS: Final = 4
-"""Number of consecutive intervals in which an object at rest must be slow."""
-_GAIN: Final = 1.15  # largest gain of speed over the intervals at rest; a 2 m high shelf that starts to tip gains more
-_STRAY: Final = 0.25  # duration in s: an object at rest may move as far as at the slow speed in this time
-_TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # steps after which an object that trembles in place is at rest
+"""Number of successive intervals in which an object must be slow before it is at rest."""
+_GAIN: Final = 1.15  # largest gain of speed over these intervals; a 2 m high shelf that starts to tip gains more
+_STRAY: Final = 0.25  # in this duration in s, an object at rest may move as far as the slow speed would move it
+_TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # number of steps after which a trembling object is at rest
 _TO_AND_FRO: Final = 4.0  # minimum ratio of the path length of a trembling object to its displacement
 _NOISE: Final = 0.1  # share of the slow speed below which changes of speed are noise of the solver
 
@@ -59,7 +59,7 @@ _MAX_LAG: Final = 0.1  # largest lag in s that real time makes up for; a slow ma
 def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None = None) -> bool:
     """Simulate steps of 1/240 s as part of a transaction.
 
-    Ctrl-C, and the world's exit, end the simulation between two samples; the record has the simulated steps.
+    Ctrl-C, or the end of the world, stops the simulation between two samples; the record has the simulated steps.
 
     Args:
         until: Called after each 1/30 s of simulated time and at the end; True ends the simulation.
@@ -107,7 +107,7 @@ def _step(
         if world.sim_step % _SAMPLE_STEPS == 0:
             world.waits.sample()
         ended = until is not None and until()
-        if ended or done == steps:  # the effect of the transaction has the last state
+        if ended or done == steps:  # the transaction's effect contains the last state
             break
         if observer is not None:
             observer.time_passed()
@@ -128,7 +128,7 @@ def _record_drags(world: BulletWorld, transaction: Transaction) -> None:
 
 
 def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:
-    """Return a sample of the objects that moved visibly since the last sample, and update ``last``."""
+    """Return a sample of the objects that moved visibly since the last sample, and update ``last`` to it."""
     sample = records.Sample(sim_step=world.sim_step)
     for body in world.objects:
         now = take_snapshot(body)
@@ -166,13 +166,13 @@ class Wait:
 
 
 class Waits:
-    """The waits of all threads in one world; the longest wait is first."""
+    """The waits of all threads in one world; the wait that began first is first."""
 
     def __init__(self) -> None:
         self._waits: dict[Wait, None] = {}
 
     def add(self, wait: Wait) -> None:
-        """Sample a wait from now on."""
+        """Start sampling a wait."""
         self._waits[wait] = None
 
     def remove(self, wait: Wait) -> None:
@@ -187,30 +187,30 @@ class Waits:
 
     @property
     def held(self) -> bool:
-        """Whether a wait is over."""
+        """Return whether a wait is over."""
         return any(wait.held for wait in list(self._waits))
 
     def wake(self) -> None:
-        """Wake all waiting branches, because another thread or branch simulates now."""
+        """Wake all waiting branches, because another thread or branch simulates from now on."""
         for wait in list(self._waits):
             if wait.waiter is not None:
                 wait.waiter.wake()
 
     def forget(self) -> None:
-        """Remove all waits in a forked child, which doesn't continue the waiting branches."""
+        """Remove all waits in a forked child process, which doesn't continue the waiting branches."""
         self._waits.clear()
 
 
 def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
-    """Wait until a predicate holds while simulated time passes. This is a checkpoint, also in uninterruptible code.
+    """Wait until a predicate holds while simulated time passes. The wait is a checkpoint, also in uninterruptible code.
 
-    Time passes only if no branch of the thread is ready. Then the branch that has waited longest simulates in one
-    transaction, until another branch is ready, a wait is over, a followed fluent changes or a time listener is
-    registered. So branches of ``par`` move together. In real time, another thread simulates.
+    Time passes only if no branch of the thread is ready. If all branches wait, the branch that has waited longest
+    simulates in one transaction, until another branch is ready, a wait is over, a followed fluent changes or a time
+    listener is registered. In real time, another thread simulates.
 
     Args:
-        predicate: Called once before the wait, then each 1/30 s of simulated time under the world's lock. It must
-            neither change the world nor wait.
+        predicate: Called once before the wait, then each 1/30 s of simulated time under the world's lock. The predicate
+            must neither change the world nor wait.
 
     Raises:
         Cancelled: The branch is cancelled, and the predicate doesn't hold.
@@ -247,15 +247,15 @@ class WorldClock:
     """The simulated time of a world as a clock of the scheduler, for waits that only passing time can end.
 
     Args:
-        last: Whether the clock stands still while a deadline in wall-clock time, or a worker, can end a wait of the
-            thread. It keeps pace with the wall clock while a thread or signal handler of the plan can end a wait.
+        last: Whether the clock stands still while a wall-clock deadline or a worker can end a wait of the thread. The
+            clock follows the wall clock while a thread or a signal handler of the plan can end a wait.
     """
 
     def __init__(self, world: BulletWorld, *, last: bool) -> None:
         self._world = world
         self._last = last
-        self._began: tuple[float, int] | None = None  # wall-clock time in s and simulated step when keeping pace began
-        self._end = math.inf  # the last step up to which time may pass now
+        self._began: tuple[float, int] | None = None  # wall-clock time in s, and step, at the clock's start
+        self._end = math.inf  # the last step to which simulated time may pass now
 
     def may_pass(self) -> bool:
         """Return whether time may pass now; in real time, another thread simulates."""
@@ -315,7 +315,7 @@ def settle(world: BulletWorld, steps: int) -> tuple[dict[Object, Speed], bool]:
     """Simulate in one transaction until everything is at rest, or all steps are done.
 
     Returns:
-        The objects that aren't at rest, and whether the simulation was completed; another thread may end the world.
+        The objects that aren't at rest, and whether all steps were simulated; another thread may end the world.
     """
     command = records.Simulate(steps=steps, settled=False)
     with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
@@ -326,7 +326,7 @@ def settle(world: BulletWorld, steps: int) -> tuple[dict[Object, Speed], bool]:
 
 
 def separate(world: BulletWorld) -> None:
-    """Lift free objects out of surfaces and other free objects that they overlap; the engine would jam or throw them.
+    """Lift free objects out of surfaces and free objects that they overlap; the engine would jam or throw them.
 
     Of two free objects, the object that was loaded later is lifted. Only pairs with overlapping boxes are checked.
     """
@@ -353,22 +353,22 @@ def separate(world: BulletWorld) -> None:
 
 
 def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return whether boxes (..., 2, 3) overlap."""
+    """Return an array: whether boxes (..., 2, 3) overlap."""
     along = (a[..., 0, :] <= b[..., 1, :]) & (b[..., 0, :] <= a[..., 1, :])
     overlapping: NDArray[np.bool_] = np.logical_and.reduce(along, axis=-1)
     return overlapping
 
 
 def at_rest(speeds: Sequence[float]) -> bool:
-    """Return whether an object is at rest, from speeds of consecutive intervals as multiples of the slow speed."""
+    """Return whether an object is at rest; speeds of successive intervals are multiples of the slow speed."""
     return speeds[-1] <= max(speeds[0] * _GAIN, _NOISE) and max(speeds) < 1.0
 
 
 class Speed(NamedTuple):
     """The greatest speed of an object: of its base, of its rotation, or of a joint."""
 
-    ratio: float  # multiple of the slow speed
-    joint: str = ""  # "" for the base
+    ratio: float  # the speed as a multiple of the slow speed
+    joint: str = ""  # name of the joint; "" for the base
     unit: str = "m/s"  # m/s or rad/s
 
     def __str__(self) -> str:
@@ -379,12 +379,12 @@ class Speed(NamedTuple):
 class RestDetector:
     """Detects when all objects of a world are at rest.
 
-    An object is at rest if it moved by less than 2 mm/s and 0.02 rad/s in each of the last four intervals of 1/30 s,
-    and didn't gain speed; a tall object that starts to tip is slow at first. It stays at rest while it is that slow and
-    within 0.5 mm and 5 mrad of where it came to rest, because solvers let some of many objects tremble at any moment.
-    An object that moves to and fro for 3 s, within 2 mm and 0.02 rad, is also at rest: solvers let thin objects between
-    other objects tremble forever. Robots, and objects attached to robots or to a fixed base, are ignored; joints of
-    furniture count, unless the furniture is in ``ignored``.
+    An object is at rest if it was slower than 2 mm/s and 0.02 rad/s in each of the last four intervals of 1/30 s, and
+    didn't gain speed; a tall object that starts to tip is slow at first. An object stays at rest while it is that slow
+    and within 0.5 mm and 5 mrad of where it came to rest, because solvers let some of many objects tremble at any
+    moment. An object that moves to and fro for 3 s, within 2 mm and 0.02 rad, is also at rest: solvers let thin objects
+    between other objects tremble forever. Robots, and objects attached to robots or to a fixed base, are ignored;
+    joints of furniture count, unless the furniture is in ``ignored``.
     """
 
     def __init__(self, world: BulletWorld, ignored: Collection[Object] = ()) -> None:
@@ -393,14 +393,14 @@ class RestDetector:
         self._last: tuple[int, Mapping[Object, Snapshot]] = self._snapshots()
         self._speeds: deque[Mapping[Object, Speed]] = deque(maxlen=INTERVALS)
         self._rested: dict[Object, Snapshot] = {}  # states in which objects came to rest
-        # For objects that aren't at rest: a state, the step since which they have been near it, and the length of their
-        # path since then, in s of slow motion.
+        # For objects that aren't at rest: a state; the step since which they have been near it; and the length of their
+        # path since then, as seconds at the slow speed.
         self._near: dict[Object, tuple[Snapshot, int, float]] = {}
         #: The objects that weren't at rest in the last sample.
         self.restless: dict[Object, Speed] = dict.fromkeys(self._last[1], Speed(0.0))
 
     def ignore(self, bodies: Collection[Object], *, stopped: bool) -> None:
-        """Ignore other bodies from now on; ``stopped`` means that bodies that no longer are ignored are at rest."""
+        """Ignore other bodies from now on; ``stopped``: bodies that are no longer ignored count as at rest."""
         step, last = self._last
         if stopped:
             rested = {body: take_snapshot(body) for body in self._ignored if body not in bodies}
@@ -414,7 +414,7 @@ class RestDetector:
         self._last = now, after = self._snapshots()
         if now > step:
             seconds = (now - step) / records.STEPS_PER_SECOND
-            known = [body for body in after if body in before]  # other branches attach and load objects
+            known = [body for body in after if body in before]  # other branches may attach and load objects
             self._speeds.append({body: _speed(body, before[body], after[body], seconds) for body in known})
         self._rested = {
             body: rested for body, state in after.items() if (rested := self._rest(body, state)) is not None
@@ -479,7 +479,7 @@ class RealtimeClock:
         self._error: BaseException | None = None
         self._over = False
         self._ended = Condition()
-        # The world's exit() stops the thread. It is a daemon because plans may omit exit().
+        # The world's exit() stops the thread. The thread is a daemon, because plans may omit exit().
         self._thread = threading.Thread(target=self._run, name=f"{world.name} realtime", daemon=True)
 
     def start(self) -> None:
@@ -494,7 +494,7 @@ class RealtimeClock:
         """
         self._stop.set()
         if self._thread is not threading.current_thread():
-            join(self._ended, lambda: self._over)  # a handler of the last simulation may wait for another branch
+            join(self._ended, lambda: self._over)  # a handler of the last simulation may still wait for another branch
             self._thread.join()
         if self._error is not None:
             raise self._error

@@ -1,4 +1,4 @@
-"""Warnings of shapes: a mesh that is too large is probably in another unit, and a hollow mesh of a URDF is filled."""
+"""Warnings about shapes: a mesh that is too large is probably in another unit; a hollow URDF mesh is filled."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Final
 from pycram.models.shapes import piece_bounds
 
 WIDEST: Final = 10.0
-"""Width in m above which the mesh of a free object is probably in another unit."""
+"""Width in m of a free object's mesh above which its unit is probably wrong."""
 _NAMED: Final = 5  # maximum number of links that a warning names
 
 

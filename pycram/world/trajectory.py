@@ -1,7 +1,7 @@
-"""Trajectories: target positions of a body's joints, or of its base, at each moment of a motion.
+"""Trajectories: target positions of a body's joints or of its base over time.
 
 A trajectory is a cubic Hermite spline, so positions and velocities are continuous. The code uses plain floats in a
-fixed order of operations, so that a recorded trajectory gives the same targets, bit for bit.
+fixed order of operations, so a recorded trajectory gives the same targets bit for bit.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class Trajectory:
         BadArgument: A value isn't finite, or the lengths of the rows differ.
     """
 
-    joints: tuple[str, ...]  # empty for the base, whose coordinates are x and y in m and yaw in rad, world frame
-    times: tuple[float, ...]  # n times in s, from 0 on, strictly increasing; n is at least 1
-    positions: tuple[tuple[float, ...], ...]  # n rows with a position in rad or m for each coordinate
-    velocities: tuple[tuple[float, ...], ...]  # n rows with a velocity in rad/s or m/s for each coordinate
+    joints: tuple[str, ...]  # names of the joints; for a base, () and coordinates x, y (m) and yaw (rad), world frame
+    times: tuple[float, ...]  # n times in s, strictly increasing from 0; n is at least 1
+    positions: tuple[tuple[float, ...], ...]  # n rows: a position in rad or m for each coordinate
+    velocities: tuple[tuple[float, ...], ...]  # n rows: a velocity in rad/s or m/s for each coordinate
 
     def __post_init__(self) -> None:
         width = len(self.coordinates)
@@ -97,7 +97,7 @@ class BaseFrame:
     """The parts of a base's pose that are constant in a trajectory."""
 
     height: float  # m
-    lean: Quaternion  # the orientation if yaw were 0
+    lean: Quaternion  # orientation of the base at a yaw of 0
 
     @classmethod
     def of(cls, pose: Pose) -> BaseFrame:

@@ -1,7 +1,8 @@
 """World transactions: every change of a world is a transaction, which is recorded.
 
-A transaction checks the change, makes it in the engine, reads the state back, emits one record and fires events. It
-holds the world's lock, so records have the order of changes. Event handlers run after the release of the lock.
+A transaction checks the change, makes it in the engine, reads the state back, emits one record and fires events. A
+transaction holds the world's lock, so records have the order of changes. Event handlers run after the release of the
+lock.
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-#: A keyframe follows after this number of changes, but not before they have changed as many objects as the world has.
-#: So its costs, 0.3 ms and 3 kB for 10 objects, hardly depend on the number of objects, as a share of a change.
+#: Number of changes after which a keyframe follows, but not before they have changed as many objects as the world has.
+#: A keyframe of 10 objects costs 0.3 ms and 3 kB; its share in the cost of a change hardly depends on the number of
+#: objects.
 TRANSACTIONS_PER_KEYFRAME: Final = 100
 _AT_REST: Final = (0.0,) * 6
 
@@ -41,7 +43,7 @@ _AT_REST: Final = (0.0,) * 6
 class Transaction:
     """A change of a world before it is recorded."""
 
-    command: records.Mutation  # the record, at first only with its command
+    command: records.Mutation  # the record, which at first contains only its command
     interrupts: Uninterrupted  # delays Ctrl-C until the transaction is recorded
     modified: dict[str, Object] = field(default_factory=dict)  # objects whose states may have changed, by name
     removed: list[str] = field(default_factory=list)  # names of removed objects
@@ -49,12 +51,13 @@ class Transaction:
     attached: dict[tuple[str, str], BodyAttachment] = field(default_factory=dict)
     detached: list[BodyAttachment] = field(default_factory=list)  # attachments that ended
     samples: list[records.Sample] = field(default_factory=list)  # states within a simulation
-    number: Callable[[Journal], None] | None = None  # called to set step numbers in the command for each recording
-    #: Functions that are called under the lock when the transaction is recorded; their results are called without it.
+    number: Callable[[Journal], None] | None = None  # sets step numbers in the command for a recording
+    #: Functions that are called under the lock when the transaction is recorded; the functions that they return are
+    #: called without it.
     callbacks: list[Callable[[], Callable[[], None]]] = field(default_factory=list)
 
     def mark_modified(self, *bodies: Object) -> None:
-        """Mark objects; the transaction reads their states back, and compares them with their last records."""
+        """Mark changed objects; the transaction reads their states back, and compares them with their records."""
         for body in bodies:
             self.modified[body.name] = body
 
@@ -73,10 +76,10 @@ class Transaction:
 
 
 class Observer(Protocol):
-    """An observer of a world's transactions, called in their order under the world's lock. Observers must not wait."""
+    """An observer of a world's transactions; a world calls them in order, under its lock. Observers must not wait."""
 
     def time_passed(self) -> None:
-        """Handle that simulated time has passed within a transaction."""
+        """Handle the passing of simulated time within a transaction."""
 
     def has_news(self) -> bool:
         """Return whether simulated time has changed an awaited value."""
@@ -100,7 +103,7 @@ class TransactionManager:
     def begin(self, command: records.Mutation) -> Iterator[Transaction]:
         """Make one transaction; the ``with`` block checks, changes the engine, and marks the modified objects.
 
-        ``command`` is a record that has only its command.
+        ``command`` is a record that contains only a command.
 
         Raises:
             WorldClosed: The world has ended.
@@ -131,7 +134,7 @@ class TransactionManager:
     def check(self, action: str) -> None:
         """Raise WorldClosed if the world has ended, or ChangeRefused during a reasoning query.
 
-        ``action`` is the name of the change, for the message.
+        ``action`` is the name of the change in the message.
         """
         if self._world.closed:
             raise WorldClosed(self._world.name, action)
@@ -166,7 +169,7 @@ class TransactionManager:
         journal.emit(frame, world=world.name, sim_step=world.sim_step, number=number)
 
     def keyframe(self) -> records.Keyframe:
-        """Return the world's whole state as a record, whose beliefs have no step numbers."""
+        """Return the world's whole state as a record; its beliefs have no step numbers."""
         world = self._world
         frame = records.Keyframe(
             mode=world.mode,
@@ -201,7 +204,7 @@ def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
     This isn't a transaction: it is for worlds that are rebuilt from recordings.
 
     Raises:
-        RuntimeError: A recording runs, which would miss the change.
+        RuntimeError: A recording is running, and would miss the change.
     """
     if journal.recording():
         raise RuntimeError(f"the state of {body.name} can only be restored while nothing is recorded")
@@ -218,8 +221,8 @@ def state_delta(body: Object, now: Snapshot, last: Snapshot | None, tolerance: f
 
     Args:
         last: The state in the last record; None for a record of the whole state.
-        tolerance: Smaller differences of poses and joints (m, rad, quaternion components) don't count. If it isn't 0,
-            a change of only velocities doesn't count.
+        tolerance: Differences of poses and joints up to this limit (m, rad, quaternion components) don't count. If the
+            tolerance isn't 0, a change of only velocities doesn't count.
     """
     state = records.BodyState(body=body.name)
     changed = False
@@ -258,8 +261,8 @@ def _changed_joints(now: Snapshot, last: Snapshot | None, tolerance: float) -> S
 class WorldLock(Lock):
     """A world's re-entrant lock, which isn't held while event handlers or other branches run.
 
-    Calls of event handlers are deferred until the thread has released the lock completely, because a handler may wait
-    for another thread that needs this world.
+    Calls of event handlers are deferred until the thread has released the lock completely: a handler may wait for
+    another thread that needs this world.
     """
 
     def __init__(self) -> None:
@@ -269,7 +272,7 @@ class WorldLock(Lock):
         self._deferred: list[Callable[[], None]] = []
 
     def defer(self, calls: Iterable[Callable[[], None]]) -> None:
-        """Make calls, in order, after the thread that holds the lock has released it."""
+        """Make calls in order, after the thread that holds the lock has released it."""
         self._deferred.extend(calls)
 
     @property
@@ -290,7 +293,7 @@ class WorldLock(Lock):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Release the lock and make the deferred calls.
+        """Release the lock, then make the deferred calls.
 
         Raises:
             Exception: The first error of a call, raised after all calls. If the ``with`` block failed, its error
@@ -314,16 +317,16 @@ class WorldLock(Lock):
 class ReadOnlyAttributes:
     """Base of classes whose public attributes only transactions change; property setters still work.
 
-    After :meth:`_seal`, assigning or deleting such an attribute raises ReadOnly, which names a method to use instead.
+    After :meth:`_seal`, assigning or deleting a public attribute raises ReadOnly, which names a method to use instead.
     Plans and subclasses may add other attributes.
     """
 
     _SUBJECT: ClassVar[str]  # name of the object in records of refusals
-    _CHANGED_BY: ClassVar[Mapping[str, str]]  # the method to use instead for each attribute; "" for other attributes
+    _CHANGED_BY: ClassVar[Mapping[str, str]]  # for each attribute, the method to use instead; "" if there is none
     _sealed: frozenset[str] = frozenset()
 
     def _seal(self, kind: type) -> None:
-        """Make the present attributes, and the attributes of the class, read-only."""
+        """Make the present attributes and those of the class read-only."""
         settable = {name for name, member in vars(kind).items() if isinstance(member, property) and member.fset}
         self._sealed = frozenset(name for name in (vars(self).keys() | vars(kind).keys()) - settable if name[0] != "_")
 

@@ -1,7 +1,7 @@
 """Worlds: a physics simulation with objects and events (thesis 4.2, table 4.1).
 
-The world that was opened last is current; when it ends, the world before is current again. Simulated time passes only
-in :meth:`BulletWorld.simulate`, :meth:`BulletWorld.settle`, waits of plans and real time, at 240 steps a second.
+The world that was opened last is current; when it ends, the previous world is current again. Simulated time passes, at
+240 steps a second, only in :meth:`BulletWorld.simulate`, :meth:`BulletWorld.settle`, waits of plans and real time.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from recorder.tracing.journal import Journal
 
 __all__ = ["BulletWorld", "Object"]
 
-_MAX_SECONDS: Final = 366 * 86400.0  # duration in s above which a simulation is probably a mistake
+_MAX_SECONDS: Final = 366 * 86400.0  # simulated duration in s above which a call is probably a mistake
 
 _lock = threading.Lock()
 _numbers = itertools.count(1)
@@ -47,8 +47,8 @@ _names: set[str] = set()
 
 
 def number_anew() -> None:
-    """Name worlds from "world_1" on again, in a forked process that runs a program from its start."""
-    global _numbers  # noqa: PLW0603  the counter belongs to the process
+    """Start the names of worlds from "world_1" again, in a forked process that runs a program from its start."""
+    global _numbers  # noqa: PLW0603  the process has only one counter
     _numbers = itertools.count(1)
 
 
@@ -83,7 +83,7 @@ def open_worlds() -> tuple[BulletWorld, ...]:
 
 
 def current_world() -> BulletWorld | None:
-    """Return the current world of this branch or thread; None without a world."""
+    """Return the current world of this branch or thread; None if there is no world."""
     return cast("BulletWorld | None", context.current_world())
 
 
@@ -121,7 +121,7 @@ class CurrentWorld(type):
 
 @refusing_methods("world")
 class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
-    """A world. As a context manager, it ends with the ``with`` block.
+    """A world. As a context manager, the world ends with the ``with`` block.
 
     All methods raise BadArgument for impossible values. Methods that change the world raise WorldClosed after its end,
     and ChangeRefused while a reasoning query runs.
@@ -169,8 +169,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._robot: Object | None = None
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
-        #: Functions that are called without a lock after simulated time has passed, in this order. The value is the
-        #: step at which a waiting plan stops simulating to call the function; None for each sample.
+        #: Functions that are called without a lock after simulated time has passed, in this order. The value for a
+        #: function is the step at which a waiting plan stops simulating to call it; None for each sample.
         self.time_listeners: dict[Callable[[], None], int | None] = {}
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))
@@ -222,7 +222,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     @property
     def lock(self) -> WorldLock:
-        """Hold this lock to read or change the world consistently; event handlers run after its release."""
+        """The lock for consistent reading or changing of the world; event handlers run after its release."""
         return self.transactions.lock
 
     @property
@@ -232,7 +232,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     @staticmethod
     def current_robot() -> Object:
-        """Return the robot of the current world; raise NoWorld without a robot."""
+        """Return the robot of the current world; raise NoWorld if there is no robot."""
         world = BulletWorld.current_bullet_world
         if world is None:
             raise NoWorld
@@ -240,7 +240,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             raise NoWorld("robot")
         return world.robot
 
-    if TYPE_CHECKING:  # declared once for the class and its instances, a property would hide the metaclass's property
+    if TYPE_CHECKING:  # a declaration, because a property would hide that of the metaclass
         robot: Object | MaybeNone
     else:
 
@@ -278,7 +278,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         raise UnknownName("object with id", id, self.name, (f"{body.id} ({body.name})" for body in self.objects))
 
     def get_object(self, name: str) -> Object:
-        """Return the object with a name; raise UnknownName if no object has it."""
+        """Return the object with a name; raise UnknownName if there is none."""
         if checks.text("name", name) not in self._objects:
             raise UnknownName("object", name, self.name, self._objects)
         return self._objects[name]
@@ -343,7 +343,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         return self._detachment
 
     def get_manipulation_event(self) -> Event:
-        """Return the event that fires with (object) when an object of the environment or its joints move."""
+        """Return the event that fires with (object) when an object of the environment, or one of its joints, moves."""
         return self._manipulation
 
     # --- physics -----------------------------------------------------------------------------------------------------
@@ -364,7 +364,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         """Start or stop a thread that simulates the world at the pace of the wall clock.
 
         Raises:
-            Exception: When real time stops: the first error of an event handler in that thread.
+            Exception: When real time stops: the first error of an event handler in the thread of real time.
         """
         enabled = checks.switch("real_time", real_time)
         stopped = None
@@ -376,10 +376,10 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
                 stopped, self._clock = self._clock, None
         self.waits.wake()  # another thread simulates now
         if stopped is not None:
-            stopped.stop()  # without the lock, because the thread may be waiting for it
+            stopped.stop()  # stopped without the lock, because the thread may be waiting for it
 
     def simulate(self, seconds: float) -> None:
-        """Simulate ``round(seconds * 240)`` steps; a year is the maximum."""
+        """Simulate ``round(seconds * 240)`` steps, at most a year."""
         self.simulate_steps(round(checks.in_range("seconds", seconds, 0, _MAX_SECONDS) * records.STEPS_PER_SECOND))
 
     def simulate_steps(self, steps: int) -> None:
@@ -393,14 +393,14 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
     def settle(self, timeout: float = 5.0) -> bool:
         """Simulate until all objects are at rest (:class:`~pycram.world.simulation.RestDetector`).
 
-        Free objects that overlap by more than 5 mm are lifted apart first. If objects still move at the end, a warning
-        (:class:`~pycram.world.simulation.Restless`) has their names and speeds.
+        Free objects that overlap by more than 5 mm are first lifted apart. If objects still move at the end, the
+        warning :class:`~pycram.world.simulation.Restless` has their names and speeds.
 
         Args:
             timeout: Limit in simulated seconds, at most a year.
 
         Returns:
-            Whether all objects are at rest.
+            True if all objects are at rest.
 
         Raises:
             WorldClosed: Another thread ends the world during the simulation.
@@ -506,7 +506,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         Raises:
             Exception: The first error of an :meth:`at_exit` function or of a handler in real time, after the end.
         """
-        update(self, exiting=True)  # a simulation of another thread then stops early
+        update(self, exiting=True)  # a simulation of another thread stops early when this is set
         with self.lock:
             if self.closed:
                 return

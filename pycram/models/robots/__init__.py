@@ -1,1 +1,1 @@
-"""Robots as data: each robot has a TOML file, which is checked against the robot's URDF."""
+"""Robots as data: each robot has a TOML file that is checked against its URDF."""

@@ -27,11 +27,11 @@ _MAX_FOV: Final = 3.1  # rad
 _MAX_PIXELS: Final = 1e5
 
 _SIZES: Final = (0.0, 1.0)  # m
-_STILL: Final = 1e-4  # maximum motion in m of a link that doesn't move when the gripper closes
-_ALONG: Final = math.cos(math.radians(45))  # minimum share of the motion along y in the whole motion of a side
-_ACROSS: Final = 0.4  # a finger is on no side if a smaller share of its motion is along y
-_EVEN: Final = 0.01  # largest bias (:meth:`Gripper.bias`) that still counts as even
-_AIR: Final = 2e-3  # distance in m from a fixed jaw; larger than the engine's padding of shapes
+_STILL: Final = 1e-4  # maximum motion in m of a fixed link when the gripper closes
+_ALONG: Final = math.cos(math.radians(45))  # minimum share along y in the whole motion of a gripper's side
+_ACROSS: Final = 0.4  # share of a finger's motion along y below which the finger is on no side
+_EVEN: Final = 0.01  # largest bias (:meth:`Gripper.bias`) at which both sides count as equally fast
+_AIR: Final = 2e-3  # distance in m that is kept from a fixed jaw; it is larger than the engine's padding of shapes
 
 
 class Misfitting(UserWarning):
@@ -115,7 +115,7 @@ class RobotDescription:
             raise AssetError(self.source, reason)
 
     def misfits(self, urdf: Urdf) -> dict[str, str]:
-        """Return the parts that don't match a URDF, such as "torso" or "left arm's pose park", with the reasons."""
+        """Return the parts that don't match a URDF, named as in "torso" or "left arm's pose park", with the reasons."""
         parts: list[tuple[str, Iterable[str], Mapping[str, list[float]]]] = [
             ("base_link", [self.base_link], {}),
             *((_pair_name(pair), sorted(pair), {}) for pair in self.may_touch),
@@ -180,7 +180,7 @@ def _misfit(urdf: Urdf, links: Iterable[str], joints: Mapping[str, Iterable[floa
 class Arm:
     """An arm."""
 
-    name: str  # any name: "left", "right", "panda", ...
+    name: str  # Any name, such as "left", "right" or "panda".
     joints: tuple[str, ...]  # names of the joints from the shoulder to the wrist
     base_link: str  # parent link of the first joint
     tool_frame: str  # link of the tool frame, whose x axis points out of the gripper; fingers close along y
@@ -247,7 +247,7 @@ class Torso:
     """A torso that moves up and down."""
 
     joint: str
-    default: float  # joint position in m for work at tables
+    default: float  # position of the joint in m for work at tables
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +264,7 @@ class Head:
 
     @property
     def parts(self) -> dict[str, str]:
-        """Both joints by the names that :meth:`RobotDescription.misfits` uses; "" for a missing joint."""
+        """Both joints by the names that :meth:`RobotDescription.misfits` uses for them; "" for a missing joint."""
         return {"head's pan joint": self.pan, "head's tilt joint": self.tilt}
 
 
@@ -288,23 +288,23 @@ class CameraDescription:
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """Largest velocities and accelerations."""
+    """Default limits of velocities and accelerations."""
 
-    turning_velocity: float = 1.0  # rad/s, for revolute joints without a velocity limit in the URDF
-    turning_acceleration: float = 4.0  # rad/s^2, for revolute joints
-    sliding_velocity: float = 0.2  # m/s, for prismatic joints without a velocity limit in the URDF
-    sliding_acceleration: float = 0.5  # m/s^2, for prismatic joints
+    turning_velocity: float = 1.0  # velocity of revolute joints without a velocity limit in the URDF, rad/s
+    turning_acceleration: float = 4.0  # acceleration of revolute joints, rad/s^2
+    sliding_velocity: float = 0.2  # velocity of prismatic joints without a velocity limit in the URDF, m/s
+    sliding_acceleration: float = 0.5  # acceleration of prismatic joints, m/s^2
     base_velocity: float = 0.5  # m/s
     base_acceleration: float = 0.5  # m/s^2
-    base_turning_velocity: float = 1.0  # rad/s, about the vertical axis
-    base_turning_acceleration: float = 1.0  # rad/s^2, about the vertical axis
+    base_turning_velocity: float = 1.0  # velocity of a base about the vertical axis, rad/s
+    base_turning_acceleration: float = 1.0  # acceleration of a base about the vertical axis, rad/s^2
 
 
 def find_description(urdf: Urdf) -> tuple[RobotDescription | None, Mapping[str, str]]:
     """Return the description of a URDF's robot without its misfits, and these misfits with the reasons.
 
-    :meth:`RobotDescription.misfits` returns the misfits. The description is None if no description has the robot's
-    name, or if no part matches. PyCRAM's descriptions precede those of other packages
+    :meth:`RobotDescription.misfits` describes misfits. The description is None if no description has the robot's name,
+    or if no part matches. PyCRAM's descriptions are searched before those of other packages
     (:mod:`pycram.foundation.plugins`).
     """
     description = next((own for own in _own() if own.robot == urdf.name), None)
@@ -387,8 +387,8 @@ class Gripper:
     open: tuple[float, ...] = ()  # position of each joint when open, rad or m
     fingers: tuple[str, ...] = ()  # names of the fingers' links
     aperture: float = 0.0  # distance in m between the open finger tips
-    depth: float = 0.0  # distance in m from the tool frame back to the palm; an object fits there
-    tips: float = 0.0  # distance in m from the tool frame forward to the closed finger tips; open ones reach less far
+    depth: float = 0.0  # distance in m from the tool frame back to the palm: the room for an object
+    tips: float = 0.0  # distance in m from the tool frame forward to the closed finger tips; open fingers are shorter
     underside: float  # distance in m from the tool frame down to the lowest point of a level gripper
     gap: float = 0.0  # distance in m between the closed finger tips; thinner objects slip through
     suction: float = 0.0  # radius in m of the suction cup, whose rim is at the tool frame; 0 for fingers
@@ -405,9 +405,9 @@ class Gripper:
     def wrong_ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> Iterator[str]:
         """Yield reasons why the fingers don't close from both sides along the y axis of the tool frame.
 
-        A fixed jaw is a side. Several fingers of a side may close at angles to y if their sum is along y, as in hands
-        with three fingers around a centre. Only kinematics are checked; ``pycram describe --check`` also checks shapes.
-        ``tool_frame`` and ``tool_offset`` belong to the arm.
+        A fixed jaw counts as a side. Several fingers of a side may close at angles to y if their sum is along y, as in
+        hands with three fingers around a centre. Only the kinematics are checked here; ``pycram describe --check`` also
+        checks shapes. ``tool_frame`` and ``tool_offset`` belong to the arm.
         """
         if self.suction:
             return
@@ -432,9 +432,9 @@ class Gripper:
         return [finger for finger, way in ways.items() if math.hypot(*way) < _STILL or not _is_across(way)]
 
     def bias(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> float:
-        """Return how unevenly the sides close, -1 to 1: 0 if both move equally far, 1 if only the +y side moves.
+        """Return how unevenly the sides close, -1 to 1: 0 if both sides move equally far, 1 if only the +y side moves.
 
-        The arguments are as in :meth:`wrong_ways`.
+        :meth:`wrong_ways` describes the arguments.
         """
         ways = [0.0, *(y for _, y, _ in self._ways(urdf, tool_frame, tool_offset).values())]
         left, right = -min(ways), max(ways)
@@ -447,7 +447,7 @@ class Gripper:
 
     def _ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> dict[str, Vector]:
         """Return how far each finger moves when the gripper closes, in m, measured at the origin of the tool frame."""
-        in_tool: list[dict[str, Pose]] = []  # poses of the fingers, open and closed
+        in_tool: list[dict[str, Pose]] = []  # poses of the fingers: open, then closed
         for share in (1.0, 0.0):
             positions = self.at(share)
             tool = geometry.multiply(urdf.forward_kinematics(positions, tool_frame), tool_offset)

@@ -31,7 +31,7 @@ __all__ = [
 
 
 def default_modules(execution: Execution = INSTANT) -> Mapping[str, ProcessModule]:
-    """Return new process modules by the ``cmd`` of their motions; each robot needs a set."""
+    """Return new process modules by the ``cmd`` of their motions; each robot needs its own set."""
     return {
         "navigate": Navigation(execution),
         "pick": PickUp(execution),

@@ -156,9 +156,9 @@ def _in_the_way(pairs: Sequence[CollisionPair]) -> str:
 
 
 def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, CollisionPair]]:
-    """Yield obstacles that a drawer or door would push away, and the positions of the joint at the contact.
+    """Yield obstacles that a drawer or door would push, and the joint's positions at the contact.
 
-    Contents of the container are no obstacles, because they move along. Objects in hands are obstacles.
+    Contents of the container aren't obstacles, because they move with it. Objects in hands are obstacles.
     """
     container = handle.container
     moved = attachment.moved_links(container.urdf, [handle.joint])

@@ -35,12 +35,12 @@ from pycram.world.world import BulletWorld
 from recorder import geometry
 from recorder.geometry import PoseLike
 
-_MAX_SEARCHED: Final = 3  # number of grasps without a path after which the search ends
+_MAX_SEARCHED: Final = 3  # number of grasps without a path after which the module gives up
 _MOVING: Final = (0.3, 3.0)  # speeds in m/s and rad/s above which an object falls or rolls; a rocking object is slower
-_JAMMED: Final = 0.015  # overlap in m above which free objects can't be at rest
+_JAMMED: Final = 0.015  # overlap in m above which free objects can't rest
 _STILL: Final = (0.005, math.radians(5))  # maximum motion in m and rad of the object while the hand approaches
 _FALL: Final = 0.1  # distance in m to its support above which an object hangs in the air
-_UPWARD: Final = 0.1  # minimum upward part of the direction from a support
+_UPWARD: Final = 0.1  # minimum upward component of the unit direction from a support
 _TOUCHING: Final = 2e-3  # maximum distance in m to a body that holds an object by friction
 _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches, in the tool frame
 
@@ -69,7 +69,7 @@ class PickUp(SimulatedModule):
             ):
                 self._check_free(robot, arm, body, giver)
                 along, left = attachment.taken_along(body)
-                along += [held.body for held in body.carried if held.loose]  # the other hand holds these, too
+                along += [held.body for held in body.carried if held.loose]  # the other hand also holds these objects
                 stood, opened = body.get_position_and_orientation(), arm.gripper.positions("open")
 
                 def approach(posture: Mapping[str, float]) -> Step:
@@ -87,7 +87,7 @@ class PickUp(SimulatedModule):
                 release = None if giver is None else _release(robot, giver, body)
                 if giver is not None:
                     attachment.detach(robot, body)
-                along = [load for load in along if load.alive and load.carrier is None]  # no other hand took it
+                along = [load for load in along if load.alive and load.carrier is None]  # no other hand has taken it
                 left = [other for other in left if other.alive and other.carrier is None]
                 attachment.attach(robot, body, arm.tool_frame, None, along=along, left=left)
                 lift = self.execution.lift(robot, arm) if giver is None else None
@@ -122,7 +122,7 @@ class PickUp(SimulatedModule):
             hangs = f"the object hangs in the air, with no support within {_FALL * 100:.0f} cm"
             raise GraspFailed(arm.name, body.name, f"{hangs}; world.settle() lets it fall")
         for other in robot.world.objects:
-            if other is body or other.fixed or body in other.attachments:  # furniture may be a hull around its contents
+            if other is body or other.fixed or body in other.attachments:  # a shape of furniture may contain objects
                 continue
             deepest = robot.world.engine.deepest(body.handle, other.handle)
             if deepest is not None and -deepest.distance > (_JAMMED if other.carrier is None else DEEP):
@@ -143,9 +143,9 @@ class PickUp(SimulatedModule):
             raise GraspFailed(arm.name, body.name, f"the object moved by {by} while the hand approached; try again")
 
     def _holder(self, robot: Object, arm: Arm, body: Object) -> str:
-        """Return a text: who holds an object, and how the plan can hand the object over."""
+        """Return a text: which robot or hand holds an object, and how the plan can hand the object over."""
         holder = body.carrier
-        assert holder is not None  # noqa: S101  the callers have checked it
+        assert holder is not None  # noqa: S101  the callers have checked this
         free = f"{holder.name}.detach({body.name}) releases it"
         for other in self.description(robot).arms.values():
             if self.held(robot, other) is body:
@@ -201,11 +201,11 @@ def _plan(
 
 
 def _is_held_up(body: Object) -> bool:
-    """Return whether a fixed body or a robot supports an object, also indirectly, through other objects."""
+    """Return whether a fixed body or a robot supports an object, directly or through other objects."""
     engine = body.world.engine
     others = sorted(body.world.objects, key=lambda other: not other.fixed)
     reached = [body]
-    for each in reached:  # the loop appends to the list
+    for each in reached:  # the loop appends to the list that it iterates over
         for other in others:
             if other in reached:
                 continue

@@ -34,13 +34,13 @@ from pycram.world.world import BulletWorld
 from recorder import geometry
 from recorder.geometry import Pose, PoseLike
 
-_AWAY: Final = 0.02  # maximum distance in m of the object from the place of its release
-_TURNED: Final = math.radians(10)  # maximum turn from the given orientation, or from upright
-_FALL: Final = 0.1  # drop in m above which a neighbour has fallen
-_SKEW: Final = math.radians(1)  # minimum turn that a message mentions
+_AWAY: Final = 0.02  # maximum distance in m between the object at rest and the place of its release
+_TURNED: Final = math.radians(10)  # maximum turn of the object from the given orientation, or from upright
+_FALL: Final = 0.1  # distance in m by which a neighbour must drop to count as fallen
+_SKEW: Final = math.radians(1)  # minimum turn of an object that a message mentions
 _TOUCHING: Final = 1e-3  # maximum gap in m between touching objects
-_LOAD: Final = 0.01  # share of its weight above which an object that rests on a hand leans on the hand
-_MAX_SEARCHED: Final = 3  # number of postures without a path after which the search ends
+_LOAD: Final = 0.01  # share of an object's weight above which it leans on the hand that it rests on
+_MAX_SEARCHED: Final = 3  # number of postures without a path after which the module gives up
 _ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which the object is lowered
 
 
@@ -52,7 +52,7 @@ class _Plan:
 
 
 class Place(SimulatedModule):
-    """Puts a held object down on its support; upright if no orientation is given.
+    """Puts a held object down on a support; without a given orientation, the object is upright.
 
     Placing succeeds if all objects come to rest, the object stands where it was released, and its neighbours and
     objects on the robot stay. If the object leans on the hand, the hand is drawn back, and the object must still stand.
@@ -112,7 +112,7 @@ class Place(SimulatedModule):
             raise PlaceFailed(body.name, target, f"the {arm.name} gripper doesn't hold it")
 
     def _retreat(self, robot: Object, arm: Arm, body: Object) -> Step | None:
-        """Return the step that draws the hand back from an object that leans on the hand; None without a way."""
+        """Return the step that draws the hand back from an object that leans on it; None if there is no way back."""
         with choosing("retreat", robot.world, object=body, arm=arm.name) as choice:
             posture = placing.retreat(robot, arm, choice)
         return None if posture is None else self.execution.move(robot, posture)
@@ -134,12 +134,12 @@ def _plan(
     lower: Callable[[Mapping[str, float], Pose], Step],
     choice: Choice,
 ) -> _Plan:
-    """Return the first plan without a collision, also while the fingers open; the caller holds the world's lock.
+    """Return the first plan without a collision, even while the fingers open; the caller holds the world's lock.
 
     Args:
         target: xyz in m.
         orientation: xyzw; None for upright.
-        lower: Plans the way of the arm to a posture, given the pose of the tool.
+        lower: Plans the way of the arm to a posture, from the pose of the tool.
 
     Raises:
         PlaceFailed: There is no free posture, or no room for the object.
@@ -201,11 +201,11 @@ def _reasons(
     neighbours: Mapping[Object, PoseLike],
     restless: Collection[Object],
 ) -> list[str]:
-    """Return the reasons why a placement failed; an empty list for a success.
+    """Return the reasons why a placement failed; an empty list after a success.
 
     Args:
         target: The requested position, xyz in m.
-        wanted: Pose of the object at the release.
+        wanted: Pose at which the object was released.
         orientation: The requested orientation; None for upright.
         neighbours: Objects that touched the object at the release, with their poses at that time.
         restless: Objects that still move.
@@ -245,7 +245,7 @@ def _failure(
 
 
 def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:
-    """Return a reason of failure for each neighbour that moved."""
+    """Return a reason for the failure for each neighbour that moved."""
     found = []
     for other, (position, turn) in neighbours.items():
         now, turned = other.get_position_and_orientation()
@@ -272,7 +272,7 @@ def _load(robot: Object, body: Object) -> float:
 
 
 def _touching(body: Object, others: Iterable[Object]) -> list[CollisionPair]:
-    """Return the contacts of an object with other objects, one pair of links for each."""
+    """Return the contacts of an object with other objects: one pair of links for each object."""
     engine = body.world.engine
     found = []
     for other in others:

@@ -41,7 +41,7 @@ from recorder.geometry import Vector
 
 
 class Navigation(SimulatedModule):
-    """Moves the robot, with the objects that it holds, to a pose; rejects a pose in collision."""
+    """Moves the robot and the objects that it holds to a pose; rejects a pose in collision."""
 
     failures = (InCollision, NotDrivable)
     failures_in_time = (NoPath, *FOLLOWING)
@@ -69,8 +69,8 @@ class Navigation(SimulatedModule):
 
 
 _ACCURACY: Final = math.radians(0.5)
-_PAN_AND_TILT: Final = 2  # number of joints that can point the camera anywhere
-_TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # tried turns about the vertical, degrees
+_PAN_AND_TILT: Final = 2  # number of joints with which a head can point the camera in any direction
+_TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # turns about the vertical that are tried, degrees
 
 
 class MoveHead(SimulatedModule):
@@ -159,9 +159,9 @@ class MoveJoints(SimulatedModule):
 
 
 def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, float] | None:
-    """Return the joint and the default height of the torso, if the posture is free at this height.
+    """Return the torso's joint and its default height, if the posture is free at this height.
 
-    Opening a drawer near the floor may have left the torso lower.
+    An earlier opening of a drawer near the floor may have left the torso lower.
     """
     torso = robot.description.torso if robot.description else None
     if torso is None:
@@ -199,7 +199,7 @@ class MoveTCP(SimulatedModule):
     def _level(
         self, robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
     ) -> Step:
-        """Return the step to the first posture with a level way; raise Unreachable without such a posture."""
+        """Return the step to the first posture that a level way reaches; raise Unreachable without such a posture."""
         failures: list[PlanFailure] = []
         for posture in _level_postures(robot, arm, target, orientation, choice, failures):
             try:
@@ -217,7 +217,7 @@ def _level_postures(
     choice: Choice,
     failures: list[PlanFailure],
 ) -> Iterator[Mapping[str, float]]:
-    """Yield joint values with the tool at a target, as level as now; small turns first.
+    """Yield joint values with the tool at a target, as level as it is now; small turns first.
 
     Raises:
         Unreachable: In the requested orientation, the tool would lean.
@@ -317,7 +317,7 @@ class MoveGripper(SimulatedModule):
         return GripperMoved(arm.name, motion.share, motion.stopped_by, held, settled)
 
 
-# Recordings name each module by the file that contained it first.
+# Recordings name each module by the file that first contained it.
 export("pycram.motions.modules.navigation", Navigation)
 export("pycram.motions.modules.head", MoveHead)
 export("pycram.motions.modules.arm", MoveJoints, MoveTCP)

@@ -1,7 +1,7 @@
 """Oriented bounding boxes around the convex pieces of bodies, and their overlaps: the broad phase of collision checks.
 
-An overlap test first compares the boxes' bounds along the world's axes, then uses separating axes (Gottschalk, Lin,
-Manocha: OBBTree, SIGGRAPH 1996). If two boxes don't overlap, their pieces don't touch.
+An overlap test first compares the boxes' bounds along the world's axes, then uses separating axes (Gottschalk, Lin and
+Manocha, OBBTree, SIGGRAPH 1996). If two boxes don't overlap, their pieces don't touch.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 _MARGIN: Final = 1.5e-3  # margin in m on each side of a box, because the engine pads shapes by 1 mm
 _PARALLEL: Final = 1e-5  # number added to cosines, because cross products of parallel edges are zero, up to rounding
-_MAX_BOXES: Final = 8  # maximum number of boxes of a link; a link with more pieces, such as a bowl, has a single box
+_MAX_BOXES: Final = 8  # maximum number of boxes of a link; with more pieces, as in a bowl, a link has one box
 _CORNERS: Final = np.array(list(itertools.product((0.0, 1.0), repeat=3)))  # corners of a box as shares of its edges
 
 # Indices for the cross products of edge i of a box and edge j of another box; the product has the number 3 * i + j.
@@ -47,7 +47,7 @@ _KJ, _LJ = 3 * _K + _J, 3 * _L + _J
 _SIZES: Final = np.concatenate([_K, _L, 3 + _M, 3 + _N])
 _COSINES: Final = np.concatenate([_LJ, _KJ, 3 * _I + _N, 3 * _I + _M])
 _CACHED: Final = 64
-_NEIGHBOURS: Final = 3  # maximum number of joints between two links whose hulls may always overlap
+_NEIGHBOURS: Final = 3  # if at most this many joints are between two links, their hulls may always overlap
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ class Boxes:
         return Boxes(self.links, centers, axes, self.half_extents)
 
     def raised(self, up: float) -> Boxes:
-        """Return one box, along the world's axes, around the space that all boxes sweep on a way up, in m."""
+        """Return one box, along the world's axes, around the space that all boxes sweep when they are lifted, in m."""
         if not self.links:
             return self
         lows, highs = self.ends
@@ -216,7 +216,7 @@ def overlapping_pairs(
 
 
 def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> NDArray[np.bool_]:
-    """Return whether pairs (n,) of boxes (centers, axes, half extents) overlap, by 15 separating axes."""
+    """Return whether pairs (n,) of boxes (centers, axes, half extents) overlap, tested with 15 separating axes."""
     (centers, axes, halves), (other_centers, other_axes, other_halves) = a, b
     back = axes.transpose(0, 2, 1)
     turn = back @ other_axes  # axes of the other boxes in the frames of the boxes
@@ -225,7 +225,7 @@ def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> ND
     overlap: NDArray[np.bool_] = np.all(
         np.abs(offset) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0], axis=1
     )
-    left = np.flatnonzero(overlap)  # few pairs: the axes of the first boxes separate most pairs
+    left = np.flatnonzero(overlap)  # if there are few pairs, the axes of the first boxes already separate most of them
     turn, offset, cosines, halves, other_halves = (part[left] for part in (turn, offset, cosines, halves, other_halves))
     along = (turn.transpose(0, 2, 1) @ offset[:, :, None])[:, :, 0]
     apart = (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
@@ -244,7 +244,7 @@ class MovingLinks:
     """The links of a robot that joints move, with the objects that they hold.
 
     Args:
-        held: each held object, the robot's link, and the boxes around the object's pieces.
+        held: each held object, with the robot's link that holds it and the boxes around its pieces.
     """
 
     def __init__(
@@ -283,7 +283,7 @@ class MovingLinks:
         A held object has the same neighbours as its link. The first of two links moves, or belongs to a held object.
 
         Args:
-            transforms: (n, joints + 1, 4, 4) transforms by the joints in each posture, from the articulation.
+            transforms: (n, joints + 1, 4, 4) transforms of links for each joint and posture, from the articulation.
         """
         a, b = self._structure.pairs
         found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]
@@ -312,14 +312,14 @@ class _Structure:
     """Data of moving links that don't depend on the robot's pose."""
 
     moving: frozenset[str]  # names of the checked links
-    owners: Sequence[Owner]  # (k,) owner of each checked box
+    owners: Sequence[Owner]  # owner of each checked box: a link, or the link that holds the object
     drivers: NDArray[np.intp]  # (k,) index of the joint that moves each checked box; -1 for none
     all_owners: Sequence[Owner]  # owner of each box of the robot and of objects that moving links hold
     all_drivers: NDArray[np.intp]  # index of the joint that moves each box; -1 for none
     checked: NDArray[np.bool_]  # whether each box is checked
     # indices of the first and second boxes of pairs that may touch, in ascending order, without neighbours
     pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
-    own: NDArray[np.intp]  # (n, n) number of joints above the first box's link that aren't above the second box's link
+    own: NDArray[np.intp]  # (n, n) number of joints that move the first box's link but not the second box's link
     numbers: Mapping[str, int]  # index of any one box of each link
 
 
@@ -335,7 +335,7 @@ def _structure(
 ) -> _Structure:
     """Return the structure for a model with a checked URDF; see :class:`MovingLinks`.
 
-    ``held`` has the name of each held object, the robot's link, and the links of the object's boxes.
+    ``held`` contains, for each held object, its name, the robot's link that holds it, and the links of its boxes.
     """
     urdf = stored_tree(path)
     moving = frozenset(urdf.links if all_links else attachment.moved_links(urdf, joints))
@@ -349,7 +349,7 @@ def _structure(
     names, own_links = np.array(links), np.arange(len(links)) < len(robot_links)
     own = _own_joints(urdf, links, joints)
     every = _own_joints(urdf, links, urdf.movable)
-    still = np.where(checked, 0, every.T)  # only links that aren't checked, such as links of another arm
+    still = np.where(checked, 0, every.T)  # links that only unchecked joints move, such as links of another arm
     apart = checked[:, None] & (np.maximum(own, np.maximum(own.T, still)) > _NEIGHBOURS)
     for link, other in map(sorted, may_touch):
         pair = ((names[:, None] == link) & (names == other)) & own_links & own_links[:, None]
@@ -369,7 +369,7 @@ def _structure(
 
 
 def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> NDArray[np.intp]:
-    """Return the number (n, n) of joints above the first link that aren't above the second link, for n links."""
+    """Return an array (n, n) for n links: the number of joints above the first link that aren't above the second."""
     columns = {name: number for number, name in enumerate(joints)}
     above: dict[str, NDArray[np.intp]] = {}
     for link in urdf.links:  # a parent comes before its children

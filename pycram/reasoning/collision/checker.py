@@ -1,7 +1,7 @@
 """The collision checker: finds the objects that a robot would touch in other postures or poses (thesis 4.4.6).
 
 The broad phase finds pairs of links whose boxes overlap (:mod:`pycram.reasoning.collision.boxes`). The narrow phase
-checks these pairs with the engine in a simulation clone, one after the other when they are needed.
+checks these pairs with the engine one by one in a simulation clone, when a caller asks for them.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ DEPTH: Final = 2e-3  # overlap in m above which shapes collide; the engine pads 
 _SELF_DEPTH: Final = (
     0.02  # minimum overlap in m of the robot's own links that collide; their hulls overlap more than the links
 )
-_STANDING: Final = 0.9  # minimum vertical component of a contact's normal below a robot's wheels
-_FEET: Final = 0.02  # maximum height in m of a contact below a robot's wheels
+_STANDING: Final = 0.9  # minimum vertical component of the normal of a contact between a robot's wheels and the floor
+_FEET: Final = 0.02  # maximum height in m of a contact between a robot's wheels and the floor
 
 
 class Collision(TypedDict):
-    """A collision of a robot with an object, in the form of records."""
+    """A collision of a robot with an object, as records show it."""
 
     links: list[str]  # links of the robot or of held objects that touch the object
     by: list[str]  # links of the object that the robot touches
@@ -52,18 +52,18 @@ class PostureCandidate:
     base: Pose | None  # pose of the robot's base; None for its present pose
     # (n,) indices of moving boxes, and of the other boxes that overlap them
     overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
-    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by the joints
+    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by each joint
     # pairs of links whose boxes overlap, in the order of checks; empty until pairs() is called
     pairs: list[Pair] = field(default_factory=list)
     touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # contact points of the checked pairs
 
 
 class CollisionChecker:
-    """Checks postures of a robot for collisions. It is a context manager; the caller holds the world's lock.
+    """Checks postures of a robot for collisions. The checker is a context manager; the caller holds the world's lock.
 
     Args:
         joints: names of the moving joints; other links of the robot aren't checked.
-        ignored_links: links that the robot may touch, with their objects; for example, links that move along.
+        ignored_links: links that the robot may touch, with the objects on them; for example, links that move along.
         margin: objects up to this distance in m are checked, too.
     """
 
@@ -113,7 +113,7 @@ class CollisionChecker:
         self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
         self._copies: dict[tuple[Object, str], LoadedBody] = {}  # checked bodies by object and link
-        self._base = links.base_pose  # pose of the clone's robot now
+        self._base = links.base_pose  # present pose of the robot in the clone
         self._placed: PostureCandidate | None = None
 
     def __enter__(self) -> Self:
@@ -162,7 +162,7 @@ class CollisionChecker:
         transforms: NDArray[np.float64],
         moved: NDArray[np.float64],
     ) -> list[PostureCandidate]:
-        """Return candidates for postures; ``moved`` has their transforms with the motion of the base."""
+        """Return candidates for postures; ``moved`` has the links' transforms, including the motion of the base."""
         centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])
         posture, box, other = overlaps(centers, axes, self._links.boxes.half_extents, self._other_boxes)
         ends = itertools.pairwise(np.searchsorted(posture, np.arange(len(postures) + 1)).tolist())
@@ -174,8 +174,8 @@ class CollisionChecker:
     def pairs(self, candidate: PostureCandidate) -> Sequence[Pair]:
         """Return the pairs of links with overlapping boxes, each pair once, without pairs of the robot's own links.
 
-        The first pair of each object comes first, then the second pairs, and so on, because it matters most which
-        objects are touched. Furniture comes after other objects, because boxes of furniture are wide.
+        Pairs are ordered so that the first pair of each object comes before second pairs: callers first need to know
+        which objects are touched. Furniture comes after other objects, because boxes of furniture are wide.
         """
         if not candidate.pairs:
             boxes, others = candidate.overlaps
@@ -255,7 +255,7 @@ class CollisionChecker:
         return [self.named(pair, depth) for pair, depth in depths.items() if depth >= self.least(pair)]
 
     def self_pairs(self, candidates: Sequence[PostureCandidate]) -> list[list[Pair]]:
-        """Return, for each candidate, the pairs of own links and held objects with overlapping boxes, no neighbours."""
+        """Return, for each candidate, the pairs of the robot's links and held objects with overlapping boxes."""
         if not candidates:
             return []
         found = self._links.self_overlaps(np.array([candidate.transforms for candidate in candidates]))
@@ -272,7 +272,7 @@ class CollisionChecker:
         return max((-touch.distance for touch in touches), default=-self._margin)
 
     def least(self, pair: Pair) -> float:
-        """Return the least overlap in m at which two links collide; it is larger for the robot's own links.
+        """Return the least overlap in m at which two links collide; the limit is larger for the robot's own links.
 
         Held objects may come near the links that carry them, such as the shoulder, because the hulls are wide.
         """
@@ -311,7 +311,7 @@ class CollisionChecker:
         return copy
 
     def closest_points(self, candidate: PostureCandidate, other: LoadedBody) -> list[ClosestPoint]:
-        """Return the contact points of a body with the robot, which stands as a candidate posture says."""
+        """Return the contact points of a body with the robot, which is in a candidate's posture."""
         self._place(candidate)
         return self._clone.engine.closest_points(self._clone.body(self.robot.name), other)
 

@@ -1,7 +1,7 @@
 """Ray casts: where straight lines enter and leave an object's collision shapes.
 
-A gripper needs the width of an object between its fingers. The object's bounds are larger than this width, because they
-grow with rotations and include hollows. All lines are intersected with the model's convex pieces together.
+A gripper needs the width of an object between its fingers. The object's bounds are larger than its width there, because
+bounds grow with rotations and include hollows. All lines are intersected with the model's convex pieces together.
 """
 
 from __future__ import annotations
@@ -84,11 +84,11 @@ class RayCaster:
 
         Args:
             scans: lines parallel to the y axes, at coordinates along the x axes.
-            zs: z of the lines, m; the extreme points at all z are returned.
+            zs: z coordinates of the lines, m; the result has the extreme points over all z.
 
         Returns:
-            (len(scans), greatest count, 2), m: lowest and highest y in the frame at each x, nan outside of the object.
-            Rows beyond the count of their scan are undefined.
+            An array (len(scans), greatest count, 2) in m: lowest and highest y in the frame at each x; nan outside of
+            the object. Rows beyond the count of their scan are undefined.
         """
         hits = self._intersect(scans, (0, 2, 1), count, zs)
         ends = hits.nearest(np.stack([hits.enter.min(axis=1), -hits.leave.max(axis=1)], axis=1))
@@ -100,7 +100,7 @@ class RayCaster:
 
         Args:
             scans: lines parallel to the x axes, at coordinates along the z axes; the lines start in the hollow.
-            ys: y of the lines, m; the extreme points at all y are returned.
+            ys: y coordinates of the lines, m; the result has the extreme points over all y.
 
         Returns:
             (len(scans), count, 2), m: x of the inner and the outer surface of the wall at each z. The inner surface is
@@ -115,10 +115,10 @@ class RayCaster:
     def _intersect(
         self, scans: Sequence[Scan], order: tuple[int, int, int], count: int | Sequence[int], vs: Sequence[float]
     ) -> _Intersections:
-        """Intersect parallel lines with the object's pieces, all together, because each call of numpy takes time.
+        """Intersect parallel lines with all pieces of the object in one step, because each call of numpy takes time.
 
-        ``order`` has the frames' axes u and v across the lines, and w along them. Each scan has ``count`` lines along
-        u; ``vs`` are coordinates of lines along v in ascending order, m.
+        ``order`` gives the indices of three axes of the frames: u and v across the lines, and w along them. Each scan
+        has ``count`` lines along u; ``vs`` are the lines' coordinates along v in ascending order, m.
         """
         last = np.broadcast_to(count, len(scans)) - 1
         most = int(last.max(initial=0)) + 1
@@ -147,7 +147,8 @@ class RayCaster:
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
         u, v, along, room = planes.T
-        # a line parallel to a plane leaves it far ahead if the line is inside, and far behind if it is outside
+        # a line parallel to a plane is treated as leaving it far ahead if the line is inside, and far behind if it is
+        # outside
         along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
         factors = np.empty((len(planes), 3))
         factors[:, 0] = room - u * (firsts[where] + begins * steps[where])[number]
@@ -157,7 +158,7 @@ class RayCaster:
         lines = np.empty((3, len(vs), width))
         lines[0], lines[1], lines[2] = 1.0, np.arange(width), np.reshape(vs, (-1, 1))
         found = []
-        for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes on both sides
+        for side, nearest in ((along < 0.0, np.max), (along > 0.0, np.min)):  # each piece has planes on two sides
             mine = np.flatnonzero(side)
             counts = np.bincount(number[mine], minlength=len(where))
             each = np.arange(counts.max(initial=1))[:, None]
@@ -173,7 +174,7 @@ class RayCaster:
 class _Intersections:
     """The intersections of scans with pieces; there are n pairs of a scan and a piece near it."""
 
-    pieces: NDArray[np.intp]  # (scans,) number of pieces near each scan; the pairs have the order of scans and pieces
+    pieces: NDArray[np.intp]  # (scans,) number of pieces near each scan; pairs are ordered by scan, then by piece
     count: int  # greatest number of lines in a scan
     begins: NDArray[np.intp]  # (n,) index of the first line that may meet the piece
     enter: Array  # (n, beside, width), m: where each line enters the piece; inf if it misses the piece

@@ -37,7 +37,7 @@ _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 @dataclass(slots=True)
 class _Copy:
-    original: LoadedBody  # the object's body in the world; it identifies the object, because ids are used again
+    original: LoadedBody  # the object's body in the world; it identifies the object, because ids are reused
     body: LoadedBody  # the body in the clone
     state: Snapshot | None = None  # the object's state when the copy was updated; None if the copy was changed
 
@@ -54,7 +54,7 @@ class SimulationClone:
 
     @property
     def engine(self) -> Engine:
-        """The physics client, which starts with its first use."""
+        """The physics client, which starts when it is first used."""
         if self._engine is None:
             self._engine = Engine()
         return self._engine
@@ -83,7 +83,7 @@ class SimulationClone:
     def cached(self, body: Object, key: Hashable, compute: Callable[[], T]) -> T:
         """Return a value that is computed from an object's state; it is cached until the object moves.
 
-        ``key`` identifies the value.
+        ``key`` is the cached value's name in the cache.
         """
         now = self.state(body)
         values = self._values.setdefault(body, {})
@@ -118,11 +118,11 @@ class PosingClone(SimulationClone):
         self._states = {body.name: take_snapshot(body) for body in self.world.objects}
 
     def body(self, name: str) -> LoadedBody:
-        """Return the copy of an object at its state in the world, unless the caller has moved the copy."""
+        """Return the copy of an object, updated to its state in the world unless the caller has moved the copy."""
         copy = self._copies.get((name, ""))
         if (
             copy is not None and copy.state is self._states[name]
-        ):  # mostly nothing has changed, because a query uses a body many times
+        ):  # a query uses a body many times, so mostly nothing has changed
             return copy.body
         body: Object = self.world.get_object(name)
         if copy is None:
@@ -186,7 +186,7 @@ class PhysicsClone(SimulationClone):
         self._held: list[tuple[int, LoadedBody, str, LoadedBody, bool]] = []
 
     def sync(self, bodies: Iterable[Object]) -> tuple[dict[str, LoadedBody], dict[str, list[PlacedPart]]]:
-        """Update the clone to the world's state of some objects and their attachments; other copies are moved away.
+        """Update the clone to the present state of some objects and their attachments; move the other copies away.
 
         Furniture without attached objects is divided into rigid parts, which take less time to simulate.
 

@@ -1,4 +1,4 @@
-"""The choice of a grasp and of a posture for it: the pair that touches least (thesis 4.4.6)."""
+"""The choice of a grasp and of a posture for it: the pair with the least contact (thesis 4.4.6)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FREE: Final = (False, 0, 0, 0.0)  # cost of a posture that touches nothing
 _INFINITE: Final = (True, math.inf, math.inf, math.inf)  # a higher cost than that of any posture
 _HAND: Final = -1  # replaces the posture's index while only the hand is checked
 _MAX_GRASPS: Final = 6  # maximum number of grasps that are tried
-_DEEPER: Final = (0.004, 0.008)  # tried moves of a grasp towards the object, m
+_DEEPER: Final = (0.004, 0.008)  # distances in m by which a grasp is moved towards the object
 _LEANING: Final = math.radians(5)  # lean of an object in rad above which messages mention it
 
 
@@ -44,7 +44,7 @@ class GraspPlan:
 
     grasp: Grasp | None  # None if the arm reaches no grasp
     posture: Posture | None  # the nearest posture if the arm reaches no grasp
-    # collisions of the arm in the posture, by object; the deepest collision is first
+    # collisions of the arm in the posture, ordered by object; the deepest collision is first
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
     # pairs of the robot's own links that would touch, if they prevent all grasps
     self_collisions: Sequence[CollisionPair] = ()
@@ -72,7 +72,7 @@ def best_grasp(
     base: Pose | None = None,
     adjusted: Collection[Grasp] = (),
 ) -> GraspPlan:
-    """Return the grasp that touches least. A grasp off the center is chosen only if no other grasp is free.
+    """Return the grasp with the least contact. A grasp off the center is chosen only if no other grasp is free.
 
     Args:
         link: an arm's tool frame, or another link, which only has to reach the target's center.
@@ -81,7 +81,7 @@ def best_grasp(
     arm = robot.description.arm_of(link) if robot.description else None
     takes = arm if arm is not None and arm.hand is not None else None
     grasping = _Grasping(body, robot, Solver(robot, link), takes, choice, base)
-    if takes is None:  # the link has no gripper, so it only reaches the place
+    if takes is None:  # a link without a gripper only has to reach the target's center
         return grasping.best_of([Grasp("any", center(body), IDENTITY[1], 0.0)])
     central = [*candidates(body, robot, takes, names, base=base, choice=choice), *adjusted]
     plan = grasping.best_of([grasp for grasp in central if grasp not in refused and choice.admits(str(grasp))])
@@ -112,7 +112,7 @@ class _Grasping:
                 grasps, solver.search([(grasp.position, None, self.base) for grasp in grasps]), limit
             )
         targets = [(grasp.position, grasp.orientation, self.base) for grasp in grasps]
-        # a thorough search finds postures at the limit of the arm's reach; it runs only if it is necessary
+        # the thorough search finds postures at the limit of the arm's reach, but runs only if the quick search fails
         solved = solver.closed_form(targets) if solver.in_closed_form else solver.search(targets, quick=True)
         if any(posture.reaches() for postures in solved for posture in postures):
             quick = not solver.in_closed_form
@@ -124,7 +124,7 @@ class _Grasping:
     def _least_touching(
         self, grasps: Sequence[Grasp], solved: Sequence[Sequence[Posture]], limit: Cost, *, quick: bool = False
     ) -> GraspPlan:
-        """Return the grasp that touches least, from known postures; a ``quick`` search may miss it."""
+        """Return the grasp with the least contact, from known postures; a ``quick`` search may miss it."""
         options = []
         for grasp, postures in zip(grasps, solved, strict=True):
             reaching = [posture for posture in postures if posture.reaches()]
@@ -132,7 +132,7 @@ class _Grasping:
                 options.append((grasp, reaching))
             elif quick:
                 self.choice.reject(str(grasp), Untried())
-            else:  # the closed form gives no distance
+            else:  # the closed form returns no distance to the target
                 nearest = postures[0] if postures else None
                 miss = (nearest.position_error, nearest.turn_error) if nearest else (None, 0.0)
                 self.choice.reject(str(grasp), OutOfReach(*miss))
@@ -149,9 +149,9 @@ class _Grasping:
 class _Choice:
     """A best-first search for the posture that touches least.
 
-    The search takes the posture with the least known cost, and checks its next pair of links. The search ends
-    when that posture is checked completely, because no other posture can cost less. All postures for a grasp have the
-    same pose of the hand, so the hand is checked only once; the cost of its touches is a lower bound.
+    The search takes the posture with the least known cost, and checks its next pair of links. The search ends when the
+    cheapest posture is checked completely, because no other posture can cost less. All postures for a grasp have the
+    same pose of the hand, so the hand is checked only once; the cost of its contacts is a lower bound for all postures.
 
     Args:
         target: the object, which the open hand mustn't overlap.
@@ -192,7 +192,7 @@ class _Choice:
             if grasp is plan.grasp:
                 pairs = [collision["pair"] for collision in plan.obstacles.values()]
                 pairs += [plan.penetrating] if plan.penetrating else []
-            else:  # a posture that wasn't checked may be good
+            else:  # a posture that wasn't checked completely may be good
                 pairs = by_hand or min(known, key=len)
             self._choice.reject(str(grasp), Touching(pairs) if pairs else Untried(), len(postures))
 
@@ -225,9 +225,10 @@ class _Choice:
         return contorted[max(contorted)] if contorted else GraspPlan(None, None)
 
     def _check(self, touches: Iterator[Touch], depths: dict[Object, float], cost: Cost, enough: Cost) -> Cost:
-        """Check the next touches of a posture until its cost exceeds ``enough``, and return the cost.
+        """Check the next contacts of a posture until its cost exceeds ``enough``, and return the cost.
 
-        The depths in m by object, and the ``cost``, are those of earlier touches; ``depths`` gets the new touches.
+        ``depths`` contains the depths in m of earlier contacts by object, and ``cost`` their cost; new depths are
+        added.
         """
         for (_, _, body, _), points in touches:
             depth = max(-point.distance for point in points)
@@ -251,7 +252,7 @@ def holding_grasps(
     choice: Choice,
     base: Pose | None = None,
 ) -> Iterator[tuple[Grasp, Posture, Closing]]:
-    """Yield grasps with a posture of the arm and the closed gripper; the grasp that touches least comes first.
+    """Yield grasps with a posture of the arm and the closed gripper; the grasp with the least contact comes first.
 
     Args:
         names: the allowed sides; None for all sides.
@@ -281,9 +282,9 @@ def holding_grasps(
 def _adjusted(body: Object, grasp: Grasp, closing: Closing) -> Iterator[Grasp]:
     """Yield grasps near a grasp that doesn't hold a thin object.
 
-    They are higher if the fingers would touch furniture, because a part of the object may hang below its surface. They
-    are deeper if the fingers would not touch two sides, because the tips of wide open fingers may reach less far. These
-    grasps are also turned with the object, because the fingers may miss its sides.
+    Some are higher if the fingers would touch furniture, because a part of the object may hang below its surface. Some
+    are deeper if the fingers would not touch two sides, because the tips of wide open fingers may reach less far. Some
+    of these grasps are turned with the object, because the fingers may miss its sides.
     """
     if closing.obstacles and all(body.world.get_object(pair.body).fixed for pair in closing.obstacles):
         x, y, z = grasp.position

@@ -1,4 +1,4 @@
-"""Motions of fingers until something stops them, which a simulation clone computes before the fingers move."""
+"""Motions of fingers until an obstacle stops them; a simulation clone computes the motions before the fingers move."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ if TYPE_CHECKING:
     #: Depths of overlaps in m, by finger, object and the object's link.
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
 
-CLEAR: Final = 0.002  # necessary gap in m around a released object; the engine pads shapes by less
+CLEAR: Final = 0.002  # necessary gap in m around a released object; the engine pads shapes by a smaller amount
 _SLACK: Final = 5e-4  # overlap in m from which links touch
 _STEPS: Final = 16  # steps between open and closed; fingers of the PR2 move by up to 3 mm in a step
-_HALVINGS: Final = 6  # bisections of the step in which something stops the fingers
+_HALVINGS: Final = 6  # number of bisections of the step in which an obstacle stops the fingers
 _AT_CUP: Final = 0.004  # gap in m that the lip of a suction cup bridges
 _CLOSING_STEPS: Final = 8  # steps from open to closed, each less than the thickness of a finger
-_CLOSING_HALVINGS: Final = 5  # bisections of a closing step, down to 0.4 mm of the PR2's aperture
-_MANY: Final = 3  # minimum number of moving parts that close one by one; two jaws are one mechanism
+_CLOSING_HALVINGS: Final = 5  # number of bisections of a closing step: accurate to 0.4 mm of the PR2's aperture
+_MANY: Final = 3  # minimum number of moving parts of a hand that close one by one; two jaws are one mechanism
 _ALONE: Final = 64  # steps between open and closed for a part that closes alone
-_REACH: Final = 0.005  # total gap in m that opposite fingers may leave, because hand and object give way
+_REACH: Final = 0.005  # total gap in m between object and opposite fingers that hand and object close by giving way
 _ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
-_AROUND: Final = 0.4  # the same for fingers around a center; two of three fingers touch a carton's edges at 60 degrees
+_AROUND: Final = 0.4  # the same for fingers around a center; two of three touch a carton's edges at 60 degrees
 _CACHED: Final = 32
 _SWEPT: Final = 8  # steps between open and closed; within a step, fingers stay within the margins of their boxes
 
@@ -77,7 +77,7 @@ def finger_motion(
     Args:
         goal: wanted opening of the gripper, from 0 (closed) to 1 (open).
         posture: joint positions of the arm by name; None for its present posture.
-        release: the released object, which doesn't stop the fingers; objects that it carries do.
+        release: the released object, which doesn't stop the fingers; objects on it do.
         pose: pose of the released object; None for its present pose.
     """
     gripper = arm.gripper
@@ -137,7 +137,7 @@ def close_around(
 ) -> Closing | None:
     """Return how a gripper closes on an object, from open until the first touch; None if it never touches the object.
 
-    In a hand with many fingers, the other fingers continue until they touch the object, as their motors would.
+    In a hand with many fingers, fingers without contact continue until they touch the object, as their motors would.
 
     Args:
         posture: joint positions by name, with the gripper at the object.
@@ -165,7 +165,7 @@ def close_around(
         if gripper.suction:
             at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
             return Closing({}, 2) if at_cup else None
-        # fingers may touch a hollow object only on the way: the closed fingers would be inside of it
+        # fingers may touch a hollow object only while they close: the closed fingers would be inside of it
         tried = (step / _CLOSING_STEPS for step in reversed(range(_CLOSING_STEPS)))
         stuck = next((share for share in tried if touches(share)), None)
         if stuck is None:
@@ -258,7 +258,7 @@ def _near(
 ) -> dict[Part, LoadedBody]:
     """Return the copies of objects that fingers may touch between open and closed.
 
-    The gripper's palm is at a pose in the world, and ``there`` has the robot's joint positions by name.
+    The gripper's palm is at a pose in the world, and ``there`` contains the robot's joint positions by name.
     """
     path = robot.model.path
     others = tuple((name, there[name]) for name in _between(path, gripper) if name in there)
@@ -280,7 +280,7 @@ def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
 def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) -> Boxes:
     """Return boxes in the palm's frame around the space that fingers sweep between open and closed.
 
-    ``others`` are positions of other joints between the palm and the fingers.
+    ``others`` contains positions of other joints between the palm and the fingers.
     """
     urdf = stored_tree(path)
     paths: dict[str, list[Pose]] = {finger: [] for finger in gripper.fingers}
@@ -296,7 +296,7 @@ def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) 
 
 
 def _sweep(depths: Callable[[float], Depths], start: float, goal: float) -> tuple[float, Depths]:
-    """Return the last share before something stops the fingers on their way to the goal, and the stopping overlaps."""
+    """Return the last opening before an obstacle stops the fingers on their way to the goal, and the overlaps."""
     known = depths(start)
 
     def stopping(share: float) -> Depths:

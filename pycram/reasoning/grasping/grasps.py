@@ -1,7 +1,7 @@
 """Candidates for grasps: the sides and positions from which a gripper can take an object.
 
-Ray casts find candidates from the front, the top, the left and the right if the object fits between the fingers, and
-otherwise from the top over its rim. The gripper is turned with an object that lies across or leans.
+Ray casts find candidates. If the object fits between the fingers, they are from the front, the top, the left and the
+right, otherwise from the top over its rim. The gripper is turned with an object that lies across or leans.
 :mod:`pycram.reasoning.grasping.choice` chooses a candidate.
 """
 
@@ -36,10 +36,10 @@ _STEP: Final = 0.004  # distance in m between rays along the fingers
 _LEVELS: Final = 6  # number of heights below a rim at which the wall is measured
 _EDGE: Final = 0.004  # depth in m below a rim at which its wall begins
 _UPRIGHT: Final = 0.7  # minimum vertical component of an upright unit axis
-_FLAT: Final = 0.002  # m, largest unevenness of the surface below a suction cup
-_SKEW: Final = math.radians(2)  # angle in rad to the object that the gripper ignores
+_FLAT: Final = 0.002  # largest unevenness in m of the surface below a suction cup
+_SKEW: Final = math.radians(2)  # angle in rad between gripper and object that is ignored
 _LONG: Final = 2.0  # ratio of length and width of a long object
-_BESIDE: Final = 0.01  # distance in m from a long object's middle, seen from the top; nearer grasps are at the middle
+_BESIDE: Final = 0.01  # distance in m from a long object's middle, seen from the top; nearer grasps move there
 _LEANING: Final = math.radians(5)  # lean of an object in rad above which the gripper leans, too
 _SLIGHT: Final = math.radians(1)  # lean of an object in rad above which the gripper leans if no upright grasp is free
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
@@ -57,13 +57,13 @@ GRASPS: Final[Mapping[str, Quaternion]] = {
 
 @dataclass(frozen=True, slots=True)
 class Grasp:
-    """A pose of the tool in which it takes an object."""
+    """A pose of the tool for grasping an object."""
 
     name: str  # the side from which the gripper comes
     position: Vector  # position of the tool frame in the world, m
     orientation: Quaternion  # orientation of the tool frame in the world, xyzw
     width: float  # distance in m between the fingers when they hold the object
-    label: str = ""  # a unique name among the candidates, such as "top across"; "" for the side
+    label: str = ""  # a unique name among the candidates, such as "top across"; "" for the name of the side
 
     def __str__(self) -> str:
         return self.label or self.name
@@ -84,8 +84,8 @@ def candidates(
     Args:
         robot: the robot, whose heading defines the front.
         names: the allowed sides; None for all sides.
-        off_center: whether to return only grasps of a long object from the top, between its middle and its ends, and
-            grasps that lean with a slightly leaning object.
+        off_center: whether to return only grasps that lean with a slightly leaning object, and grasps of a long object
+            from the top that are off its middle.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     sides = names
@@ -127,7 +127,7 @@ def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
 
 
 def _shifts(offsets: Sequence[Vector], lying: Quaternion | Sequence[float]) -> list[Vector]:
-    """Return shifts in m of a grasp from the top, for offsets along a lying object; an upright object has none."""
+    """Return shifts in m along a lying object of a grasp from the top; an upright object has no shifts."""
     turned = (geometry.rotate(lying, offset) for offset in offsets)
     return [
         (x, y, 0.0)
@@ -227,7 +227,7 @@ def along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
 def _between_fingers(
     caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector, bias: float
 ) -> Iterator[Grasp | Misfit]:
-    """Yield for each option the grasp with the object centered between the fingers, or why the object doesn't fit."""
+    """Yield, for each option, the grasp with the object centered between the fingers, or why the object doesn't fit."""
     if not options:
         return
     gripper = arm.gripper
@@ -266,7 +266,7 @@ def _between_fingers(
 
 
 def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | Uneven]:
-    """Yield for each option the grasp of a suction cup on a flat place, or why there is no flat place."""
+    """Yield, for each option, the grasp of a suction cup on a flat place, or why there is no flat place."""
     gripper = arm.gripper
     radius = gripper.suction
     for name, turn in options:
@@ -288,7 +288,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
 
 
 def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice: Choice) -> Iterator[Grasp]:
-    """Yield grasps over the wall of a wide hollow object: on the arm's side, in front, and on the far side."""
+    """Yield grasps over the wall of a wide hollow object: on the side of the arm, in front, and at the back."""
     gripper, bias = arm.gripper, arm.bias(robot.urdf)
     shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
     side = 1.0 if shoulder[1] >= 0 else -1.0

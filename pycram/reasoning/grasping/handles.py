@@ -1,6 +1,6 @@
 """Handles of doors and drawers: how a gripper holds a handle, and the path of an arm that moves it.
 
-A handle is a bar. The gripper takes it from the front of the closed door or drawer, with the fingers across the bar.
+A handle is a bar. The gripper takes the bar of a closed door or drawer from the front, with the fingers across the bar.
 The gripper may turn about the bar during the motion, and may hold the bar off its middle. If an arm has no path,
 :func:`remedies` finds another arm or another place of the robot.
 """
@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
-"""Allowed turns of a gripper about the bar of a handle, in rad; at 0 the gripper comes from the front."""
+"""Allowed turns in rad of a gripper about the bar of a handle; at 0 the gripper comes from the front."""
 
-#: Places along the bar, as shares of the distance from its middle to the last place where the gripper is on the bar.
+#: Places of the gripper on the bar, as shares of the distance from the bar's middle to the last possible place.
 _SHIFTS: Final = {"middle": 0.0, "one side": 0.5, "other side": -0.5}
 _MAX_TURN: Final = math.radians(31)  # largest turn in rad about the bar between successive joint positions
 _MAX_JUMP: Final = 1.6  # largest motion in rad of an arm's joint between successive joint positions
@@ -61,14 +61,14 @@ _MAX_PLACES: Final = 4  # maximum number of places for which a path is searched
 class Grip:
     """A way in which a gripper holds a handle."""
 
-    name: str  # name of the part of the bar
+    name: str  # name of the grasped part of the bar
     position: Vector  # middle of that part in the handle's frame, m
     axis: Vector  # direction of the bar in the handle's frame
-    front: Quaternion  # orientation of the tool from the front, in the handle's frame
-    back: float  # distance in m between the tool and the position
+    front: Quaternion  # orientation of a tool that comes from the front, in the handle's frame
+    back: float  # distance in m between the tool and the middle of that part
 
     def tool(self, angle: float) -> Pose:
-        """Return the pose of the tool in the handle's frame after a turn about the bar by an angle in rad."""
+        """Return the pose of the tool in the handle's frame when it is turned about the bar by an angle in rad."""
         sine = math.sin(angle / 2)
         x, y, z = self.axis
         turn = geometry.product((x * sine, y * sine, z * sine, math.cos(angle / 2)), self.front)
@@ -108,7 +108,7 @@ class Handle:
         return found
 
     def grips(self, robot: Object, gripper: Gripper, base: Pose | None = None) -> Sequence[Grip]:
-        """Return the grips of a gripper, the most natural grip first.
+        """Return the ways in which a gripper can hold the handle, the most natural way first.
 
         ``base`` is an assumed pose of the robot's base; None for its present pose.
         """
@@ -166,7 +166,7 @@ class DeadEnd:
     reached: float | None  # the last position that the arm reaches; None if the arm reaches no position
     position: Vector  # position of the tool at ``value``, in the world, m
     orientation: Quaternion  # orientation of the tool from the front at ``value``, xyzw
-    distance: float | None = None  # distance in m from the tool to its goal in the nearest posture; None if reached
+    distance: float | None = None  # distance in m from the tool to its goal in the nearest posture; None at the goal
     turn: float = 0.0  # angle in rad between the tool and its goal in the nearest posture
     pairs: Sequence[CollisionPair] = ()  # links that would touch if the arm reaches ``value``
 
@@ -230,7 +230,7 @@ def plan_path(
 def plan_path_with_torso(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> HandlePath | None:
-    """Return a path at the nearest other height of the torso that allows a path; see :func:`plan_path`."""
+    """Return a path with the torso at another height: the nearest height that allows a path; see :func:`plan_path`."""
     for height in _torso_heights(robot):
         found = plan_path(robot, arm, handle, values, others=height, choice=choice)
         if isinstance(found, HandlePath):
@@ -250,7 +250,7 @@ def _torso_heights(robot: Object) -> list[dict[str, float]]:
 
 
 class _Search:
-    """The search for a path; see :func:`plan_path`. ``kept`` are positions of joints that aren't the arm's."""
+    """The search for a path; see :func:`plan_path`. ``kept`` has positions of joints that don't belong to the arm."""
 
     def __init__(
         self,
@@ -281,7 +281,7 @@ class _Search:
         self._hand = checker.links_beyond(arm.joints)
 
     def _base_lifted(self, torso: str, height: float) -> Pose:
-        """Return the pose of the base that brings the arm to the same pose as a motion of the torso."""
+        """Return the pose of the base that moves the arm to where a motion of the torso would move it."""
         robot, joint = self._robot, self._robot.urdf.joint(torso)
         base = robot.get_position_and_orientation()
         below = geometry.multiply(geometry.invert(base), robot.get_link_position_and_orientation(joint.parent))
@@ -296,7 +296,7 @@ class _Search:
         free = [np.zeros(len(layer.angles)) for layer in layers]  # infinity for nodes with a collision
         obstacles: dict[int, list[CollisionPair]] = {}
         nodes: list[int] = []
-        checked: set[tuple[int, int]] = set()  # steps and nodes; paths have most nodes in common
+        checked: set[tuple[int, int]] = set()  # steps and nodes of the path; paths share most of their nodes
         for _ in range(_MAX_QUICK_PATHS if self._quick else _MAX_PATHS):
             nodes = self._cheapest(layers, edges, free)
             rows = (layers[step].joints[node].tolist() for step, node in enumerate(nodes))
@@ -321,7 +321,7 @@ class _Search:
         return self._end(grip, layers, len(nodes), obstacles)
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
-        """Return the nodes with the same pose of touching links: all nodes for the body's links, many for the hand."""
+        """Return the nodes in which touching links have one pose: all nodes for the body, many for the hand."""
         robot = self._robot.name
         own = ([pair.link, pair.body_link] if pair.body == robot else [pair.link] for pair in pairs)
         if any(self._links.isdisjoint(links) for links in own):
@@ -333,7 +333,7 @@ class _Search:
         return alike
 
     def _rigid(self, grip: Grip) -> list[_Layer]:
-        """Return layers with the gripper from the front; each search starts at the posture before."""
+        """Return layers of postures with the gripper from the front; each search starts at the layer before."""
         layers = []
         seed = None
         for pose in self._poses:
@@ -354,7 +354,7 @@ class _Search:
         tools = [geometry.multiply(pose, grip.tool(angle)) for pose in self._poses for angle in angles]
         targets = [(*tool, self._lifted) for tool in tools]
         found = self._solver.closed_form(targets)
-        if not any(found) and not (self._quick and self._solver.in_closed_form):  # a search may find other postures
+        if not any(found) and not (self._quick and self._solver.in_closed_form):  # a search may find more
             found = self._solver.search(targets, quick=True)
         count = len(angles)
         return [
@@ -414,7 +414,7 @@ class _Search:
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
         for body, link, part, pose in self._moving_along(value) if not pairs else ():
             self._clone.engine.set_pose(part, pose)
-            depths: dict[str, float] = {}  # several shapes of two links may touch
+            depths: dict[str, float] = {}  # a pair of links may touch with several shapes
             for touch in self._checker.closest_points(candidate, part):
                 gripped = link == self._handle.link and touch.link_a in self._hand
                 if touch.distance <= -DEPTH and not gripped:
@@ -424,7 +424,7 @@ class _Search:
         return pairs or self._checker.self_collisions(candidate)
 
     def _moving_along(self, value: float) -> Iterator[tuple[str, str, LoadedBody, Pose]]:
-        """Yield name, link, copy and pose of each link or carried object that the joint moves, at a joint position."""
+        """Yield name, link, copy and pose of each link or carried object that the joint moves to a position."""
         container = self._handle.container
         for link in self._handle.moved:
             yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
@@ -449,7 +449,7 @@ class Remedy:
     """An arm that could move the handle, perhaps from another place."""
 
     arm: str  # name of the arm
-    base: Vector | None = None  # position of the robot with its present heading, m; None for its present place
+    base: Vector | None = None  # position of the robot with its present heading, m; None if it needn't move
     distance: float = 0.0  # distance in m from the robot's present place
     parked: str = ""  # name of another arm that must be parked first; "" for none
 
@@ -481,7 +481,7 @@ class InTheWay:
 def arms_in_the_way(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
 ) -> list[Remedy | InTheWay]:
-    """Return, for each arm in the way of an arm without a path, whether parking it helps; see :func:`plan_path`."""
+    """Return, for each arm that blocks another arm's path, whether parking it helps; see :func:`plan_path`."""
     found: list[Remedy | InTheWay] = []
     for other in robot.description.arms.values() if robot.description else ():
         if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
@@ -502,7 +502,7 @@ def _meets(robot: Object, arm: Arm, pair: CollisionPair) -> bool:
 def remedies(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> list[Remedy]:
-    """Return remedies nearby for an arm without a path, nearest first; see :func:`plan_path`."""
+    """Return remedies for an arm without a path, with places near the robot, nearest first; see :func:`plan_path`."""
     description = robot.description
     free = [
         other

@@ -36,7 +36,7 @@ _LIFTS: Final = (0.005, 0.01, 0.015)  # heights in m from which an object may be
 _MAX_LIFTED: Final = 4  # maximum number of poses from which an object may be dropped
 _FROM_BELOW: Final = 0.5  # minimum upward component of a unit vector of a hand that comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
-_YAWS: Final = 12  # number of tried orientations about the vertical; later the orientations between them are tried
+_YAWS: Final = 12  # number of orientations about the vertical that are tried first; then those between them
 _MOVED: Final = (0.01, math.radians(5))  # largest motion in m and rad of an object that stays
 _LYING: Final = math.sin(math.radians(10))  # maximum upward component of the z axis of an object that lies on a side
 
@@ -89,9 +89,10 @@ def _resting_height(
     touched: Callable[[float], list[CollisionPair]],
     gap: Callable[[float], float],
 ) -> float:
-    """Return the height at which an object touches something on its way down; see :func:`resting_position`.
+    """Return the height at which an object on its way down first touches something; see :func:`resting_position`.
 
-    ``touched`` returns the overlaps at a height, and ``gap`` a distance in m by which the object can be lowered freely.
+    ``touched`` returns the overlaps at a height, and ``gap`` a distance in m by which the object can be lowered without
+    a contact.
     """
     z = target[2]
     high = z + _ABOVE
@@ -125,7 +126,7 @@ def _resting_height(
 def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | None:
     """Return joint positions of an arm that draw its hand back from a released object; None if there are none.
 
-    ``choice`` receives the ways back, with the reasons against them.
+    ``choice`` receives the considered retreats, with the reasons against them.
     """
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     for back in _BACK:
@@ -168,7 +169,7 @@ class Refusals:
 
     no_room: list[PlaceFailed] = field(default_factory=list)  # failures at poses without room for the object
     misses: list[OutOfReach] = field(default_factory=list)  # distances between the nearest postures and their goals
-    # links that would touch, by name of the object in the way
+    # links that would touch, by the name of the object that is in the way
     pairs: dict[str, CollisionPair] = field(default_factory=dict)
     low: list[Pose] = field(default_factory=list)  # poses in which the hand would touch the support of the object
     no_path: list[NoPath] = field(default_factory=list)  # failed searches for a path to a good posture
@@ -187,7 +188,7 @@ def placements(
     quickly: bool = False,
     rests: dict[Quaternion, Vector | PlaceFailed] | None = None,
 ) -> Iterator[Placement]:
-    """Yield ways for an arm to put down its held object without a collision, also when the fingers open.
+    """Yield ways in which an arm can put down its held object without a collision, also when the fingers open.
 
     Args:
         target: xyz in m.
@@ -252,7 +253,7 @@ def lying(robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> Qua
 
 
 def _stays(body: Object, pose: Pose) -> bool:
-    """Return whether an object stays for 1 s at the pose where a hand releases it; held objects are left out."""
+    """Return whether an object stays for 1 s at the pose where a hand releases it; objects in hands are left out."""
     world = body.world
     others = [other for other in world.objects if not (other.is_robot or other is body or other.carrier)]
     clone = clone_of(world, "physics")
@@ -269,7 +270,7 @@ def _stays(body: Object, pose: Pose) -> bool:
 def _pressed(checker: CollisionChecker, candidate: PostureCandidate, arm: Arm, body: Object) -> list[CollisionPair]:
     """Return the links of the arm, without its hand, that would push the released object.
 
-    While the arm holds the object, these overlaps are allowed; a wrist, for example, may overlap the object.
+    While the arm holds the object, they may overlap; a wrist, for example, may overlap the object.
     """
     robot = checker.robot
     points = checker.closest_points(candidate, clone_of(robot.world, "reach").body(body.name))
@@ -294,11 +295,11 @@ def _poses(
 ) -> Iterator[tuple[Pose, bool, float]]:
     """Yield poses in which an object may be put down: first for a quick search, then again for a thorough search.
 
-    The last poses are a little higher, and the object is dropped from them. An object may stick out on both sides of a
-    narrow support and hang lower than the fingers, so the hand would touch the support.
+    In such a case the last poses are a little higher, and the object is dropped from them. An object may stick out on
+    both sides of a narrow support and hang lower than the fingers. Then the hand would touch the support.
 
     Yields:
-        The pose, whether the search is quick, and the pose's height in m above the resting position.
+        The pose; whether the search is quick; the height in m of the pose above the resting position.
     """
     tried: list[Pose] = []
     for turn in turns:
@@ -336,7 +337,7 @@ def _orientations(
     *,
     once: bool,
 ) -> Iterator[Sequence[Quaternion]]:
-    """Yield orientations in which an object may be put down, the most natural first; then the orientations between.
+    """Yield orientations in which an object may be put down: first the most natural, later the orientations between.
 
     An object that was taken upside down stays upside down if the hand would otherwise have to come from below.
     """

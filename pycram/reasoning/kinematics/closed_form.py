@@ -1,12 +1,13 @@
 """Inverse kinematics in closed form, for arms with seven joints and a spherical shoulder and wrist, as in the PR2.
 
-Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. Then at most eight postures belong to a pose of
-the tool and an angle of joint 1, which is sampled. Subproblems of Paden and Kahan give each posture (Murray, Li,
-Sastry: A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). For targets without an
-orientation, joints 5 and 6 are sampled, too. If samples miss solutions, the nearest postures are returned.
+Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. For a pose of the tool and a sampled angle of
+joint 1, there are at most eight postures. Subproblems of Paden and Kahan give each posture (Murray, Li,
+Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). For targets without an orientation,
+joints 5 and 6 are sampled, too. If samples miss solutions, the nearest postures are returned.
 
 In the subproblems, points and vectors are columns of arrays (3, n) or (3, 1); axes are unit vectors (3,); angles are
-(n,) in rad. Without a solution, a subproblem returns the nearest angle and a strain: about the missing angle in rad.
+(n,) in rad. If a subproblem has no solution, it returns the nearest angle and a strain: roughly the missing angle in
+rad.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class ClosedForm:
     def of(
         cls, origins: Array, axes: Array, tool: Array, lower: Array, upper: Array, bounded: Flags
     ) -> ClosedForm | None:
-        """Return the closed form for an arm's geometry, as in the fields; None if its axes don't meet."""
+        """Return the closed form of an arm from its geometry; None if its axes don't meet."""
         if len(axes) != 7:
             return None
         shoulder = _meeting(origins[1], axes[1], origins[2], axes[2])
@@ -103,18 +104,18 @@ class ClosedForm:
         Args:
             positions: (m, 3) positions of the tool in the base link, m.
             turns: (m, 3, 3) orientations of the tool; None for any orientation.
-            home: (7,) a posture, whose joint positions are samples, too, so that near solutions are found.
+            home: (7,) a posture; its joint positions are also sampled, to find near solutions.
 
         Returns:
-            Postures (m, n, 7) and their strains (m, n): 0 for solutions within the limits; otherwise about the angle in
-            rad that is missing or beyond the limits.
+            Postures (m, n, 7) and their strains (m, n). A strain is 0 for a solution within the limits, otherwise
+            roughly the missing or excessive angle in rad.
         """
         if turns is None:
             return self._by_target(len(positions), *self._at_positions(positions, home))
         return self._by_target(len(positions), *self._at_poses(positions, turns, self._samples(0, _SAMPLES, home)))
 
     def solutions(self, positions: Array, turns: Array, home: Array) -> list[Array]:
-        """Return the postures (n, 7) of :meth:`postures` without strain for each target, in a fraction of the time."""
+        """Return the postures (n, 7) without strain for each target; faster than :meth:`postures`."""
         rotations, wrists, q1 = self._wrists(positions, turns, self._samples(0, _SAMPLES, home))
         rows = q1.shape[1]
         q1, goals = q1.ravel(), np.repeat(wrists.T, rows, axis=1)
@@ -149,7 +150,7 @@ class ClosedForm:
         return found, strain
 
     def _by_target(self, targets: int, branches: int, found: Array, strain: Array) -> tuple[Array, Array]:
-        """Group results, in the order of branches and then targets, by target; add the strain beyond limits."""
+        """Group results by target, and add the strain beyond limits; results are ordered by branch, then by target."""
         found = self._wrapped(found)
         beyond = np.maximum(np.maximum(self.lower - found, found - self.upper) - _ROUNDING, 0.0)
         strain = strain + beyond @ self.bounded
@@ -187,7 +188,7 @@ class ClosedForm:
         return 8, np.concatenate([np.tile(arm, (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
 
     def _wrists(self, positions: Array, turns: Array, samples: Array) -> tuple[Array, Array, Array]:
-        """Return, for poses of the tool, the rotations from zero, the wrists, and positions (m, n) of joint 1."""
+        """Return the tool's rotations from zero, the positions of the wrist, and positions (m, n) of joint 1."""
         rotations = turns @ self.tool[:3, :3].T
         wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
         return rotations, wrists, self._with_straight(wrists, samples)
@@ -286,7 +287,7 @@ def _meeting(a: Array, along_a: Array, b: Array, along_b: Array) -> Array | None
 
 
 def _hinge(origin: Array, axis: Array, points: Array, end: Array) -> Hinge:
-    """Return the hinge of an axis that turns points (3, n), for their distance to a fixed point."""
+    """Return how the angle about an axis determines the distance between points (3, n) and a fixed point."""
     return hinge(axis, points - origin[:, None], (end - origin)[:, None])
 
 
@@ -346,13 +347,13 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     """Return two angles about two axes through the origin, not parallel, that turn a vector to another: subproblem 2.
 
     Args:
-        first: the axis of the second turn.
-        second: the axis of the first turn.
+        first: the axis of the later turn.
+        second: the axis of the earlier turn.
         start: the vector before the turns.
         end: the vector after the turns; only its direction counts.
 
     Returns:
-        Angles (2, n) about the first and the second axis, of both solutions, within two turns, and their strain (n,).
+        Both solutions: angles (2, n) about the first and the second axis within two turns, and their strain (n,).
     """
     cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
     # components of both vectors: along the other axis, perpendicular to both axes, and along their own axis
@@ -389,7 +390,7 @@ def _crossing(first: bytes, second: bytes) -> tuple[float, float, Array, Array]:
 
 
 def twice(vectors: Array) -> Array:
-    """Return vectors (3, n) two times side by side; a single vector (3, 1) is returned unchanged."""
+    """Return vectors (3, 2n): the vectors (3, n) twice; a single vector (3, 1) is returned unchanged."""
     return vectors if vectors.shape[1] == 1 else np.concatenate([vectors, vectors], axis=1)
 
 

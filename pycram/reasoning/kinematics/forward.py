@@ -247,7 +247,7 @@ def drivers(path: Path, joints: tuple[str, ...]) -> Drivers:
 
 
 class Articulation:
-    """The transforms of links by moving joints, from the present pose of a body in an engine."""
+    """Transforms of a body's links when its joints move from the present pose."""
 
     def __init__(self, engine: Engine, body: LoadedBody, moved: Drivers) -> None:
         self._joints, self._parents = moved.joints, moved.parents
@@ -258,7 +258,7 @@ class Articulation:
         self._now = np.array([positions[name] for name in moved.joints])
 
     def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:
-        """Return the transforms (n, joints + 1, 4, 4) of links by joints.
+        """Return the transforms (n, joints + 1, 4, 4) of links for each moving joint.
 
         Each transform is from the present pose of a joint's links to their new pose; the last transform is for links
         that don't move.

@@ -37,7 +37,7 @@ _DAMPING: Final = 1e-2
 _ITERATIONS: Final = 40
 _MAX_STEP: Final = 0.5  # largest motion in rad or m of a joint in one iteration
 _MAX_ERROR: Final = 0.6  # largest error in m or rad that one iteration corrects
-_STALE: Final = (8, 0.9)  # a search ends if its least error is above this share of its least error some iterations ago
+_STALE: Final = (8, 0.9)  # a search ends if its least error is above this share of an earlier least error
 _CLOSE: Final = 0.005  # error in m or rad below which a search always continues
 THRESHOLD: Final = 1e-3  # largest distance in m between the tool and a reached target (thesis 4.4.5)
 _TURN_THRESHOLD: Final = math.radians(2)  # largest angle in rad between equal orientations
@@ -273,14 +273,14 @@ class ArmKinematics:
         return self._closed is not None
 
     def closed_form(self, targets: Sequence[Target], seed: Mapping[str, float]) -> list[list[Posture]]:
-        """Return the solutions of the closed form for many targets, in a fraction of a search's time.
+        """Return the solutions of the closed form for many targets, much faster than a search.
 
         Args:
             targets: as for :meth:`solve`.
             seed: a posture; near postures come first.
 
         Returns:
-            For each target, the postures that reach it; an empty list proves nothing.
+            For each target, the postures that reach it; an empty list doesn't prove that there are none.
         """
         solved: list[list[Posture]] = [[] for _ in targets]
         if self._closed is None or not targets:
@@ -304,7 +304,7 @@ class ArmKinematics:
     def _starts_of_closed_form(
         self, closed: ClosedForm, goals: Array, turns: Array | None, home: Array, enough: float
     ) -> list[tuple[Array, list[Array]]]:
-        """Return, for each target, the solutions or misses, and batches of postures from which a search starts."""
+        """Return each target's closed-form solutions or misses, and batches of postures to start a search from."""
         slack = math.inf if enough > _HOPELESS else 1.0
         near = closed.miss(goals, turns) <= max(_HOPELESS, enough)
         found, strains = closed.postures(goals, turns, home)
@@ -323,7 +323,7 @@ class ArmKinematics:
     def _least_strained(
         self, found: Array, strain: Array, home: Array, goals: Array, turns: Array | None
     ) -> list[Array]:
-        """Return, from each target's postures (m, n, joints), the solutions, or else the least strained postures."""
+        """Return the solutions among targets' postures (m, n, joints), or else the postures with the least strain."""
         kept = [_distinct(rows[strains == 0.0], home) for rows, strains in zip(found, strain, strict=True)]
         missed = np.array([number for number, rows in enumerate(kept) if not len(rows)], dtype=np.intp)
         if len(missed):
@@ -337,7 +337,7 @@ class ArmKinematics:
         return kept
 
     def _starts_of_search(self, goal: Array, home: Array, seeds: list[Array]) -> tuple[Array, list[Array]]:
-        """Return a posture and batches of starting postures; only the stretched arm if the target is too far away."""
+        """Return a posture and batches of starting postures; only the stretched arm for a target that is too far."""
         few, many = _BATCHES
         if float(np.linalg.norm(goal - self.chain.shoulder)) - self.chain.length > POSITION_TOLERANCE:
             one = np.zeros(1, dtype=np.intp)

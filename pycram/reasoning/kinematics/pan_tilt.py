@@ -21,13 +21,13 @@ _DERIVATIVE_STEP: Final = 1e-5  # rad
 _TOLERANCE: Final = 1e-6  # rad
 _GOOD_ENOUGH: Final = 1e-4  # error in rad below which no other start is tried
 _MAX_STEP: Final = 0.5  # rad
-_STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # rad, pan and tilt
+_STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # positions of the pan and the tilt joint, rad
 
 
 def aim_camera(
     urdf: Urdf, joints: Sequence[str], camera: CameraDescription, point: Sequence[float], now: Mapping[str, float]
 ) -> tuple[dict[str, float], Vector]:
-    """Return the joint positions that turn the camera's axis (z of its frame) to a point, or as near as possible.
+    """Return the joint positions that turn the camera's axis (z of its frame) to a point, or close to it.
 
     Args:
         joints: names of the pan joint and the tilt joint, of one of them, or empty.
@@ -35,7 +35,7 @@ def aim_camera(
         now: present positions of all joints, rad or m.
 
     Returns:
-        Positions of the joints within their limits, and the point in the turned camera's frame, m.
+        Joint positions within the limits, and the point in the turned camera's frame, m.
     """
     turning, behind = _neck(urdf, joints, camera, now)
 

@@ -43,18 +43,18 @@ if TYPE_CHECKING:
 Side: TypeAlias = Literal["front", "back", "left", "right"]
 SIDES: Final = get_args(Side)
 
-_SPOTS: Final = 40  # places in a batch
+_SPOTS: Final = 40  # number of places in a batch
 _BATCHES: Final = 3  # number of batches without a place after which the search on a surface ends
-_LATER: Final = 0.6  # a surface's score is multiplied by this for each place that was found there
+_LATER: Final = 0.6  # for each place that is found on a surface, the surface's score is multiplied by this factor
 _BASE: Final = 0.005  # height in m above an object's lowest point; points below this height are its base
 _RESTS: Final = 0.01  # tolerance in m between the height of the surface and the height at which the object rests
 _YAWS: Final = 12  # number of orientations about the vertical; the motion tries the same orientations
 EDGE: Final = 0.01  # minimum distance in m of an object from the edge of its surface
 FINGERS: Final = 0.025  # minimum distance in m of an object from other objects, so that a finger fits between them
 _RESOLUTION: Final = 0.025  # distance in m between cells
-_FINEST: Final = 0.005  # minimum distance in m between cells of a surface that is hardly wider than the object
+_FINEST: Final = 0.005  # minimum distance in m between cells, used on a surface that is hardly wider than the object
 _CELLS: Final = 3  # number of cells across the part of a surface where the object's middle can be
-_ABOVE: Final = 0.003  # height in m below which parts aren't obstacles, because the surface's boxes are too high
+_ABOVE: Final = 0.003  # height in m below which parts aren't obstacles, because the boxes around surfaces are too high
 _NEAR: Final = 0.15  # distance in m from a point at which a score is half of the best
 _FAR: Final = 1.0  # largest distance in m between a place and the point or object that it is near
 _AWAY: Final = 0.4  # minimum distance in m between a place and the point ``away``
@@ -78,18 +78,19 @@ def free_places(
 ) -> Iterator[FoundPlace]:
     """Return places where an object can be put down on surfaces, best first.
 
-    The motion `place` would put the object down at each place: the object's outline is on the surface, and a finger
-    fits between the object and other objects. Each place is checked when the caller requests it, and recorded as one
+    The motion `place` would put the object down at each place: the whole outline of the object is on the surface, and
+    fingers fit between it and other objects. Each place is checked when the caller requests it, and recorded as one
     query. The world may change between requests.
 
     Args:
         body: the object, in an upright orientation; its present place doesn't matter.
-        on: surfaces or their names, with their furniture: (kitchen, "island"); or objects, for their tops.
+        on: surfaces or their names with the furniture, such as (kitchen, "island"); or objects, whose tops are used.
         near: xyz or xy in m of a point, at most 1 m away.
         side: "front", "back", "left" or "right" of each surface from the robot's view; or (side, object) for a side of
             an object.
         orientation: xyzw of the object at the place; None for any orientation about the vertical.
-        reachable_for: a robot that must reach the place, from its present pose if it can't drive, else from any pose.
+        reachable_for: a robot that must reach the place: from its present pose if it can't drive, otherwise from any
+            pose.
         arms: names of the robot's arms that may reach the place; None for all arms.
         away: xyz or xy in m of a point, at least 0.4 m away.
         seed: seed of the draws; None for the run's seed.
@@ -180,7 +181,7 @@ class SurfaceSearch(Search):
         wanted = f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}"
         super().__init__(body.world, wanted, arguments)
         self._body, self._orientation, self._near, self._away = body, orientation, near, away
-        self._side, self._reference = side  # _reference is the object next to the place, or None for the surface
+        self._side, self._reference = side  # _reference is the object beside the place; None: the surface
         self._robot, self._arms, self._seed = robot, arms, seed
         self._surfaces = [SearchedSurface(furniture, surface) for furniture, surface in surfaces]
         self._done: list[Vector] = []  # offered or tried places
@@ -265,9 +266,9 @@ class SurfaceSearch(Search):
 
     @staticmethod
     def _inside(corners: Array, searched: SearchedSurface) -> Array:
-        """Return the corners (n, 3) that must be on a surface: all corners, or on a top only the corners of the base.
+        """Return the corners (n, 3) that must be on a surface: all, or for an object's top those of the base.
 
-        So a cup's handle may stick out over the edge of a plate, but an object that would tip over may not.
+        So the handle of a cup may stick out over the edge of a plate, but an object must not tip over.
         """
         if not searched.on_object:
             return corners
@@ -278,7 +279,7 @@ class SurfaceSearch(Search):
 
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
-        """Return 0 where an object would stick out over the edge in all orientations, up to 1 where in none."""
+        """Return scores: 0 where an object would stick out over the edge in all orientations, up to 1 where in none."""
         margins = np.full(len(centers), np.inf)
         for (ax, ay), (bx, by) in itertools.pairwise([*outline, outline[0]]):
             length = max(math.hypot(bx - ax, by - ay), 1e-9)
@@ -288,7 +289,7 @@ class SurfaceSearch(Search):
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
 
     def _obstacles(self, searched: SearchedSurface) -> maps.Footprints:
-        """Return the footprints of objects on a surface, or above it below the object's height.
+        """Return the footprints of objects that are on a surface, or above it at less than the object's height.
 
         Robots that can't drive count, too; other robots can drive away.
         """
@@ -397,7 +398,7 @@ class SurfaceSearch(Search):
             inside = geometry.convex_hull(self._inside(corners, searched)[:, :2] + (x, y))
         if any(geometry.margin_in_polygon(outline, corner) < EDGE for corner in inside):
             return "edge", NoRoom(f"the object would stick out over the edge of {searched.surface.name}")
-        # the outline and a margin for fingers: the hull of circles about its corners
+        # the outline of an object with a margin for fingers: the hull of circles about the corners
         circle = [(FINGERS * math.cos(angle), FINGERS * math.sin(angle)) for angle in np.arange(8) * (math.pi / 4)]
         wide = geometry.convex_hull(np.array([(a + dx, b + dy) for a, b in own for dx, dy in circle]))
         if any(len(geometry.polygon_intersection(wide, other)) > 2 for other in obstacles if len(other) > 2):

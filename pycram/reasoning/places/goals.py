@@ -40,7 +40,7 @@ from recorder.geometry import Pose, Quaternion, Vector
 
 _TURNS: Final = 6  # number of orientations about the vertical for an object without a given orientation
 _MAX_SINGLE: Final = 30  # maximum number of places that are checked one by one; for more, one search for all is faster
-_STEP: Final = 0.1  # distance in m or rad between joint positions at which the handle must be reached
+_STEP: Final = 0.1  # largest distance in m or rad between joint positions at which the arm must reach the handle
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class Goal(Protocol):
         """
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return the side of the grasp, or "" without a grasp; or why the arm can't reach with the base at a pose."""
+        """Return the side of the grasp ("" without one), or why the arm can't reach the goal from a base pose."""
 
 
 def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
@@ -116,8 +116,8 @@ def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
 def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
     """Return, for poses of a robot's base, whether any arm roughly reaches a goal; all poses are checked together.
 
-    Without a check, all answers are True: for goals without known poses of the tool, and for a few poses if an arm has
-    no closed form, because checking them one by one is faster.
+    All answers are True without a check if the goal has no known poses of the tool, or if an arm has no closed form and
+    there are few poses.
     """
     within = np.zeros(len(bases), dtype=bool)
     for arm in arms:
@@ -165,7 +165,7 @@ class TakeGoal:
         """Return the name of the object."""
         return self.body.name
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  all arms have the same poses of the tool
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  the poses are the same for all arms
         """Return poses of the tool in the center of the object, one for each allowed side."""
         return [[(self.position, grasp_orientation(side, self._robot, base)) for side in self._grasps or GRASPS]]
 
@@ -211,7 +211,7 @@ class PutDownGoal:
         in_hand = held(self._robot, arm)
         return in_hand[0] if in_hand and self._target.body in (None, in_hand[0]) else None
 
-    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  all places have the same poses of the tool
+    def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]]:  # noqa: ARG002  the poses are the same for all places
         """Return poses of the tool with the object at the goal, for several yaws."""
         body = self._held(arm)
         if body is None:

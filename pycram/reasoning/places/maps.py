@@ -28,11 +28,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _UPRIGHT: Final = 0.999  # minimum vertical component of a unit axis of an upright box
-_LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the horizontal axes of a box by its vertical axis
+_LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the two horizontal axes of a box, for each vertical axis
 _DIRECTIONS: Final = 36
 _BEHIND: Final = 1e-4  # score of a cell behind an obstacle; it isn't 0, because all cells may be behind obstacles
 _AT_ONCE: Final = 1 << 15  # number of pairs of a rectangle and a point that fit into the processor's cache together
-_SURE: Final = 0.85  # share of the inner circle's radius that surely fits within an outline, because boxes are too wide
+_SURE: Final = 0.85  # boxes are wider than links: only this share of the inner circle's radius is surely in an outline
 RESOLUTION: Final = 0.05  # distance in m between cells
 _MAX_CELLS: Final = 1 << 16
 _FLOOR: Final = 0.03  # height in m above the ground; the base drives over lower obstacles
@@ -176,7 +176,7 @@ class Grid:
     def over(cls, low: Sequence[float], high: Sequence[float], height: float, resolution: float = RESOLUTION) -> Grid:
         """Return a grid over a rectangle with lowest and highest x and y, and a height, in m.
 
-        Its cells are larger than ``resolution`` if there would be too many.
+        The cells are larger than ``resolution`` if there would be too many.
         """
         width, depth = (max(high[axis] - low[axis], resolution) for axis in (0, 1))
         resolution = max(resolution, (width * depth / _MAX_CELLS) ** 0.5)
@@ -221,7 +221,7 @@ def draw_cells(
 
 
 def surroundings(robot: Object, *without: Object) -> Boxes:
-    """Return boxes around all objects except a robot, the objects that it holds, and the objects ``without``."""
+    """Return boxes around all objects except a robot, the objects that it holds, and the objects in ``without``."""
     clone = clone_of(robot.world, "reach")
     own = {robot, *held(robot), *without}
     return clone.all_boxes(body for body in robot.world.objects if body not in own)[0]
@@ -265,7 +265,7 @@ class ArmReach:
         points = points[(np.abs(across) < _LEVEL) | (across < _DOWN)]
         flat = points[:, :2] + base_T_root[:2, 3]
         distance = np.hypot(*flat.T)
-        self.radius = float(distance.max(initial=0.0))  # m, the largest reached distance from the robot's axis
+        self.radius = float(distance.max(initial=0.0))  # largest reached distance from the robot's axis, m
         self._low = float(points[:, 2].min(initial=0.0))
         shape = (int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1, int(self.radius / _CELL) + 1, _SECTORS)
         counts = np.zeros(shape)

@@ -46,7 +46,7 @@ class FoundPlace:
 
     position: Vector  # position of the robot's base or of the object, in the world, m
     orientation: Quaternion  # orientation of the robot's base or of the object, xyzw
-    arms: tuple[str, ...] = ()  # arms that reach the target from there, or that reach the place; empty without a target
+    arms: tuple[str, ...] = ()  # arms that reach the target from this place; for an object's place, arms that reach it
     score: float = 1.0  # score of the maps, 0 to 1
     surface: str = ""  # name of the surface below; "" for the ground
     #: Sides from which arms take the target object, by arm.
@@ -221,7 +221,7 @@ class Reasons:
         group[reason.group()] = count + 1, min(nearest, reason, key=lambda each: each.miss())
 
     def excluded_by_maps(self, constraint: str, *, alone: bool) -> None:
-        """Store the constraint that excluded all places of the maps; ``alone``: other constraints left places."""
+        """Store the constraint that excluded all places of the maps; ``alone``: without it, there would be places."""
         self._maps = _SURFACE.get(constraint, "")
         if not self._maps and alone and constraint.startswith(("near", "away-from", "side")):
             self._maps = f"there are places without {constraint}: change it or leave it out"

@@ -38,13 +38,13 @@ if TYPE_CHECKING:
 _SPOTS: Final = (30, 120, 120)  # number of places in a batch, by the number of batches since the last found place
 _AT_FIRST: Final = 4  # number of places that are checked together; it doubles, as an early place is often good
 _TRIES: Final = 40  # number of places of a batch that are checked one by one; if these fail, others probably fail, too
-_FEWER: Final = 16  # the same number if an arm has no closed form, because its search takes longer
+_FEWER: Final = 16  # number of places of a batch checked one by one if an arm has no closed form: searches are slow
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # turns in rad from the best heading, by batch
 _APART: Final = 0.07  # minimum distance in m between offered places
 _TRIED: Final = 0.02  # distance in m from rejected places within which no place is drawn
 _POOR: Final = 1e-3  # share of the best score below which places aren't drawn
 _HERE: Final = "where it stands"
-_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # angles of headings to the target
+_OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # angles from headings to the target
 _FACING: Final = 0.5  # share of the score that is lost if the target is at a right angle to the heading
 _SIGHT: Final = (0.6, 2.5)  # distance in m up to which the camera sees well, and the farthest distance of a place
 _ROOM: Final = 1.5  # largest distance in m to a point that the robot must be near
@@ -147,7 +147,7 @@ class StandingSearch(Search):
         self._offered: list[Vector] = list(avoid)  # offered places, and the places to avoid
         self._rejected: list[Vector] = []
         self._failed = 0  # number of batches without a place since the last place
-        self._batches = 1 if quickly else len(_SPOTS)  # number of such batches that ends the search
+        self._batches = 1 if quickly else len(_SPOTS)  # number of batches without a place after which the search ends
 
     def _next(self, batch: Batch, number: int) -> FoundPlace | None:
         spots = self._draw(batch, number)
@@ -354,7 +354,7 @@ class StandingSearch(Search):
 
 
 def _growing(spots: Sequence[Spot]) -> Iterator[Sequence[Spot]]:
-    """Yield parts of the places in order; the first part is small, and each following part is twice as long."""
+    """Yield the places in parts, in order; each part after the first is twice as long as the part before."""
     start, size = 0, _AT_FIRST
     while start < len(spots):
         yield spots[start : start + size]

@@ -31,8 +31,8 @@ def contact(object1: Object, object2: Object, world: BulletWorld | None = None, 
 def supporting(object1: Object, object2: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether the first object carries the second from below (thesis 4.4.7).
 
-    The normals of the contacts between them must point up. So a wall doesn't support an object that leans against it,
-    but a hook supports a cup that hangs on it.
+    The normals of the contacts between both objects must point up. A wall doesn't support an object that leans against
+    it, but a hook supports a cup that hangs on it.
 
     Returns:
         The answer. The evidence has the links and the normals of the support.
@@ -50,7 +50,7 @@ def supporting(object1: Object, object2: Object, world: BulletWorld | None = Non
 
 
 def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
-    """Return where two objects of one world touch, with gaps up to a margin in m; empty if they are the same object."""
+    """Return where two objects of one world touch, with gaps up to a margin in m; empty if both are the same object."""
     if a is b:
         return []  # the engine would report overlaps of a body with itself
     engine = a.world.engine

@@ -18,8 +18,8 @@ from recorder.records.fold import FoldedBody, FoldedWorld
 class _Copy:
     model: Model
     body: LoadedBody
-    original: FoldedBody | None = None  # the body whose state the copy has
-    version: int = -1  # version of the body's state
+    original: FoldedBody | None = None  # the body whose state was copied
+    version: int = -1  # version of the state that was copied
 
 
 @dataclass(slots=True)
@@ -32,11 +32,11 @@ class ContactClient:
     _known: dict[object, tuple[object, list[ClosestPoint]]] = field(default_factory=dict)  # latest results by pair
 
     def touch(self, world: FoldedWorld, one: tuple[str, str], other: tuple[str, str]) -> Touch:
-        """Return the nearest points of two bodies, or of links of these bodies; "" stands for all links."""
+        """Return the nearest points of two bodies, or of a link of each body; "" stands for all links."""
         bodies = world.bodies[one[0]], world.bodies[other[0]]
         key, state = (world.name, one[0], other[0]), tuple((id(body), body.version) for body in bodies)
         if self._known.get(key, (None,))[0] != state:
-            a, b = (self._placed(world, body) for body in reversed(bodies))  # a point carries the second body
+            a, b = (self._placed(world, body) for body in reversed(bodies))  # one point is enough to carry the body
             self._known[key] = state, self._client().closest_points(a, b, RANGE)
         near = [
             point for point in self._known[key][1] if one[1] in ("", point.link_b) and other[1] in ("", point.link_a)

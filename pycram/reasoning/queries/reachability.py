@@ -43,7 +43,7 @@ def reachable(
         threshold: m, largest distance between the link and a reached target.
         orientation: xyzw of the link at the target; None for any orientation.
         grasp: the side from which the link comes, instead of an orientation: "front", "top", "left" or "right".
-        collision_free: whether the robot must not touch any object.
+        collision_free: whether the robot may not touch any object.
 
     Raises:
         BadArgument: Both ``orientation`` and ``grasp`` are given.
@@ -127,14 +127,14 @@ def reachable_poses(
     collision_free: bool = False,
     ignoring: Sequence[Object] = (),
 ) -> Found[Verdict]:
-    """Answer :func:`reachable_pose` for many targets or many poses of the robot, in a fraction of the time.
+    """Answer :func:`reachable_pose` for many targets or many poses of the robot, much faster than one by one.
 
     Args:
-        poses: positions xyz in the world, m. One position is used for all bases, and one base for all positions;
-            otherwise the numbers of positions and bases must be equal.
+        poses: positions xyz in the world, m. One position may be used with several bases, and one base with several
+            positions; otherwise both numbers must be equal.
         bases: positions and orientations of the robot's base; None for its present pose.
         orientations: xyzw of the link at the targets, one for all or one for each; None for any orientation.
-        collision_free: whether the robot, with its base at each pose, must not touch any object.
+        collision_free: whether the robot, with its base at each pose, may not touch any object.
         ignoring: objects that the robot may touch, such as the object to grasp.
 
     Returns:
@@ -168,7 +168,7 @@ def reachable_poses(
 
 
 def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
-    """Return a choice of the first reached target, with the reasons why other targets aren't reached."""
+    """Return a choice of the first target that the robot reaches, with the reasons why other targets aren't reached."""
     considered = considering()
     for number, verdict in enumerate(verdicts, 1):
         reasons = verdict.considered.reasons() if verdict.considered is not None else []
@@ -201,7 +201,7 @@ def _reach(
     threshold: float,
     ignored: Sequence[Object] | None,
 ) -> Verdict:
-    """Return whether a robot reaches a target. It may touch the ``ignored`` objects; None for all objects."""
+    """Return whether a robot reaches a target. The robot may touch the ``ignored`` objects; None for all objects."""
     solver = Solver(robot, link)
     (postures,) = solver.search([(position, orientation, None)], thorough=ignored is not None, threshold=threshold)
     with _checker(robot, solver, ignored) as checker:
@@ -217,9 +217,9 @@ def _judge(
 ) -> Verdict:
     """Return whether a posture reaches the target (within ``threshold`` m) without a collision.
 
-    If the first posture doesn't reach the target, no posture does. Without a ``checker``, collisions don't matter. The
-    link ``oriented``, if it is given, has the same orientation in all postures. The evidence has the good posture, or
-    the first bad posture with its collisions.
+    If the first posture doesn't reach the target, no posture does. Without a ``checker``, collisions don't matter. If a
+    link ``oriented`` is given, it has the same orientation in all postures. The evidence has the good posture, or the
+    first bad posture with its collisions.
     """
     postures = [posture for posture in found if posture.reaches(threshold)]
     evidence = (postures or found)[0].evidence()
@@ -245,7 +245,7 @@ def _judge(
             }
         evidence.setdefault("obstacles", obstacles)
         if any(not constant.isdisjoint(info["links"]) for info in touched.values()):
-            break  # all other postures have the same collision
+            break  # all other postures would have the same collision
     return Verdict(False, evidence, considered=considered)
 
 
@@ -255,11 +255,11 @@ def blocking(
 ) -> Found[Object]:
     """Return the objects that a robot would touch if it reached for an object (thesis 4.4.6).
 
-    A plan would take the posture that touches least, so this posture is checked.
+    A plan would choose the posture with the least contact, so this posture is checked.
 
     Args:
         gripper_name: the link, usually a tool frame.
-        grasp: "front", "top", "left" or "right"; None for the side that touches least.
+        grasp: "front", "top", "left" or "right"; None for the side with the least contact.
 
     Returns:
         The touched objects, deepest first, except the target, held objects, and the floor below the robot. Furniture

@@ -2,14 +2,14 @@
 
 An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. The simulation ends early if
 the limit is exceeded, or if all relevant bodies are at rest and stand firmly: the center of mass of a body and of all
-bodies on it is well within the support polygon. The polygon contains the points where its underside and the tops of its
-supports overlap, and the contacts that friction holds. A ball never stands firmly, because only time shows whether it
-rolls.
+bodies on it is well within the support polygon. The support polygon contains the points where a body's underside and
+the tops of its supports overlap, and the contacts that friction holds. A ball never stands firmly, because only time
+shows whether it rolls.
 
-A clone is simulated, because PyBullet can't restore a world exactly. The clone finds contacts anew; in disorderly
-piles, one answer in 25 depends on contacts that the engine has kept. All bodies are simulated that could reach the
-object in time, robots only if a free body leans on them or if they are attached to the object. If there are many
-bodies, those that are at rest and stand firmly sleep until another body comes near.
+A clone is simulated, because PyBullet can't restore a world exactly. The clone computes contacts anew. In disorderly
+piles, one answer in 25 depends on contacts that the engine of the world has kept. All bodies that could reach the
+object in time are simulated. A robot is simulated only if a free body leans on it or if it is attached to the object.
+If there are many bodies, bodies that are at rest and stand firmly sleep until another body comes near.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ HORIZON: Final = 2 * STEPS_PER_SECOND  # number of steps in 2 s
 MOVED: Final = 0.01  # largest motion in m of a stable object
 TURNED: Final = math.radians(5)  # largest rotation of a stable object
 _PERIOD: Final = 6  # number of steps between samples of the speeds
-_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # samples after which a slow check of firm standing is made
+_DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # number of samples after which the slow check of firm standing is made
 _LEANING: Final = 0.005  # largest distance in m of a body that leans on a robot: a gap of 0.5 mm, and some settling
-_CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries
-_FLAT: Final = 0.002  # largest difference in m of heights between corners of one level
-_FRICTION: Final = 0.8  # largest slope of a contact as a share of the friction angle
+_CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries a body
+_FLAT: Final = 0.002  # largest difference in m between the heights of a body's corners that count as one level
+_FRICTION: Final = 0.8  # largest slope of a contact that counts as level, as a share of the friction angle
 _TILT: Final = math.radians(3)  # angle in rad by which a firm body can be tilted before it falls
 _MANY: Final = 24  # number of bodies without attachments above which bodies at rest sleep
 
@@ -58,8 +58,8 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether an object stays in place in a simulation (thesis 4.4.1).
 
     Returns:
-        False if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has the
-        motion in m and rad, the number of steps after which it exceeded a limit, and the number of simulated steps.
+        a false value if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has
+        the motion in m and rad, the number of steps after which it exceeded a limit, and the number of simulated steps.
     """
     if object.fixed:
         return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
@@ -127,7 +127,7 @@ def _participants(body: Object) -> list[Object]:
 
 
 def _reach(body: Object, free: Mapping[Object, Box]) -> float:
-    """Return the distance in m that any body can cover within the time: at the greatest speed, plus that of a fall."""
+    """Return the greatest distance in m that a body can cover within the time, from the greatest speed and a fall."""
     world = body.world
     strength = math.hypot(*world.gravity)
     down = [part / strength for part in world.gravity] if strength else [0.0, 0.0, 0.0]
@@ -160,11 +160,11 @@ def _simulate(
 ) -> Verdict:
     """Simulate until the answer is certain.
 
-    The speeds of ``movable`` bodies decide whether all is at rest; ``standing`` bodies must then stand firmly, as
-    ``firm`` returns. Without ``sleepers``, all bodies stay awake.
+    The simulation ends when the ``movable`` bodies are at rest and the ``standing`` bodies stand firmly, as ``firm``
+    returns. Without ``sleepers``, all bodies stay awake.
     """
     start = engine.pose(body)
-    speeds: list[list[float]] = []  # speeds of all bodies in each sample, as multiples of the speed of rest
+    speeds: list[list[float]] = []  # speeds of all bodies in each sample, as multiples of the limit for rest
     steps = 0
     moved = turned = 0.0
     while steps < HORIZON:
@@ -197,7 +197,7 @@ class _Sleepers:
 
     Args:
         standing: bodies that may sleep; they have no joints and no attachments.
-        steady: yields whether each of the given bodies stands firmly.
+        steady: yields, for each body that it is given, whether the body stands firmly.
     """
 
     def __init__(
@@ -227,7 +227,7 @@ class _Sleepers:
         self.asleep.update(body.id for body in rested)
 
     def wake(self) -> None:
-        """Wake all bodies. They wake in the engine's next step, so this step is made here, before later queries."""
+        """Wake all bodies. Bodies wake in the engine's next step, so this step is made here, before later queries."""
         for body in (*self._standing.values(), *self._fixed):
             self._engine.sleep(body, asleep=False)
         self._engine.step(1)
@@ -247,7 +247,7 @@ class Solid:
         self._names = {index: link for link, index in body.links.items()}
 
     def link(self, contact: Contact) -> str:
-        """Return the link of this body that carries another body; the contact is that of the other body."""
+        """Return the link of this body that carries another body; ``contact`` is a contact of the other body."""
         return self._names[contact.other_link]
 
     def corners(self, link: str | None = None) -> Points:
@@ -288,9 +288,9 @@ class SolidPart(Solid):
 def stand_firmly(
     engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[LoadedBody], gravity: Vector
 ) -> Iterator[bool]:
-    """Yield whether each body stands firmly; False also if it isn't certain.
+    """Yield whether each body stands firmly; the answer is False if that isn't certain.
 
-    The engine has just simulated the bodies. Bodies that aren't in ``standing`` are immovable supports.
+    The bodies must have been simulated immediately before. Bodies that aren't in ``standing`` are immovable supports.
     """
     strength = math.hypot(*gravity)
     if not strength:
@@ -342,8 +342,8 @@ def _support(
 ) -> Points:
     """Return points (n, 3) of a body's supports in the levelled frame; their hull is the support polygon.
 
-    The corners (n, 3) of the body, ``underside``, and of each support, in ``tops`` with the contacts, are in this
-    frame.
+    This frame is also used for the corners (n, 3) of the body, ``underside``, and of each support, in ``tops`` with the
+    contacts.
     """
     parts = []
     for top, contacts in tops:

@@ -39,7 +39,7 @@ _FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of v
 _MAX_NAMES: Final = 250  # maximum number of named objects in a picture
 _MARGIN: Final = 0.05  # margin around the object as a share of the part's size
 _RAY: Final = 1e-3  # half the width of a ray at a distance of 1 m
-_AT: Final = 0.05  # distance in m in front of a point within which objects, such as a board, don't hide the point
+_AT: Final = 0.05  # distance in m in front of a point; objects within it, such as a board, don't hide the point
 
 
 @query
@@ -60,8 +60,8 @@ def visible(
         threshold: share of the object's pixels above which the object is visible.
 
     Returns:
-        The answer. The evidence has the share, the pixels, the share outside of the picture, the hiding objects, and
-        the link that hides most for each hiding object with several links.
+        The answer. The evidence has the share, the pixels, the share outside of the picture, and the hiding objects. If
+        such an object has several links, it also has the link that hides most.
 
     Raises:
         NoWorld: The camera is the name of a frame, but the world has no robot.
@@ -91,15 +91,15 @@ class View:
     """A camera's view of an object."""
 
     share: float  # share of the object's pixels that the camera sees, 0 to 1
-    alone: int  # number of the object's pixels without other objects and without the picture's border
+    alone: int  # number of the object's pixels if nothing hid the object and the picture had no border
     seen: int  # number of the object's pixels that the camera sees
     hiding: Mapping[str, float]  # share of the object's pixels that each hiding object hides, largest first
     reason: str = ""  # why the camera sees nothing of the object
     outside: float = 0.0  # share of the object's pixels outside of the picture
-    #: The link that hides most, for each hiding object with several links.
+    #: For each hiding object with several links, the link that hides most.
     links: Mapping[str, str] = field(default_factory=dict)
     bodies: Sequence[str] = ()  # names of the object and of the objects in front of it; empty without a picture
-    # (height, width) the picture; a pixel is n for the n-th body, or 0
+    # (height, width) the picture; a pixel has the number n of the n-th body, or 0
     pixels: NDArray[np.uint8] | None = None
 
     def picture(self) -> Picture | None:
@@ -130,7 +130,7 @@ def _camera(given: object, target: Object, robot: Object | None) -> Camera:
     else:
         eye = checks.vector("camera position", parts)
         aim = center(target)
-        inside = math.dist(eye, aim) < NEAR  # the camera sees nothing in any direction
+        inside = math.dist(eye, aim) < NEAR  # a camera with this position sees nothing in any direction
         pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, aim))
     return Camera(pose, _FIELD, _FIELD)
 
@@ -189,7 +189,7 @@ def _pixels(
         before.depth < alone.depth, before.bodies + 1, alone.bodies
     )  # the number 0 stands for the object, -1 for no object
     near = [int(owner) for owner in distinct(owners) if owner > 0][:_MAX_NAMES]
-    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # numbers by owner; the last number is for owner -1, no object
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # numbers by owner; the last is for owner -1: no object
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
     return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]
