@@ -82,7 +82,7 @@ clean:
 	rm -rf .venv .venv-lowest .venv-reading .venv-lerobot dist build site
 
 .venv/ready: pyproject.toml
-	@.ci/environment .venv '.[executor,viewer]'
+	@.ci/environment .venv '.[all]'
 	@touch $@
 
 .venv/ready-dev: pyproject.toml

@@ -28,6 +28,7 @@ _EXTRAS: Final = {
         "render": ("PIL", "jinja2"),
         "viewer": ("pyarrow", "rerun", "rerun_cli", "rerun_sdk"),
         "runs": ("duckdb",),
+        "test": ("pytest",),
         "video": ("av",),
         "ray": ("ray", "fsspec"),
     }.items()

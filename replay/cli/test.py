@@ -6,6 +6,7 @@ import argparse
 import subprocess
 import sys
 
+from recorder.packages import require
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
 from replay.cli.minimise import add_output, output
@@ -32,6 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Write the test, and run it once."""
+    require("pytest")
     from replay.fix import written_test  # noqa: PLC0415  needs the executor
     from replay.retrace.guided_run import spec_of  # noqa: PLC0415  as above
     from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415  as above

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pycram.foundation.failures import PycramError
-from pycram.vision import Camera, Drawable, Rendering
 from recorder import geometry
 from recorder.geometry import Pose, Quaternion, Vector
 from recorder.packages import needed
@@ -34,7 +33,7 @@ with needed("render"):
     from PIL import Image
 
     from pycram.models.shapes import shapes_of
-    from pycram.vision import Camera, Window, drawable_link
+    from pycram.vision import Camera, Drawable, Rendering, Window, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
 
 _FIELD_OF_VIEW: Final = math.radians(60)  # default horizontal field of view

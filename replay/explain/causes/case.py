@@ -307,8 +307,8 @@ class FailureCase:
         task = next((each for each in tasks if each.kind in ("motion", HANDLER)), tasks[0] if tasks else None)
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
         handler = next((each for each in tasks if each.kind == HANDLER), None)
-        if task is not None and task is handler:
-            stack = because.call_stack or stack  # the line of the handler
+        if task is not None and task.kind != "motion":
+            stack = because.call_stack or stack  # the line of the handler or branch that made the change itself
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork

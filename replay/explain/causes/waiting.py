@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal,
 from recorder.tasks import Node, State, Tree
 from replay.errors import NoSuchName
 from replay.explain.causes import trials
-from replay.explain.causes.case import Cause, FailureCase, objects_in
+from replay.explain.causes.case import Cause, CausingChange, FailureCase, objects_in
 from replay.explain.causes.raised import answers
 from replay.history.source import Line
 from replay.history.tasks import INTERRUPT
@@ -31,6 +32,8 @@ _SETTERS: Final = ("set_value", "pulse")
 _SIMULATED_TIME: Final = "simulated"  # ``clock`` of a timeout in simulated time
 _MAX_TOOK: Final = 3
 _NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the signal
+_FOLLOWS: Final = re.compile(r"(pose|position|joint|holding|contact) of ")  # a fluent of the world; no plan sets it
+_JOINTS: Final = re.compile(r"joint of (\S+) of ([^\s)]+)")
 _MAX_NAMED: Final = 3  # at most this many pending tasks are named
 
 
@@ -43,6 +46,7 @@ class Fulfiller:
     step: int | None = None  # step of the task's last record that set the fluent; None without a record
     failed: Node | None = None  # the last failed motion in the task
     refused: Refusal | None = None  # the last refusal in the task
+    sure: bool = True  # whether the line is known to set this fluent; otherwise it sets a fluent under another name
 
     def __str__(self) -> str:
         if self.failed is not None and self.failed is self.task:
@@ -50,7 +54,8 @@ class Fulfiller:
             return f"{phrases.node(self.failed)} could have set it, but failed at step {self.failed.last_step}: {error}"
         if self.line is not None:
             inside = f"{self.line.function} at " if self.line.function not in ("", "<module>") else ""
-            text = f"{inside}{phrases.place(self.line)} sets it: {phrases.short(self.line.text)}"
+            sets = "sets it" if self.sure else "perhaps sets it"
+            text = f"{inside}{phrases.place(self.line)} {sets}: {phrases.short(self.line.text)}"
         elif self.task is not None:
             text = f"{phrases.node(self.task)} could have set it"
         else:
@@ -111,7 +116,7 @@ class PendingTask:
             yield from map(str, self.fulfillers)
             if not self.fulfillers:
                 leaves = " or ".join(self.values) or self.task.name
-                yield f"no record shows a setter of {leaves}, and none was found in the plan's source"
+                yield f"no record shows a setter of {leaves}, and no line of the plan's source sets a fluent by name"
         elif self.holders:
             holders = [f"{phrases.node(task)} (since step {task.started.seq})" for task in self.holders]
             yield f"{phrases.node(self.task)} waited for {phrases.names(holders)}{phrases.at(self.line)}"
@@ -148,6 +153,7 @@ class Timeout(Cause):
     line: Line | None  # the plan's line at the stop
     took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first by the limit's clock
     simulated: tuple[SimulatedLine, ...] = ()  # lines with the longest simulations, for a limit in simulated time
+    joints: tuple[tuple[float, CausingChange], ...] = ()  # positions and last changes of joints, awaited in a deadlock
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
@@ -167,7 +173,8 @@ class Timeout(Cause):
             tree = _tree(case, case.step + 1)
             waits = _stopped(tree, tree.nodes[case.task.id] if case.task is not None else None)
             pending = tuple(_pending(case, node, tree, case.step) for node in waits if node.kind == "wait")
-            yield from [_timeout(case, 0, "", pending, (), None)] if pending else []
+            moved = tuple(_awaited_joints(case))
+            yield from [_timeout(case, 0, "", pending, (), None, joints=moved)] if pending or moved else []
             return
         for wait in list(answers(case))[-1:]:
             if isinstance(wait, Task) and from_json(wait.result_json) is False:
@@ -192,6 +199,9 @@ class Timeout(Cause):
         yield f"{limit} {_doing(self.pending)}{phrases.at(self.line)}"
         for pending in self.pending:
             yield from pending.details()
+        for position, change in self.joints:
+            now = phrases.number(position)
+            yield f"a branch waits for {change.joint} of {change.body}, which is at {now}; {change.row}"
         if self.took and not any(pending.task.kind == "wait" for pending in self.pending):
             times = ((task, round(_duration(task, self.clock) * 1e9)) for task in self.took)
             took = [f"{phrases.node(task)} {phrases.seconds(time_ns)}" for task, time_ns in times if time_ns]
@@ -305,6 +315,15 @@ def _excluded(case: FailureCase, condition: str) -> str:
     return f"{joint[1]} of {joint[2]} goes from {span}, so it never becomes true"
 
 
+def _awaited_joints(case: FailureCase) -> Iterator[tuple[float, CausingChange]]:
+    """Yield the positions of the joints that the message of a deadlock names, with their last changes."""
+    for joint, name in dict.fromkeys(_JOINTS.findall(case.failure.message)):
+        body = case.world.bodies.get(name) if case.world is not None else None
+        change = case.changed(f"{name}.{joint}")
+        if body is not None and change is not None and joint in body.joints:
+            yield body.joints[joint], change
+
+
 def _values(
     case: FailureCase, leaves: Mapping[str, Plain], start: int, step: int
 ) -> tuple[dict[str, Plain], tuple[int, ...]]:
@@ -322,15 +341,17 @@ def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step
     found = False
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
+        if _FOLLOWS.match(name):
+            continue
         record = last.get(name)
         lines = ((file, line) for file in case.source.files for line in _setters(case.source.text(file), name))
-        for file, number in lines:
+        for file, (number, sure) in lines:
             line = case.source.line(file, number)
             task = _task_of(tree, line.function, step) if line is not None else None
             failed = _failed_in(case, task)
             done = record.seq if record is not None and task is not None and _is_in(record.task, task) else None
             found = True
-            yield Fulfiller(line, task, done, failed, _refused_in(case, task, step))
+            yield Fulfiller(line, task, done, failed, _refused_in(case, task, step), sure)
     if found:
         return
     for record in last.values():
@@ -355,22 +376,32 @@ def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
 
 
 @lru_cache(maxsize=64)
-def _setters(text: str, name: str) -> tuple[int, ...]:
-    """Return the numbers of the lines that set a fluent via its variable."""
+def _setters(text: str, name: str) -> tuple[tuple[int, bool], ...]:
+    """Return the numbers of the lines that set a fluent, and whether the variable shows that it is this fluent.
+
+    A variable that holds another fluent is left out. Other variables may be parameters for any fluent.
+    """
     nodes = syntax_nodes(text)
-    variables = set()
+    named: dict[str, set[str]] = defaultdict(set)  # names of the fluents in each variable
     for node in nodes:
-        if (
-            isinstance(node, ast.Assign)
-            and isinstance(node.value, ast.Call)
-            and _last_name(node.value.func) == "Fluent"
-        ):
-            given = [*node.value.args[1:2], *(each.value for each in node.value.keywords if each.arg == "name")]
-            if any(isinstance(each, ast.Constant) and each.value == name for each in given):
-                variables |= {_last_name(target) for target in node.targets}
-    calls = (node for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute))
-    setters = (node for node in calls if isinstance(node.func, ast.Attribute) and node.func.attr in _SETTERS)
-    return tuple(node.lineno for node in setters if _last_name(node.func.value) in variables)  # type: ignore[attr-defined]
+        for target in node.targets if isinstance(node, ast.Assign) else ():
+            for variable, value in _assigned(target, node.value):  # type: ignore[attr-defined]
+                if isinstance(value, ast.Call) and _last_name(value.func) == "Fluent":
+                    given = [*value.args[1:2], *(each.value for each in value.keywords if each.arg == "name")]
+                    named[variable] |= {str(each.value) for each in given if isinstance(each, ast.Constant)}
+    calls = (node.func for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute))
+    setters = [(call.lineno, named.get(_last_name(call.value))) for call in calls if call.attr in _SETTERS]
+    sure = [(line, True) for line, fluents in setters if fluents and name in fluents]
+    return tuple(sure or [(line, False) for line, fluents in setters if not fluents])
+
+
+def _assigned(target: ast.expr, value: ast.expr) -> Iterator[tuple[str, ast.expr]]:
+    """Yield the variables of an assignment with their expressions."""
+    if isinstance(target, ast.Tuple | ast.List) and isinstance(value, ast.Tuple | ast.List):
+        for each, of in zip(target.elts, value.elts, strict=False):
+            yield from _assigned(each, of)
+    else:
+        yield _last_name(target), value
 
 
 def _last_name(node: ast.expr) -> str:
@@ -443,8 +474,9 @@ def _timeout(
     took: tuple[Node, ...],
     line: Line | None,
     simulated: tuple[SimulatedLine, ...] = (),
+    joints: tuple[tuple[float, CausingChange], ...] = (),
 ) -> Timeout:
     limit = float(seconds) if isinstance(seconds, int | float) else 0.0
     steps = {case.step, *(step for each in doing for step in each.steps()), *(node.last_step for node in took)}
-    steps |= {each.steps[-1] for each in simulated}
-    return Timeout(tuple(sorted(steps)), limit, clock, doing, line, took, simulated)
+    steps |= {each.steps[-1] for each in simulated} | {change.step for _, change in joints}
+    return Timeout(tuple(sorted(steps)), limit, clock, doing, line, took, simulated, joints)

@@ -150,6 +150,7 @@ def test_of_folders_too(tmp_path: Path) -> None:
         replay("view", runs, "--save", out): (("rerun", "rerun_cli", "rerun_sdk"), "view", "viewer"),
         replay("export", runs, "--to", "lerobot", out, "--images"): (("av",), "export", "video"),
         replay("sql", runs, "select 1"): (("duckdb",), "sql", "runs"),
+        replay("test", LOGS[0], "-o", out): (("pytest",), "test", "test"),
     }
     for call, (hidden, verb, extra) in calls.items():
         (printed,) = run(call, hidden=hidden)

@@ -67,6 +67,33 @@ def test_a_deadlock_tells_the_fluent_its_value_and_who_sets_it(explained: Callab
     assert next(cause.lines()) == "in a deadlock, the plan was waiting for held == 1 in leave"
 
 
+def test_a_deadlock_tells_a_setter_with_another_name_and_the_joint_that_moved_too_little(
+    explained: Callable[..., Why], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A function sets its parameter, and one assignment makes two fluents."""
+    explained("""
+        from pycram.fluents.world import joint
+        from pycram.fluent import whenever
+        from pycram.language import pursue
+        robot = Object("pr2", "robot", "pr2.urdf")
+        high, seen = (joint(robot, "torso_lift_joint") > 0.2).rising(), Fluent(name="seen")
+        def watch(signal, flag):
+            for _ in whenever(signal):
+                flag.set_value(True)
+        def lift():
+            robot.set_joint_position("torso_lift_joint", 0.1)
+            seen.wait_for()
+        with pursue as s:
+            s(watch, high, seen)
+            s(lift)
+    """)
+    said = words(tmp_path, capsys)
+    setter, lifting = line_of(tmp_path, "flag.set_value"), line_of(tmp_path, "set_joint_position")
+    assert f"watch at plan.py:{setter} perhaps sets it: flag.set_value(True)" in said
+    assert "a branch waits for torso_lift_joint of pr2, which is at 0.1; step" in said
+    assert f"pr2.torso_lift_joint was moved, by lift branch, at plan.py:{lifting}" in said.replace(f"{tmp_path}/", "")
+
+
 def test_a_wait_for_more_than_a_joint_can_do_tells_its_limits(
     explained: Callable[..., Why], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
