@@ -47,6 +47,7 @@ _UP: Final = (0.0, 0.0, 1.0)  # upward direction, in the world
 _DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)))  # lengths of detours in m
 _SAMPLES: Final = 15  # checks per second for contacts between moving parts of a robot
 _THERE: Final = 0.01  # maximum distance in rad or m of joints from their goal in an arm that needn't move
+_PATIENCE: Final = 5  # budget of the last search for a path, as a multiple of the usual budget
 _SAME: Final = 1e-4  # maximum difference in rad or m of equal joint positions
 
 
@@ -179,21 +180,22 @@ class ContinuousExecution(Execution):
         """Move the joints around obstacles. Without a path, move one arm after another, or draw each hand back first.
 
         After a cancelled placement, an object may be between the fingers. Path searches often miss the narrow way out
-        of such a place.
+        of such a place. The last search has a larger budget: between open drawers, no other motion frees an arm.
         """
         now = robot.get_joint_positions()
         away = [joint for joint, at in _unwound(robot, [positions])[0].items() if abs(at - now[joint]) > _THERE]
         arms = robot.description.arms.values() if robot.description else ()
         moving = [arm for arm in arms if not set(arm.joints).isdisjoint(away)]
         failure: NoPath | None = None
-        for back in (False, True):
+        orders = list(itertools.permutations(moving)) if len(moving) > 1 else []
+        for back, patience in ((False, 1), (True, 1), (False, _PATIENCE)):
             lines = [line for arm in moving if back and (line := self._line_back(robot, arm)) is not None]
             if back and not lines:
-                break
+                continue
             start = {joint: at for line in lines for joint, at in line[-1].items()}
-            for order in (None, *(itertools.permutations(moving) if len(moving) > 1 else ())):
+            for order in orders if orders and patience > 1 else (None, *orders):
                 try:
-                    steps = _in_turn(robot, positions, order, start)
+                    steps = _in_turn(robot, positions, order, start, patience)
                 except NoPath as no_path:
                     failure = failure or no_path
                 else:
@@ -324,7 +326,11 @@ def level(robot: Object, arm: Arm) -> bool:
 
 
 def _in_turn(
-    robot: Object, positions: Mapping[str, float], order: Sequence[Arm] | None, start: Mapping[str, float]
+    robot: Object,
+    positions: Mapping[str, float],
+    order: Sequence[Arm] | None,
+    start: Mapping[str, float],
+    patience: int,
 ) -> list[Step]:
     """Return steps that move joints from a start to positions: all together, or one arm after another.
 
@@ -338,7 +344,7 @@ def _in_turn(
         parts = [of_arms[0] | others, *of_arms[1:]]
     steps = []
     for part in parts:
-        plan = partial(_upright, robot, partial(planning.joint_motion, robot, part), start=start)
+        plan = partial(_upright, robot, partial(planning.joint_motion, robot, part, patience=patience), start=start)
         steps.append(_following(robot, plan))
         start = {**start, **part}
     return steps

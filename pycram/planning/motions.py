@@ -61,6 +61,7 @@ def joint_motion(
     ignored: Iterable[Object] = (),
     ignored_links: Collection[tuple[Object, str]] = (),
     seed: int | None = None,
+    patience: int = 1,
 ) -> PlannedMotion:
     """Return a motion of joints to a goal. The robot and held objects touch only what they touch at the start.
 
@@ -72,13 +73,14 @@ def joint_motion(
         ignored: objects that aren't obstacles.
         ignored_links: objects with links that aren't obstacles.
         seed: seed of the search; None for the run's seed.
+        patience: budget of the search, as a multiple of :data:`pycram.planning.path.MAX_CHECKS` checks.
 
     Raises:
         UnknownName: The robot has no such joint.
         BadArgument: A position isn't a number, or joints that mimic each other have contradictory positions.
         JointLimitError: The goal is outside a joint's limits.
         PostureInCollision: The robot would touch something at the goal.
-        NoPath: The search found no path within :data:`pycram.planning.path.MAX_CHECKS` checks.
+        NoPath: The search found no path within its budget.
     """
     ignored = list(ignored)
     wanted = coupled(robot, checked_positions(robot, goal))
@@ -99,9 +101,10 @@ def joint_motion(
                 choice.reject(path.STRAIGHT, Touching(touched))
                 raise PostureInCollision(moved.arms, list(dict.fromkeys(pair.body for pair in touched)), touched)
             rates = joint_rates(robot, moved.searched)
-            query = path.Query(moved.name, moved.searched, moved.space(), moved.start, moved.goal, rates, seed)
+            space, ends = moved.space(), (moved.start, moved.goal)
+            query = path.Query(moved.name, moved.searched, space, *ends, rates, seed, patience=patience)
             failures = _failures.setdefault(robot, {})
-            situation = _situation(robot, query.drawn_seed(1), choice.forced, now, ignored, ignored_links)
+            situation = _situation(robot, query.drawn_seed(1), patience, choice.forced, now, ignored, ignored_links)
             try:
                 found = path.find_path(query, clearance, choice, failures.get(situation))
             except NoPath as no_path:

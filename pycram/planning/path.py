@@ -47,6 +47,7 @@ class Query:
     rates: Rates  # limits of the motion
     seed: int | None  # seed of the search; None for the run's seed
     wider: Space | None = None  # space of the second search; None for the same space
+    patience: int = 1  # budget as a multiple of MAX_CHECKS
 
     def drawn_seed(self, attempt: int) -> int:
         """Return the seed of an attempt, from 1 to 2**31. It depends only on the run's seed and the query."""
@@ -66,6 +67,7 @@ class Path:
     planner: str  # STRAIGHT or RRT_CONNECT
     seed: int  # seed of the successful search; 0 without a search
     attempts: int  # number of searches
+    budget: int  # maximum number of checked configurations
     way_points: Array  # (n, d) configurations of the path before timing
     knots: Knots  # knots of the timed path
 
@@ -84,12 +86,13 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
     reached = [query.start]  # the start, then the nearest configuration of each search
-    rooms = (True, query.space, MAX_CHECKS // 2), (False, query.wider or query.space, MAX_CHECKS)
+    most = query.patience * MAX_CHECKS
+    rooms = (True, query.space, most // 2), (False, query.wider or query.space, most)
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
         if touch is None and choice.admits(STRAIGHT):
             choice.take(STRAIGHT, checks=clearance.checks)
-            return Path(STRAIGHT, 0, len(reached) - 1, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
+            return Path(STRAIGHT, 0, len(reached) - 1, most, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
         if touch is not None:
             choice.reject(STRAIGHT, Touching([touch]))
         if not choice.admits(RRT_CONNECT):
@@ -99,7 +102,7 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
             attempts = len(reached) - 1
             knots = _timed(query, clearance, found, fine)
             choice.take(RRT_CONNECT, checks=clearance.checks, attempts=attempts)
-            return Path(RRT_CONNECT, query.drawn_seed(attempts), attempts, found, knots)
+            return Path(RRT_CONNECT, query.drawn_seed(attempts), attempts, most, found, knots)
     if failure is None:
         distances = query.space.distance(np.array(reached), query.goal)
         nearest, goal = (query.named(row) for row in (reached[int(np.argmin(distances))], query.goal))
@@ -176,7 +179,7 @@ def search_record(found: Path, checks: int, way_points: Array) -> records.PathSe
         seed=found.seed,
         attempts=found.attempts,
         checks=checks,
-        max_checks=MAX_CHECKS,
+        max_checks=found.budget,
         way_points=way_points.ravel().tolist(),
     )
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
@@ -61,6 +62,13 @@ def nearest_turns(start: Array, goal: Array, lower: Array, upper: Array) -> Arra
     return np.where(other, turned, goal)
 
 
+@cache
+def _spread(count: int) -> list[int]:
+    """Return the numbers below a count in the order of their reversed bits, which covers them coarsely first."""
+    bits = max(1, (count - 1).bit_length())
+    return sorted(range(count), key=lambda number: int(f"{number:0{bits}b}"[::-1], 2))
+
+
 class Clearance:
     """Checks whether configurations are free of collisions, and counts these checks.
 
@@ -107,11 +115,9 @@ class Clearance:
         """Return whether configurations (n, d) are free; configurations spread over the rows are checked first."""
         if not len(rows):
             return True
-        bits = max(1, (len(rows) - 1).bit_length())
-        # indices with reversed bits cover the rows coarsely first
-        spread = rows[sorted(range(len(rows)), key=lambda number: int(f"{number:0{bits}b}"[::-1], 2))]
+        spread = rows[_spread(len(rows))]
         starts = (0, *range(_FIRST_BATCH, len(rows), _BATCH), len(rows))
-        return not any(True for part in pairwise(starts) for _ in self._touched(spread[slice(*part)]))
+        return not any(self._touches(spread[slice(*part)]) for part in pairwise(starts))
 
     def last_free(self, start: Array, rows: Array) -> Array:
         """Return the configuration (d,) before the first of (n, d) that isn't free."""
@@ -124,8 +130,9 @@ class Clearance:
     def first_touch(self, rows: Array) -> CollisionPair | None:
         """Return the touching pair of the first configuration of (n, d) that isn't free; None if all are free."""
         for begin in range(0, len(rows), _BATCH):
-            for pair, depth in self._touched(rows[begin : begin + _BATCH]):
-                return self._checker.named(pair, max(depth, 0.0))
+            for candidate, pairs in self._candidates(rows[begin : begin + _BATCH]):
+                for pair, depth in self._touched(candidate, pairs):
+                    return self._checker.named(pair, max(depth, 0.0))
         return None
 
     def worst(self, count: int) -> list[CollisionPair]:
@@ -134,22 +141,31 @@ class Clearance:
             self._checker.named(pair, max(self._deepest[pair], 0.0)) for pair, _ in self.blocking.most_common(count)
         ]
 
-    def _touched(self, rows: Array) -> Iterable[tuple[Pair, float]]:
-        """Yield a colliding pair for each configuration (n, d) that isn't free, and its depth in m.
+    def _touches(self, rows: Array) -> bool:
+        """Return whether a configuration of (n, d) isn't free. Own links come last: most edges end at objects."""
+        self.checks += len(rows)
+        candidates = self._predict(rows)
+        found = [(each, self._checker.pairs(each)) for each in candidates]
+        found.sort(key=lambda each: self._last not in each[1])
+        return any(True for each in found for _ in self._touched(*each)) or any(
+            True
+            for each, own in zip(candidates, self._checker.self_pairs(candidates), strict=True)
+            for _ in self._touched(each, own)
+        )
+
+    def _touched(self, candidate: PostureCandidate, pairs: Sequence[Pair]) -> Iterator[tuple[Pair, float]]:
+        """Yield the first of some pairs that collides in a configuration, and its depth in m.
 
         The depth is negative for a pair that is too near but doesn't touch.
         """
-        for candidate, pairs in self._candidates(rows):
-            if self._last in pairs:  # the last pair is often in the way again
-                pairs.insert(0, self._last)
-            for pair in pairs:
-                depth = self._checker.depth(candidate, pair)
-                if depth > self._allowed_depth(pair):
-                    self._last = pair
-                    self.blocking[pair] += 1
-                    self._deepest[pair] = max(depth, self._deepest.get(pair, 0.0))
-                    yield pair, depth
-                    break
+        for pair in sorted(pairs, key=lambda each: each != self._last):  # the last pair is often in the way again
+            depth = self._checker.depth(candidate, pair)
+            if depth > self._allowed_depth(pair):
+                self._last = pair
+                self.blocking[pair] += 1
+                self._deepest[pair] = max(depth, self._deepest.get(pair, 0.0))
+                yield pair, depth
+                return
 
     def _candidates(self, rows: Array) -> list[tuple[PostureCandidate, list[Pair]]]:
         """Return candidates for configurations (n, d), each with the pairs that may touch."""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _NEAR: Final = 0.005  # minimum distance in m between bodies, plus the distance that a link covers in the interval
 _ALONG: Final = 0.05  # maximum distance in m between the boxes of two moving links that may move together
-_RIGID: Final = (1e-3, 1e-2)  # largest relative motion in m and rad of links that move together
+_RIGID: Final = (5e-3, 5e-2)  # largest relative motion in m and rad of links that move together
 
 
 class Coasting:

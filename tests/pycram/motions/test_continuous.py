@@ -125,9 +125,19 @@ def test_arms_move_one_after_another_where_no_path_for_both_is_found(
     for arm in ("left", "right"):
         joints = robot.description.arm(arm).joints
         assert [robot.get_joint_position(name) for name in joints] == pytest.approx(park_raised(arm), abs=2e-3)
+    budgets: list[int] = []
+
+    def patient(robot: Object, goal: Mapping[str, float], *, patience: int, **options: Any) -> planning.PlannedMotion:
+        budgets.append(patience)
+        if patience == 1:
+            raise NoPath("left arm", goal, 1, {}, 0.0, [])
+        return find(robot, goal, patience=patience, **options)
+
+    monkeypatch.setattr(planning, "joint_motion", patient)
     begun = shared_scene.sim_step
     perform(type="move-arm-joints", left_arm="park")
     assert together > 1.5 * seconds(shared_scene, begun)
+    assert budgets == [1, 1, 5], "from here, from where the hand is drawn back to, and longer"
 
 
 @pytest.mark.slow

@@ -54,7 +54,9 @@ def test_without_obstacles_the_path_is_straight(arm: Object) -> None:
 
 
 @pytest.mark.slow
-def test_the_arm_goes_around_obstacles(pillar: Object, arm: Object, sink: MemorySink) -> None:
+def test_the_arm_goes_around_obstacles(
+    pillar: Object, arm: Object, sink: MemorySink, monkeypatch: pytest.MonkeyPatch
+) -> None:
     before = [take_snapshot(body) for body in arm.world.objects]
     planned = joint_motion(arm, LEFT)
     assert [take_snapshot(body) for body in arm.world.objects] == before
@@ -67,6 +69,11 @@ def test_the_arm_goes_around_obstacles(pillar: Object, arm: Object, sink: Memory
     assert "would touch pillar" in rejections(query)
     evidence = {argument.name: json.loads(argument.json) for argument in query.evidence}
     assert evidence["checks"] == planned.search.checks <= path.MAX_CHECKS
+    monkeypatch.setattr(path, "MAX_CHECKS", 60)
+    with pytest.raises(NoPath):
+        joint_motion(arm, LEFT)
+    patient = joint_motion(arm, LEFT, patience=100)
+    assert path.MAX_CHECKS < patient.search.checks <= patient.search.max_checks == 100 * path.MAX_CHECKS
     assert deepest(arm, planned, 240) < 5e-3
 
 
