@@ -12,7 +12,7 @@ import math
 import struct
 from bisect import bisect_right
 from collections import OrderedDict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
@@ -107,7 +107,6 @@ class Chunks:
                 del cache[key]
         self._cached = sum(entries.size for entries in self._cache.values())
         self._kinds = kinds_of(self._index)
-        self._decoders = {channel: kind.FromString for channel, kind in self._kinds.items()}
         metadata = {channel: self._index.channels[channel].metadata for channel in self._kinds}
         self._worlds = {channel: values.get("world") for channel, values in metadata.items()}
         self._owners = {channel: _owner(values) for channel, values in metadata.items()}
@@ -153,18 +152,6 @@ class Chunks:
             record = self._decode(number, entries, at)
             if record is not None and (world is None or record.world == world):
                 yield record
-
-    def whole(self, number: int) -> Iterable[Record]:
-        """Return all records of a chunk without the cache, for a pass over the whole recording."""
-        entries, decoders = self._load(number), self._decoders
-        if entries.size > _CACHED_BYTES:
-            return self.records(number)
-        try:
-            return [
-                decoders[channel](payload) for channel, payload in zip(entries.channels, entries.payloads, strict=True)
-            ]
-        except DecodeError:
-            return list(self.records(number))
 
     def misplaced(self, number: int, record: Record) -> None:
         """Add the impossible step of a record to the known damage of its chunk."""

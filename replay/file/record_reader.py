@@ -240,7 +240,7 @@ class RecordReader:
         if start >= end:
             return
         for number in range(self.chunk_of(start), self.chunk_of(end - 1) + 1):
-            for record in self._chunks.whole(number) if kind is None else self._chunks.records(number, kind):
+            for record in self._chunks.records(number, kind):
                 if start <= record.seq < end:
                     yield record
                 elif not 0 <= record.seq < self._steps:
