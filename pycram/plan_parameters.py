@@ -75,11 +75,7 @@ def giving(values: Mapping[str, Any]) -> Iterator[None]:
 
 
 def fitting(name: str, value: Any, default: Any) -> Any:
-    """Convert a parameter's value to the type of its default.
-
-    Raises:
-        BadArgument: The value has another type.
-    """
+    """Convert a parameter's value to the type of its default; raise BadArgument if the value has another type."""
     if default is None or default is ANY or type(value) is type(default):
         return value
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
@@ -134,11 +130,7 @@ def check(plan: Path, values: Mapping[str, Any]) -> None:
 
 
 def arguments_of_main(plan: Path, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values that are arguments of the plan's main function.
-
-    Raises:
-        SyntaxError: The file isn't Python.
-    """
+    """Return the values that are arguments of the plan's main function; raise SyntaxError if the file isn't Python."""
     if not values:
         return {}
     of_main = dict(_of_main(ast.parse(plan.read_bytes(), str(plan))))
@@ -146,11 +138,7 @@ def arguments_of_main(plan: Path, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def value_of(text: str) -> tuple[str, Any]:
-    """Parse ``name=value``; the value is JSON or plain text.
-
-    Raises:
-        BadArgument: The text has another form.
-    """
+    """Parse ``name=value``; the value is JSON or plain text; raise BadArgument if the text has another form."""
     name, value = split("set", text, "name=value")
     return name, parsed(value)
 
@@ -257,11 +245,7 @@ def listed(text: str) -> tuple[str, list[Any]]:
 
 
 def sampled(text: str) -> tuple[str, str]:
-    """Parse ``name=uniform(a,b)``.
-
-    Raises:
-        BadArgument: The text has another form.
-    """
+    """Parse ``name=uniform(a,b)``; raise BadArgument if the text has another form."""
     name, distribution = split("sample", text, f"name={_EXPECTED}")
     _distribution(name, distribution)
     return name, distribution

@@ -69,11 +69,7 @@ class FoxgloveTranslator:
         self._properties: dict[str, int] = {}  # numbers of the watched properties
 
     def translate(self) -> dict[str, Any]:
-        """Write all records, and return a layout for the file as JSON.
-
-        Raises:
-            Damaged: a record makes no sense.
-        """
+        """Write all records, and return a layout for the file as JSON; raise Damaged if a record makes no sense."""
         for name in self._log.assets:
             if name.endswith(".urdf") and (content := self._file(name)):
                 self._frames.add_urdf(name.partition("/")[0], content)

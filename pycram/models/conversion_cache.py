@@ -112,11 +112,7 @@ def _content(file: Path) -> bytes:
 
 
 def _read(entry: bytes) -> Sequence[Piece]:
-    """Return the pieces in an entry of the cache.
-
-    Raises:
-        ValueError: The entry is incomplete.
-    """
+    """Return the pieces in an entry of the cache; raise ValueError if the entry is incomplete."""
     head, _, contents = entry.partition(b"\n")
     table = json.loads(head)
     if sha256(contents).hexdigest() != table["sha256"]:

@@ -103,11 +103,7 @@ class Session:
         return Breakpoint(number, text, sorted(found), changes=found)
 
     def numbered(self, number: str) -> Breakpoint:
-        """Return a breakpoint by number.
-
-        Raises:
-            NoSuchName: No breakpoint has this number.
-        """
+        """Return a breakpoint by number; raise NoSuchName if no breakpoint has this number."""
         for each in self.breakpoints:
             if str(each.number) == number:
                 return each
@@ -166,11 +162,7 @@ class Session:
         return self._halted(self.plan.go(step), [watch], dict(enumerate(changes.values())))
 
     def go(self, step: int) -> Halt:
-        """Go to a step, and ignore breakpoints.
-
-        Raises:
-            NoFurther: The plan can't reach the step.
-        """
+        """Go to a step, and ignore breakpoints; raise NoFurther if the plan can't reach the step."""
         if step > self.plan.last:
             raise self._no_further()
         return self._halted(self.plan.go(step), [])

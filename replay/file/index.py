@@ -53,11 +53,7 @@ class _Budget:
         self._takers: set[int] = set()
 
     def take(self, taker: int, size: int, most: int, cause: str) -> None:
-        """Count the bytes of a chunk once.
-
-        Raises:
-            ValueError: The limit is exceeded.
-        """
+        """Count the bytes of a chunk once; raise ValueError above the limit."""
         if taker not in self._takers:
             if self._taken + size > most:
                 raise ValueError(cause)

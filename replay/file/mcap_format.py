@@ -121,11 +121,7 @@ class Decompressor:
         self._zstd = ZstdDecompressor()
 
     def contents(self, chunk: memoryview) -> bytes:
-        """Return the messages of a chunk.
-
-        Raises:
-            CHUNK_DAMAGE: The chunk is damaged.
-        """
+        """Return the messages of a chunk; raise CHUNK_DAMAGE if it is damaged."""
         _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
         if size > MAX_INFLATED:
             raise ValueError(f"its header states {size} bytes; the maximum is {MAX_INFLATED}")
@@ -162,11 +158,7 @@ _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 
 
 def decode(kind: type[Record], payload: bytes) -> Record:
-    """Return the record of a payload.
-
-    Raises:
-        DecodeError: The payload is invalid, or has too many parts.
-    """
+    """Return the record of a payload; raise DecodeError if the payload is invalid, or has too many parts."""
     if len(payload) > UNCOUNTED:
         try:
             _weigh(kind.DESCRIPTOR, payload, 0, len(payload))

@@ -123,11 +123,7 @@ class RecordReader:
 
     @property
     def live(self) -> bool:
-        """Whether a recorder is writing the file now.
-
-        Raises:
-            LogClosed: This object was closed.
-        """
+        """Whether a recorder is writing the file now; raise LogClosed if this object was closed."""
         if self._file.closed and not self.closed:
             raise LogClosed(self.path)
         return not self.closed and is_locked(self._file)

@@ -40,11 +40,7 @@ def embedded(picture: Image.Image) -> str:
 
 
 def write(file: str, content: bytes) -> None:
-    """Write a file.
-
-    Raises:
-        ReplayError: the page can't be written.
-    """
+    """Write a file; raise ReplayError if the page can't be written."""
     try:
         Path(file).write_bytes(content)
     except OSError as error:

@@ -217,11 +217,7 @@ def hold(body: Object, arm: str) -> None:
 
 
 def seed_change(step: int, seed: int) -> Change:
-    """Return a change of the seed after a step.
-
-    Raises:
-        BadChange: The seed is out of range.
-    """
+    """Return a change of the seed after a step; raise BadChange if the seed is out of range."""
     if not 0 <= seed <= MAX_SEED:
         raise BadChange(f"seed {seed}", f"a seed is a whole number from 0 to {MAX_SEED}")
     return Change(step=step, seed=str(seed))

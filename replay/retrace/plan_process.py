@@ -330,11 +330,7 @@ def _recorded_program(log: RecordReader, began: Run) -> Path:
 
 
 class _RecordedSource:
-    """The recorded source of the plan ``program``.
-
-    Raises:
-        CantRetrace: The plan's source isn't attached.
-    """
+    """The recorded source of the plan ``program``; raise CantRetrace if the plan's source isn't attached."""
 
     def __init__(self, log: RecordReader, program: Path) -> None:
         self.program = program

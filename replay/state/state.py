@@ -261,11 +261,7 @@ class State:
         return f"no world is open after step {self.step}" + (f" ({ended}); take an earlier step" if ended else "")
 
     def urdf(self, body: Body) -> Urdf:
-        """Return the model of a body from the recording.
-
-        Raises:
-            NoSuchName: The recording has no such model.
-        """
+        """Return the model of a body from the recording; raise NoSuchName if the recording has no such model."""
         if self.assets is None or not body.models:
             raise NoSuchName("attached model of", body.name, ())
         return self.assets.urdf(body.models[0])

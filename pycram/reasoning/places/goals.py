@@ -140,11 +140,7 @@ def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Po
 
 
 def description_of(argument: str, robot: object) -> RobotDescription:
-    """Return a robot's description.
-
-    Raises:
-        BadArgument: The argument isn't a robot, or has no description.
-    """
+    """Return a robot's description; raise BadArgument if the argument isn't a robot, or has no description."""
     if not isinstance(robot, Object) or robot.description is None:
         raise BadArgument(argument, robot, "a robot with a description")
     return robot.description

@@ -130,11 +130,7 @@ class Search(ABC):
         self._reasons = Reasons()
 
     def places(self) -> Iterator[FoundPlace]:
-        """Yield places until the search ends.
-
-        Raises:
-            NoPlace: The search ended without a place.
-        """
+        """Yield places until the search ends; raise NoPlace if the search ended without a place."""
         found = False
         for number in itertools.count():
             batch = Batch(self.query, self._arguments)
