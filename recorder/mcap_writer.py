@@ -39,8 +39,7 @@ from mcap.records import (
 )
 
 MAGIC: Final = b"\x89MCAP0\r\n"
-#: Inflated chunks have at most this many times the size of the file. Usual ratios are 3 to 13.
-MAX_RATIO: Final = 32
+MAX_RATIO: Final = 32  # inflated chunks have at most this many times the size of the file. Usual ratios are 3 to 13.
 FREE: Final = 4 << 20  # chunks of any file may inflate to this number of bytes
 #: Fields of a message: opcode, length of the rest, channel, sequence, log time, publish time.
 _MESSAGE: Final = struct.Struct("<BQHIQQ")

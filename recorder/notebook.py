@@ -18,8 +18,7 @@ _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "IPython", "ipyke
 
 
 def _shell() -> Any:
-    # IPython isn't imported here: a running IPython is already loaded
-    ipython = sys.modules.get("IPython")
+    ipython = sys.modules.get("IPython")  # IPython isn't imported here: a running IPython is already loaded
     return ipython.get_ipython() if ipython is not None and hasattr(ipython, "get_ipython") else None
 
 

@@ -31,8 +31,7 @@ from recorder.tracing.journal import Journal, Sink
 from recorder.tracing.output import recorded_output
 from recorder.viewer.live import RerunSink
 
-#: The traceback of an error that ends a plan or thread has at most this many errors.
-_MAX_ERRORS: Final = 1000
+_MAX_ERRORS: Final = 1000  # the traceback of an error that ends a plan or thread has at most this many errors
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -177,10 +176,8 @@ def _check(path: object, *, source: object, arguments: object, **texts: object) 
         raise RecordingError(path, f"there is no source {source!r} to attach")
 
 
-#: Number of recordings that this process has begun with each name.
-_numbers: Final[Counter[str]] = Counter()
-#: The function of :func:`redirected` that returns sinks.
-_redirect: Callable[[Run], Sink | None] | None = None
+_numbers: Final[Counter[str]] = Counter()  # number of recordings that this process has begun with each name
+_redirect: Callable[[Run], Sink | None] | None = None  # the function of :func:`redirected` that returns sinks
 
 
 @contextmanager

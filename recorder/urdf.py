@@ -20,8 +20,7 @@ from recorder import geometry
 from recorder.errors import suggestion
 from recorder.geometry import IDENTITY, Pose, Vector
 
-#: Largest number of cached documents. Loading and recording a model both parse the document.
-_CACHED: Final = 32
+_CACHED: Final = 32  # largest number of cached documents. Loading and recording a model both parse the document.
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     On: TypeAlias = Surface | Object | str
     Thing: TypeAlias = Object | ObjectDesignator | str
 
-#: Pairs of furniture and a surface.
-Surfaces: TypeAlias = "list[tuple[Object, Surface]]"
+Surfaces: TypeAlias = "list[tuple[Object, Surface]]"  # pairs of furniture and a surface
 _THING: Final = "Object | ObjectDesignator | str"
 _ON: Final = "Surface | Object | str"
 

@@ -32,8 +32,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     from pycram.scheduling.strikes import Clock
 
-#: Any value of a fluent.
-Value: TypeAlias = Any
+Value: TypeAlias = Any  # any value of a fluent
 #: Values of leaves at one moment. Each operation adds its own value, so it computes the value only once.
 State: TypeAlias = dict["Expression", Value]
 

@@ -27,8 +27,7 @@ from recorder.tracing.span import Cancelled, Span
 if TYPE_CHECKING:
     from pycram.language.block import Block
 
-#: The result of an action: the value that its process module or function returns.
-Result: TypeAlias = Any
+Result: TypeAlias = Any  # the result of an action: the value that its process module or function returns
 Function = TypeVar("Function", bound="Callable[..., Result]")
 
 _LAZY: Final = "__pycram_lazy__"

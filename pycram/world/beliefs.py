@@ -18,8 +18,7 @@ from recorder.tracing.journal import Journal
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
-    #: The step of one record in each recording.
-    Steps: TypeAlias = Mapping[Journal, int]
+    Steps: TypeAlias = Mapping[Journal, int]  # the step of one record in each recording
 
 
 class WorldBeliefs:

@@ -15,10 +15,8 @@ from recorder.records import Belief, Mutation, Plain, Query
 if TYPE_CHECKING:
     from recorder.geometry import PoseLike
 
-#: The names of a robot and an object.
-Key: TypeAlias = tuple[str, str]
-#: Beliefs by robot and object, in the order of learning.
-Beliefs: TypeAlias = dict[Key, Belief]
+Key: TypeAlias = tuple[str, str]  # the names of a robot and an object
+Beliefs: TypeAlias = dict[Key, Belief]  # beliefs by robot and object, in the order of learning
 
 ROBOT: Final = "robot"
 """Name of a look's evidence that is the robot's name."""

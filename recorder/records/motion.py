@@ -62,8 +62,7 @@ class _Body:
         self.model = model
         self.frame = Frame(ROOT, frame_name(world, name), name, "")
         self._names = world, name
-        # frames of the joints' child links by joint name
-        self._links: dict[str, tuple[UrdfJoint, Frame]] = {}
+        self._links: dict[str, tuple[UrdfJoint, Frame]] = {}  # frames of the joints' child links by joint name
 
     def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[UrdfJoint, Frame]]:
         """Yield the named joints and the frames of their child links."""

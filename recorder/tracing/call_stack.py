@@ -28,8 +28,7 @@ from recorder.tracing.context import current_ident
 
 CallSite: TypeAlias = "tuple[str, int]"  # a file and a line number, from 1
 
-#: A call stack has at most this many lines; the middle of a longer call stack is left out.
-MAX_LINES: Final = 32
+MAX_LINES: Final = 32  # a call stack has at most this many lines; the middle of a longer call stack is left out
 #: Call stacks leave out frames of these packages, because they aren't the plan's code.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
 #: These modules run a plan as a program. Call stacks leave out the frames that call these modules.
@@ -45,8 +44,7 @@ class CallStack(NamedTuple):
 
     #: Lines, outermost first. A recursive line is listed once. Without a recording, there is only the innermost line.
     lines: tuple[CallSite, ...]
-    #: The first lines, which are the call stack of another thread.
-    inherited: tuple[CallSite, ...]
+    inherited: tuple[CallSite, ...]  # the first lines, which are the call stack of another thread
     thread: int  # ident of the thread or branch of the innermost line
     callers: tuple[SourceLine, ...] = ()  # all lines except the innermost line, for records
 

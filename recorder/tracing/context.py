@@ -110,10 +110,8 @@ def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | N
     return next((world for world, thread in reversed(worlds.items()) if thread != this_thread), None)
 
 
-#: A record needs at most this many stack frames, with the compression of the file.
-FOR_RECORD: Final = 40
-#: A task needs at most this many stack frames for its records, its block and its end.
-FOR_TASK: Final = 120
+FOR_RECORD: Final = 40  # a record needs at most this many stack frames, with the compression of the file
+FOR_TASK: Final = 120  # a task needs at most this many stack frames for its records, its block and its end
 
 _COUNTED: Final = 4  # Python may count a frame this many times, because C functions count, too
 _outside = 0  # largest number of frames below a greenlet, which Python counts for the greenlet, too

@@ -326,8 +326,7 @@ def keeps_local_variables() -> bool:
     return bool(journals) and all(journal.local_variables for journal in journals)
 
 
-#: A function of the scheduler that returns how often this thread has polled for strikes.
-looks: Callable[[], int] = int
+looks: Callable[[], int] = int  # a function of the scheduler that returns how often this thread has polled for strikes
 
 
 def strike(look: int, which: Iterable[int]) -> None:

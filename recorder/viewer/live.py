@@ -83,8 +83,7 @@ class RerunSink:
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        # set if the viewer has all records, is gone or hasn't started
-        self._settled = threading.Event()
+        self._settled = threading.Event()  # set if the viewer has all records, is gone or hasn't started
         self._sending = threading.Lock()
         self._started = time.monotonic()
         self._connection, child_end = Pipe()

@@ -78,8 +78,7 @@ class GuidedPlan:
 
     def __init__(self, process: PlanProcess, *, checkpoints: bool = True) -> None:
         log = process.log
-        # the recorded source by path, if it runs
-        self.recorded_files = process.recorded_files
+        self.recorded_files = process.recorded_files  # the recorded source by path, if it runs
         self.notes = tuple(process.notes())  # differences from the recorded conditions
         self.step = -1  # last recorded step of the plan; -1 before the first step
         self.last = len(log) - 1  # last step that the plan can reach

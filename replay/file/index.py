@@ -88,8 +88,7 @@ class Index:
         self._file.seek(0)
         if self._file.read(len(MAGIC)) != MAGIC:
             self.damage.append("its first bytes are damaged")
-        # the library that wrote the file; "" if the header is damaged
-        self.library = self._read_library()
+        self.library = self._read_library()  # the library that wrote the file; "" if the header is damaged
         damaged = len(self.damage)
         try:
             self._read_summary()
@@ -348,8 +347,7 @@ class FileScan:
             return True
         if opcode == Opcode.CHUNK and extent.offset + CHUNK_HEAD.size + 32 <= size:
             return not self._is_chunk(extent)
-        # intact chunks can't follow a cut
-        return self._next_chunk(extent.offset, size) is not None
+        return self._next_chunk(extent.offset, size) is not None  # intact chunks can't follow a cut
 
     def _is_chunk(self, extent: Extent) -> bool:
         self._file.seek(extent.offset)

@@ -31,8 +31,7 @@ _INDEX_LENGTH: Final = struct.Struct("<QI")
 _CHUNK: Final = int(Opcode.CHUNK)
 _MESSAGE_INDEX: Final = HEADER + 6  # size of a channel's message index before the entries, bytes
 _ENTRY: Final = 16  # size of the entry of a message, bytes
-#: Fields: start, end, size, CRC, and length of the compression's name.
-CHUNK_HEAD: Final = struct.Struct("<QQQII")
+CHUNK_HEAD: Final = struct.Struct("<QQQII")  # fields: start, end, size, CRC, and length of the compression's name
 MAX_INFLATED: Final = 64 << 20  # larger chunks (bytes) are rejected, because recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)

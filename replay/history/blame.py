@@ -33,8 +33,7 @@ class Carried:
     """An attachment that moved a body."""
 
     held: Attachment  # the attachment before the move
-    #: Step of the record that attached the body; None if the recording began later.
-    step: int | None
+    step: int | None  # step of the record that attached the body; None if the recording began later
     causes: CausingTasks | None  # causes of the record that attached the body
 
 

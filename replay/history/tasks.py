@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from replay.history.source import Line, ParsedException
 
 _RUN_RECORDS: Final = 2  # a run in which no thread fails has this many run records
-#: The exception of an interrupted plan.
-INTERRUPT: Final = "KeyboardInterrupt"
+INTERRUPT: Final = "KeyboardInterrupt"  # the exception of an interrupted plan
 _MAX_KEPT: Final = 5_000  # largest number of failures or motions; each takes about 3 kB
 
 
@@ -157,16 +156,14 @@ class CausingTask:
     """A task around a record."""
 
     started: Task  # the record of its start
-    #: The plan's lines that led to the task, outermost first; empty if they are unknown.
-    call_stack: tuple[Line, ...]
+    call_stack: tuple[Line, ...]  # the plan's lines that led to the task, outermost first; empty if they are unknown
 
 
 @dataclass(frozen=True, slots=True)
 class CausingTasks:
     """The tasks around a record, and the lines of the plan that led to the record."""
 
-    #: The tasks around the record, innermost first; empty outside of tasks.
-    tasks: tuple[CausingTask, ...]
+    tasks: tuple[CausingTask, ...]  # the tasks around the record, innermost first; empty outside of tasks
     #: The plan's lines that led to the record, outermost first: the lines of the record, or of the innermost task with
     #: lines.
     call_stack: tuple[Line, ...]

@@ -60,8 +60,7 @@ _PREFERRED: Final = (
 )
 _CLOSER: Final = 0.6  # viewpoints at this fraction of the distance may be within the walls of a room
 _ENOUGH: Final = 0.7  # the first viewpoint with this visible share of the pixels is taken
-#: Below this visible share of the pixels, the links that hide the target are cut away.
-_TOO_LITTLE: Final = 0.3
+_TOO_LITTLE: Final = 0.3  # below this visible share of the pixels, the links that hide the target are cut away
 _ROBOT_SHARE: Final = 0.4  # this visible share of a robot's pixels is enough, because objects hide the robot
 _RATED: Final = 3  # number of moments of a film for which viewpoints are rated
 _GLANCE: Final = (40, 40)  # size of the window around an object in pixels

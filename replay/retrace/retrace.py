@@ -51,8 +51,7 @@ class Retracing:
     plan: Path  # file of the plan
     steps: int  # number of steps of the recording
     equal: int  # number of equal records before the first difference
-    #: None if all intact records are equal
-    difference: FirstDifference | None
+    difference: FirstDifference | None  # none if all intact records are equal
     notes: tuple[str, ...]  # differences from the recorded conditions
     seconds: float  # duration of the run in s
     taken: int = 0  # number of queries with recorded answers

@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs, Skipped
 
 _Z: Final = 1.959963984540054  # quantile of the normal distribution for a 95 % interval
-#: At most this many values of a parameter are listed. More values are split into quarters.
-_MAX_VALUES: Final = 8
+_MAX_VALUES: Final = 8  # at most this many values of a parameter are listed. More values are split into quarters.
 _QUARTERS: Final = 4
 _SLOWEST: Final = 10
 _MAX_CAUSES: Final = 10  # at most this many causes are printed

@@ -24,8 +24,7 @@ from recorder.geometry import Pose
 if TYPE_CHECKING:
     from pycram.world.object import Object
 
-    #: A moving object and its link, then another object and its link.
-    Pair = tuple[Object, str, Object, str]
+    Pair = tuple[Object, str, Object, str]  # a moving object and its link, then another object and its link
 
 DEPTH: Final = 2e-3  # overlap in m above which shapes collide; the engine pads shapes
 _SELF_DEPTH: Final = (

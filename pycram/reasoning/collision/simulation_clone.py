@@ -26,8 +26,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-    #: An object and the name of its link; "" for the whole object.
-    Part: TypeAlias = tuple[Object, str]
+    Part: TypeAlias = tuple[Object, str]  # an object and the name of its link; "" for the whole object
 
 T = TypeVar("T")
 

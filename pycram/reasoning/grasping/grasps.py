@@ -44,8 +44,7 @@ _LEANING: Final = math.radians(5)  # lean of an object in rad above which the gr
 _SLIGHT: Final = math.radians(1)  # lean of an object in rad above which the gripper leans if no upright grasp is free
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
-#: The side from which a gripper comes.
-GraspSide: TypeAlias = Literal["front", "top", "left", "right"]
+GraspSide: TypeAlias = Literal["front", "top", "left", "right"]  # the side from which a gripper comes
 GRASPS: Final[Mapping[str, Quaternion]] = {
     "front": (0.0, 0.0, 0.0, 1.0),
     "top": geometry.from_rpy(0.0, math.pi / 2, 0.0),
