@@ -15,29 +15,22 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Vector: TypeAlias = tuple[float, float, float]
-"""A vector xyz; a position is in m."""
+Vector: TypeAlias = tuple[float, float, float]  # a vector xyz; a position is in m
 
-Quaternion: TypeAlias = tuple[float, float, float, float]
-"""A rotation, xyzw."""
+Quaternion: TypeAlias = tuple[float, float, float, float]  # a rotation, xyzw
 
-Pose: TypeAlias = tuple[Vector, Quaternion]
-"""Position in m and orientation xyzw."""
+Pose: TypeAlias = tuple[Vector, Quaternion]  # position in m and orientation xyzw
 
-Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"
-"""The type of arguments that are a vector or a quaternion."""
+Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"  # the type of arguments that are a vector or a quaternion
 
-PoseLike: TypeAlias = "tuple[Numbers, Numbers]"
-"""The type of arguments that are a pose."""
+PoseLike: TypeAlias = "tuple[Numbers, Numbers]"  # the type of arguments that are a pose
 
-Point: TypeAlias = tuple[float, float]
-"""A point of the plane."""
+Point: TypeAlias = tuple[float, float]  # a point of the plane
 
 Polygon: TypeAlias = "Sequence[Point]"
 """The counterclockwise corners of a polygon. A polygon without area has fewer than three corners."""
 
-IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
-"""The pose of a frame in itself."""
+IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a frame in itself
 
 _DECIMALS: Final = 6  # points of the plane are rounded to this number of decimals
 _TINY = 1e-12

@@ -361,8 +361,7 @@ def _three_numbers(robot: str, joint: str, what: str, text: str) -> Vector:
     return x, y, z
 
 
-Color: TypeAlias = "tuple[float, float, float, float]"
-"""RGBA 0..1."""
+Color: TypeAlias = "tuple[float, float, float, float]"  # RGBA 0..1
 
 GREY: Final[Color] = (0.8, 0.8, 0.8, 1.0)
 #: Names of sizes by kind; other kinds have radius and length.

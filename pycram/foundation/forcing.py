@@ -9,8 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Final, Protocol
 
-SKIPPED: Final = "skip"
-"""The decision that a call isn't made."""
+SKIPPED: Final = "skip"  # the decision that a call isn't made
 
 
 class Decider(Protocol):

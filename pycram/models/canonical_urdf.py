@@ -35,8 +35,7 @@ _MAX_MOVABLE: Final = 121  # maximum number of movable joints: PyBullet's state 
 _MAX_NAME: Final = 1000  # maximum length of a name in bytes; PyBullet crashes at about 1,024
 _FAR: Final = "10000"  # limit in m of the chains that replace planar and floating joints
 _SLIDE: Final = f'<limit lower="-{_FAR}" upper="{_FAR}" effort="0" velocity="0"/>'
-LARGEST: Final = 1e9
-"""Largest number in a link (m, kg or kg m^2): the engine turns larger numbers into infinity."""
+LARGEST: Final = 1e9  # largest number in a link (m, kg or kg m^2): the engine turns larger numbers into infinity
 DENSITY: Final = 700.0  # density in kg/m^3 of household objects of unknown mass
 _FRAME_MASS: Final = 1e-3  # mass in kg of a link without shapes
 _FRAME_INERTIA: Final = 1e-6  # kg m^2

@@ -36,8 +36,7 @@ _FILES: Final = {  # paths in example-robot-data
     "panda.urdf": "panda_description/urdf/panda.urdf",
     "ur5.urdf": "ur_description/urdf/ur5_robot.urdf",
 }
-ROBOT_URDFS: Final = tuple(_FILES)
-"""File names of the bundled robots."""
+ROBOT_URDFS: Final = tuple(_FILES)  # file names of the bundled robots
 
 
 def read_bytes(file: Path) -> bytes:

@@ -60,8 +60,7 @@ class Furniture:
     containers: Mapping[str, Container] = field(default_factory=lambda: MappingProxyType({}))
 
 
-NONE: Final = Furniture()
-"""The furniture of a model without surfaces and containers."""
+NONE: Final = Furniture()  # the furniture of a model without surfaces and containers
 
 
 def closed_position(joint: UrdfJoint) -> float:

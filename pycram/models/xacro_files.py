@@ -12,8 +12,7 @@ from pycram.models.files import find_package
 from recorder.packages import hint
 
 _LOCK: Final = Lock()  # xacro keeps the state of an expansion in its modules
-SUFFIX: Final = ".xacro"
-"""Suffix of files with macros."""
+SUFFIX: Final = ".xacro"  # suffix of files with macros
 
 
 def expanded(source: Path, content: bytes, packages: Sequence[Path] = ()) -> bytes:

@@ -74,8 +74,7 @@ class Loading:
         return {name: value for name, value in values.items() if value}
 
 
-NOW: Final = Loading()
-"""The options of this release."""
+NOW: Final = Loading()  # the options of this release
 
 _AS_0_1_0: Final = Loading(
     undamped=False, clamped=False, mimic=False, inertia=False, armature=0.0, gain=0.1, strength=0.0

@@ -187,8 +187,7 @@ def considering() -> Choice:
     return Choice("", {}, wanted=journal.recording())
 
 
-UNRECORDED: Final = Choice("", {}, wanted=False)
-"""A choice that isn't recorded, for reasoning without a question."""
+UNRECORDED: Final = Choice("", {}, wanted=False)  # a choice that isn't recorded, for reasoning without a question
 
 
 @contextmanager

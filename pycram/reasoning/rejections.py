@@ -17,8 +17,7 @@ _MAX_PAIRS: Final = 3
 class Rejection:
     """The reason for a rejection; its fields are facts. Plans may define subclasses."""
 
-    _common: ClassVar[tuple[str, ...]] = ()
-    """Names of the fields that all candidates of a group share."""
+    _common: ClassVar[tuple[str, ...]] = ()  # names of the fields that all candidates of a group share
 
     def data(self) -> Mapping[str, object]:
         """Return the fields for a record."""

@@ -261,8 +261,7 @@ RecordedStrikes: TypeAlias = "Callable[[int], Collection[int] | None]"
 class Scheduler:
     """Makes the branches of one thread take turns."""
 
-    order: Order | None
-    """The requested order; None for the default order."""
+    order: Order | None  # the requested order; None for the default order
 
     def __init__(self) -> None:
         self.branches: dict[_Branch, None] = {}  # branches that haven't ended; the first was added first

@@ -40,10 +40,8 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
 """Units of numbers: their size in a base unit, and the name of the base unit."""
 _BASE: Final = frozenset(base for _, base in UNITS.values())
 NUMBER: Final = r"(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
-RANGE: Final = 0.05
-"""Contacts are measured up to this distance in m. So "no contact" has at most this margin."""
-ROUNDING: Final = 1e-6
-"""Numbers with a smaller difference are equal."""
+RANGE: Final = 0.05  # contacts are measured up to this distance in m. So "no contact" has at most this margin.
+ROUNDING: Final = 1e-6  # numbers with a smaller difference are equal
 
 _QUANTITY: Final = re.compile(rf"(?<![\w.])({NUMBER})\s*({'|'.join(sorted(UNITS, key=len, reverse=True))})\b(?!\s*\()")
 _STRINGS: Final = re.compile(r"""('(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*")""")

@@ -109,14 +109,12 @@ TOPICS: Mapping[type[Record], str] = {
 }
 """The MCAP topic of each type of record."""
 
-UNKNOWN: Final = "/unknown"
-"""The topic of records with a type of a newer release."""
+UNKNOWN: Final = "/unknown"  # the topic of records with a type of a newer release
 
 STEPS_PER_SECOND: Final = 240
 """Number of simulation steps in a simulated second. The ``sim_step`` of a record counts simulation steps."""
 
-PACKAGE: Final = log_pb2.DESCRIPTOR.package
-"""The protobuf package of the definitions in recordings."""
+PACKAGE: Final = log_pb2.DESCRIPTOR.package  # the protobuf package of the definitions in recordings
 
 
 @cache

@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 Key: TypeAlias = tuple[str, str]  # the names of a robot and an object
 Beliefs: TypeAlias = dict[Key, Belief]  # beliefs by robot and object, in the order of learning
 
-ROBOT: Final = "robot"
-"""Name of a look's evidence that is the robot's name."""
+ROBOT: Final = "robot"  # name of a look's evidence that is the robot's name
 SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
 """Sources of beliefs by the name of a look's evidence that contains the poses of objects."""
 _WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 Other = TypeVar("Other")
 
-MAX_FRAMES: Final = 32
-"""The text of an error has at most this many frames, the innermost frames."""
+MAX_FRAMES: Final = 32  # the text of an error has at most this many frames, the innermost frames
 MAX_ERRORS: Final = 16
 """A traceback's text has at most this many errors: the first and last errors of the chain. Tasks record the others."""
 

@@ -19,8 +19,7 @@ from typing import Any, Final, TypeAlias
 from recorder.records.log_pb2 import Argument, Failure
 from recorder.records.tracebacks import MAX_ERRORS, format_traceback, text_or
 
-MAX_NESTING: Final = 100
-"""Readers return a value with more nested lists and dictionaries as text."""
+MAX_NESTING: Final = 100  # readers return a value with more nested lists and dictionaries as text
 MAX_CHARACTERS: Final = 8 << 20
 """A value with more characters of JSON isn't recorded, because readers reject a record of many MiB as damaged."""
 MAX_DIGITS: Final = 300
@@ -29,8 +28,7 @@ MAX_DIGITS: Final = 300
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
-Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"
-"""A value of JSON."""
+Plain: TypeAlias = "bool | int | float | str | list[Plain] | dict[str, Plain] | None"  # a value of JSON
 Position: TypeAlias = tuple[float, float, float]
 
 

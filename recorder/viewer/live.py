@@ -199,8 +199,7 @@ def _stop(process: subprocess.Popen[bytes], owner: int | None = None) -> None:
         process.kill()
 
 
-Item: TypeAlias = tuple[str, bytes] | AssetFile
-"""A record's topic and payload, or a file."""
+Item: TypeAlias = tuple[str, bytes] | AssetFile  # a record's topic and payload, or a file
 
 _TRANSIENT: Final = frozenset({"move_body", "move_joints", "simulate", "set_realtime"})
 _OVERHEAD: Final = 200  # approximate memory of an item in Python, in bytes

@@ -194,8 +194,7 @@ def _cells(record: Query) -> rr.Mesh3D | None:
     )
 
 
-MAX_CELLS: Final = 1 << 20
-"""Largest number of cells of a map. Usual maps have some thousands of cells."""
+MAX_CELLS: Final = 1 << 20  # largest number of cells of a map. Usual maps have some thousands of cells.
 _FARTHEST: Final = 1e6  # largest distance from the world's origin in m
 
 

@@ -171,8 +171,7 @@ class Columns:
         self._stream.send_columns(path, time_columns, columns)
 
 
-Color: TypeAlias = tuple[int, int, int]
-"""RGB 0..255."""
+Color: TypeAlias = tuple[int, int, int]  # RGB 0..255
 
 BLUE: Final[Color] = (75, 145, 245)
 GREEN: Final[Color] = (45, 165, 95)

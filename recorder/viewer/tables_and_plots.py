@@ -125,8 +125,7 @@ _Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | 
 _SOURCED: Final = (*get_args(_Sourced), Output)
 """Types of records with a line of the plan. Records omit the line if their task has the same line."""
 
-KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)
-"""Names of the tables."""
+KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)  # names of the tables
 
 
 class RecordTables:

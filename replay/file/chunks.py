@@ -28,8 +28,7 @@ from replay.file.mcap_format import CHUNK_DAMAGE, HEADER, LENGTH, ChunkExtent, E
 Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
-MAX_STEP: Final = 1 << 40
-"""All steps are below this number. Larger numbers are damage."""
+MAX_STEP: Final = 1 << 40  # all steps are below this number. Larger numbers are damage.
 _CACHED: Final = 64  # largest number of cached chunks
 #: Largest number of cached bytes without the last chunk. Decoded chunks may take fifty times as much memory.
 _CACHED_BYTES: Final = 2 << 20

@@ -148,10 +148,8 @@ class Decompressor:
         raise ValueError(f"its compression {compression[:16]!r} is unknown")
 
 
-MAX_PARTS: Final = 1 << 19
-"""Maximum number of messages within a record. Eight texts count as a message."""
-UNCOUNTED: Final = 2 * MAX_PARTS
-"""Payloads of at most this size in bytes can't have too many parts."""
+MAX_PARTS: Final = 1 << 19  # maximum number of messages within a record. Eight texts count as a message.
+UNCOUNTED: Final = 2 * MAX_PARTS  # payloads of at most this size in bytes can't have too many parts
 _TEXTS: Final = 8  # this many texts take as much memory as an empty message
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
 

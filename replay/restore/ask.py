@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 BELIEVED: Final = "believed"
 """The query for a robot's recorded belief. ``away`` is the distance of the object from the believed position in m."""
 _BELIEVED_TAKES: Final = ("what", "robot")
-QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))
-"""Names of the queries."""
+QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))  # names of the queries
 #: Parameters that are objects. A pose may be an object or a position.
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
 _PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}

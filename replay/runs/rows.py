@@ -45,10 +45,8 @@ from replay.file.record_reader import RecordReader
 from replay.history.tasks import INTERRUPT, RootCause, root_cause, uncaught_failure
 from replay.runs.schema import COLUMNS, TABLES, VERSION, arrow_schema
 
-FOLDER: Final = "tables"
-"""Name of the subfolder with the tables in a folder of recordings."""
-NEW: Final = "new"
-"""Name of the subfolder with new rows in the folder of tables."""
+FOLDER: Final = "tables"  # name of the subfolder with the tables in a folder of recordings
+NEW: Final = "new"  # name of the subfolder with new rows in the folder of tables
 _PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the cores
 _NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas, which must be before forks
 _NO_EVENT: Final = Event()  # for the fields that records of fluents lack

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION: Final = 2
-"""Version of the tables. Tables of other versions are made again from the recordings."""
+VERSION: Final = 2  # version of the tables. Tables of other versions are made again from the recordings.
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,8 +28,7 @@ from replay.runs.statistics import difference
 if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
-LEVEL: Final = 0.01
-"""Probability of a claim if nothing separates the runs."""
+LEVEL: Final = 0.01  # probability of a claim if nothing separates the runs
 PRESENT: Final = frozenset({"happened", "reached"})
 """Kinds of sites without values: events that happened, and tasks that runs reached."""
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")

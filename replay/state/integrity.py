@@ -177,8 +177,7 @@ def _plain(world: World) -> Plain:
     return data | {"attachments": dict(sorted(pairs.items())), "loaded": loaded}
 
 
-MAX_DEPTH: Final = 2000
-"""Largest number of levels of nested tasks. Python's stack ends at about 1,000 levels."""
+MAX_DEPTH: Final = 2000  # largest number of levels of nested tasks. Python's stack ends at about 1,000 levels.
 _MAIN_THREAD: Final = "MainThread"  # recordings of release 0.1.0 lack the thread that ends the run
 #: Phases of a task by previous phase. A requested branch may be cancelled before its start.
 _AFTER: Final[Mapping[Task.Phase | None, tuple[Task.Phase, ...]]] = {

@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from pycram.models.robots.description import Arm
     from pycram.world.object import Object
 
-FREE: Final = 0.004
-"""Part of the aperture in m that must stay free."""
+FREE: Final = 0.004  # part of the aperture in m that must stay free
 _CLEARANCE: Final = 0.002  # distance in m between the finger tips and the support of the object
 _PADS: Final = (-0.01, 0.0, 0.01)  # offsets of rays across the finger pads, m
 _STEP: Final = 0.004  # distance in m between rays along the fingers
