@@ -42,15 +42,15 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     """Search for repairs, and print them; Ctrl-C ends the search and prints the repairs that were found."""
     from replay.fix.last_chance import LastChance, other_choice  # noqa: PLC0415  needs the executor
-    from replay.fix.search import CHECKS, SearchResult, search  # noqa: PLC0415  as above
+    from replay.fix.search import SearchResult, search  # noqa: PLC0415  as above
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
     folder = existing_folder(options.keep)
     found, chance = SearchResult(""), LastChance()
     with Trials(log, allow_effects=options.allow_effects) as trials:
-        print_message(f"{trials.program.name} runs again, up to about {options.budget} times; {AGAIN}")
+        print_message(f"{trials.program.name} runs again, up to {options.budget} times; {AGAIN}")
         try:
-            chance = other_choice(trials, log, folder, options.holds)
+            chance = other_choice(trials, log, folder, options.holds, options.budget)
             search(trials, log, folder, found, holds=options.holds, budget=options.budget - chance.runs)
             found.runs += chance.runs
         except KeyboardInterrupt:
@@ -58,7 +58,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         if options.apply and found.repairs:
             _apply(trials, found)
         data = {"choice": chance.choice, "step": chance.step}
-        lines = [*_choice(log, chance), *_lines(trials, found, CHECKS)]
+        lines = [*_choice(log, chance), *_lines(trials, found)]
         print_result(lambda: _data(trials, found) | data, lines, as_json=options.json)
     return FINE if found.repairs or chance.choice else FAILED
 
@@ -105,7 +105,7 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
     return {"asked": found.asked, "repairs": repairs, "tried": found.tried, "runs": found.runs, "others": found.others}
 
 
-def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iterator[str]:
+def _lines(trials: Trials, found: SearchResult) -> Iterator[str]:
     asked = f"asked: {found.asked}" if found.asked else "nothing was tried"
     count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"
     if not found.repairs:
@@ -121,8 +121,8 @@ def _lines(trials: Trials, found: SearchResult, checks: tuple[int, int]) -> Iter
         )
         yield from difference(trials, each.edit.text)
         yield f"  its run: {each.recording}"
-        yield f"  it also succeeds under {each.seeds} of {checks[0]} other seeds,"
-        yield f"  and in {each.elsewhere} of {checks[1]} runs with loose objects 1 cm elsewhere"
+        yield f"  it also succeeds under {each.seeds} of {each.checks[0]} other seeds,"
+        yield f"  and in {each.elsewhere} of {each.checks[1]} runs with loose objects 1 cm elsewhere"
     yield ""
     yield f"{asked}; tried {count}"
 

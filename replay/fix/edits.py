@@ -1,45 +1,37 @@
 """Small edits of a plan, each at one place: candidates for a repair.
 
-An edit replaces an expression by a similar expression (other unit, sign, index, operator, or name with the same role),
-moves a statement, or inserts a wait. No edit removes a statement or changes an assertion, so a repair can't succeed by
-dropping the plan's goal.
+An edit changes a syntax node (:mod:`.operators`), moves a statement, or inserts a wait or another call of the plan.
+No edit removes a statement, or changes an assertion or what only assertions use, so a repair can't succeed by dropping
+the plan's goal.
 """
 
 from __future__ import annotations
 
 import ast
-import math
 import re
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 from typing import Final
 
-_FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
-_OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
-    ast.Add: (ast.Sub,),
-    ast.Sub: (ast.Add,),
-    ast.Mult: (ast.Div,),
-    ast.Div: (ast.Mult,),
-    ast.FloorDiv: (ast.Div,),
-    ast.And: (ast.Or,),
-    ast.Or: (ast.And,),
-    ast.Lt: (ast.Gt, ast.LtE),
-    ast.Gt: (ast.Lt, ast.GtE),
-    ast.LtE: (ast.GtE, ast.Lt),
-    ast.GtE: (ast.LtE, ast.Gt),
-    ast.Eq: (ast.NotEq,),
-    ast.NotEq: (ast.Eq,),
-    ast.Is: (ast.IsNot,),
-    ast.IsNot: (ast.Is,),
-    ast.In: (ast.NotIn,),
-    ast.NotIn: (ast.In,),
-}
-_RANGE: Final = re.compile(r"range\(1, (.+) \+ 1\)")
-_FEW: Final = 2  # whole numbers up to this number are counts, not lengths
-_STALE: Final = 0.6  # by how much a move of a line with stale values is likelier
-_FAR: Final = 1.0  # cost of an edit that is larger than a typical mistake
+from replay.fix.operators import FAR, OPERATORS, Change, similar_name
+from replay.fix.plan_syntax import PlanSyntax, asserts, called_name, loads, stored
+
+_STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
+_UNUSED: Final = 0.25  # by how much an edit with a name that the plan doesn't use is likelier
+_AROUND: Final = 0.1  # additional cost of an edit of the condition or loop around a line
+_SCENE: Final = 0.3  # additional cost of an edit of a loaded object
+_STRUCTURAL: Final = 0.45  # largest cost of edits that are tried on all lines
+#: Calls that aren't inserted: they reach a goal, or make the scene.
+_NOT_AGAIN: Final = (
+    "set_gravity",
+    "pick_up",
+    "place",
+    "placing",
+    "picking_up",
+    "transporting",
+    "Object",
+    "BulletWorld",
+)
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -51,6 +43,7 @@ class Edit:
     what: str  # the edit, in words
     text: str  # the whole edited source
     asks: bool = False  # whether a value or name changes, rather than how values are computed
+    chance: bool = False  # whether nothing but a success speaks for the edit
 
 
 class Editor:
@@ -58,46 +51,13 @@ class Editor:
 
     def __init__(self, text: str) -> None:
         self.text = text
-        self._source = text.encode()  # the syntax tree counts bytes
-        self._lines = [line.decode() for line in self._source.splitlines(keepends=True)]
-        self._tree = ast.parse(text)
-        self._strings: dict[str, set[str]] = defaultdict(set)  # string constants by their role
-        self._names: dict[str, set[str]] = defaultdict(set)  # variables by the call that returned their value
-        self._goals: set[ast.AST] = set()  # the expressions of assertions, which stay unchanged
-        self._counts: set[ast.AST] = set()  # expressions that count or number something, such as indices
-        self._scene: set[ast.AST] = set()  # arguments of loaded objects; which objects there are stays unchanged
-        self._checks: set[str] = set()  # functions with assertions
-        for node in ast.walk(self._tree):
-            self._protect(node)
-            self._note_roles(node)
-
-    def _protect(self, node: ast.AST) -> None:
-        """Note the expressions that keep their value, and the numbers that count something."""
-        if isinstance(node, ast.Subscript | ast.BinOp | ast.Compare | ast.Slice):
-            self._counts |= {*ast.iter_child_nodes(node)}
-        if isinstance(node, ast.Call):
-            self._counts |= {*node.args} if ast.unparse(node.func) in ("range", "enumerate") else set()
-            self._scene |= {*ast.walk(node)} if ast.unparse(node.func).endswith("Object") else set()
-        if isinstance(node, ast.Dict) and len({ast.dump(key) for key in node.keys if key}) == len(node.keys):
-            self._scene |= {*filter(None, node.keys)}  # a key that stands there twice may be wrong
-        if _asserts(node):
-            self._goals |= {*ast.walk(node)}
-        if isinstance(node, ast.If) and any(map(_asserts, (*node.body, *node.orelse))):
-            self._goals |= {node, *ast.walk(node.test)}
-        if isinstance(node, ast.FunctionDef) and any(map(_asserts, ast.walk(node))):
-            self._checks.add(node.name)
-
-    def _note_roles(self, node: ast.AST) -> None:
-        """Note which texts and names the plan uses in the same role."""
-        for role, value in _roles(node):
-            if isinstance(value, ast.Constant) and isinstance(value.value, str):
-                self._strings[role].add(value.value)
-            if isinstance(value, ast.Name):
-                self._names[role].add(value.id)
-        if isinstance(node, ast.withitem) and isinstance(node.context_expr, ast.Call):
-            self._names[ast.unparse(node.context_expr.func)] |= _stored(node)
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
-            self._names[ast.unparse(node.value.func)] |= _stored(node)
+        self.plan = PlanSyntax(text)
+        #: The lines of handlers that swallow errors.
+        self.handlers = [
+            node.lineno
+            for node in self.plan.nodes
+            if isinstance(node, ast.ExceptHandler) and not any(map(asserts, ast.walk(node)))
+        ]
 
     def edits(self, line: int, alternatives: Iterable[Iterable[str]] = (), *, stale: bool = False) -> Iterator[Edit]:
         """Yield the edits of a line.
@@ -108,149 +68,144 @@ class Editor:
             stale: whether the line has values that were true earlier, so that its statement comes too early.
         """
         sets = [set(each) for each in alternatives]
-        for node in ast.walk(self._tree):
-            if getattr(node, "lineno", None) != line or node in self._goals:
+        plan = self.plan
+        for node in plan.nodes:
+            if getattr(node, "lineno", None) != line or node in plan.goals:
                 continue
-            for new, what, cost in (*self._values(node, sets), *_structures(node), *_shifts(node)):
-                asks = isinstance(node, ast.List | ast.Tuple | ast.Constant | ast.Name)
-                yield self._edit(node, new, what, cost, asks=asks)
+            for change in (*self._names(node, sets), *_changes(node, plan)):
+                cost = change.cost + _SCENE * (node in plan.scene)
+                likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
+                yield self._edit(change._replace(cost=cost - likely), line)
             if isinstance(node, ast.stmt):
-                yield from (replace(edit, cost=edit.cost - _STALE * stale) for edit in self._moves(node))
+                around = plan.parents[node]
+                if isinstance(around, ast.If | ast.For):
+                    for change in _changes(around, plan):
+                        yield self._edit(change._replace(cost=change.cost + _AROUND), around.lineno)
+                for what, cost, text in self._moves(node):
+                    yield Edit(cost - _STALE * stale, line, what, text)
+
+    def structural(self) -> Iterator[Edit]:
+        """Yield the likeliest edits of the whole plan that change how values are computed, not the values."""
+        for node in self.plan.nodes:
+            for change in _changes(node, self.plan) if node not in self.plan.goals else ():
+                if change.cost < _STRUCTURAL and not change.asks and not change.chance:
+                    yield self._edit(change, node.lineno)  # type: ignore[attr-defined]
 
     def insertions(self, line: int) -> Iterator[Edit]:
-        """Yield the plan with a wait before a line."""
-        lines = self._lines
+        """Yield the plan with a wait, or a call that the plan makes elsewhere, before a line."""
+        lines, plan = self.plan.lines, self.plan
         indent = lines[line - 1][: len(lines[line - 1]) - len(lines[line - 1].lstrip())]
-        for world in sorted(self._names["BulletWorld"])[:1]:
-            for call in ("settle()", "simulate(1)"):
-                text = "".join([*lines[: line - 1], f"{indent}{world}.{call}\n", *lines[line - 1 :]])
-                yield Edit(_FAR, line, f"{world}.{call} before line {line}", text)
+        waits = [
+            f"{world}.{call}" for world in sorted(plan.names["BulletWorld"])[:1] for call in ("settle()", "simulate(1)")
+        ]
+        for call, cost in (*((each, FAR) for each in waits), *self._other_calls(line)):
+            text = "".join([*lines[: line - 1], f"{indent}{call}\n", *lines[line - 1 :]])
+            yield Edit(cost, line, f"{call} before line {line}", text)
 
-    def _values(self, node: ast.AST, sets: Sequence[set[str]]) -> Iterator[tuple[str, str, float]]:
-        if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and not isinstance(node.value, bool):
-            value = node.value
-            is_count = isinstance(value, int) and value <= _FEW and node in self._counts
-            for number, factor in enumerate(_FACTORS if value and not is_count else ()):
-                yield f"{value * factor:.6g}", f"{value} times {factor:.3g}", 0.3 + 0.1 * number + 0.4 * (number > 2)
-            if isinstance(value, float) or node not in self._counts:
-                yield f"{-value!r}", f"the sign of {value}", 0.5
-            if isinstance(value, int) and node in self._counts:
-                for other in (value - 1, value + 1):
-                    yield repr(other), f"{other} instead of {value}", 0.45
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and node not in self._scene:
-            fitting = set[str]().union(*(each for each in (*sets, *self._strings.values()) if node.value in each))
-            for text in sorted(fitting - {node.value}):
-                yield repr(text), f"{text!r} instead of {node.value!r}", 0.4
-        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and node not in self._scene:
-            fitting = set[str]().union(*(each for each in self._names.values() if node.id in each))
-            for name in sorted(fitting - {node.id}):
-                yield name, f"{name} instead of {node.id}", 0.6
-
-    def _moves(self, statement: ast.stmt) -> Iterator[Edit]:
-        """Yield the plan with a statement moved after or before other statements of its block."""
-        for block in _blocks(self._tree):
-            if statement not in block or isinstance(statement, ast.Import | ast.ImportFrom | ast.FunctionDef):
+    def _other_calls(self, line: int) -> Iterator[tuple[str, float]]:
+        """Yield calls of the plan's other statements, also with other names in the same role."""
+        plan = self.plan
+        here = next(
+            (node for node in plan.nodes[::-1] if isinstance(node, ast.stmt) and node.lineno == line), plan.tree
+        )
+        known = {
+            name
+            for each in plan.nodes
+            if isinstance(each, ast.stmt) and plan.scope(each) in (plan.tree, plan.scope(here))
+            for name in stored(each)
+        }
+        found: dict[str, float] = {}
+        for node in plan.nodes:
+            call = node.value if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) else None
+            if (
+                call is None
+                or node in plan.goals
+                or node is here
+                or not plan.acts(call)
+                or call.end_lineno != call.lineno
+            ):
                 continue
-            at = block.index(statement)
-            for to in (at + 1, at - 1, at + 2, at - 2):
-                crossed = block[min(at, to) : max(at, to) + 1]
-                if 0 <= to < len(block) and not any(map(self._is_check, crossed)):
-                    order = [each for each in block if each is not statement]
-                    order.insert(to, statement)
-                    yield self._reordered(
-                        block,
-                        order,
-                        statement,
-                        f"after line {block[to].lineno}" if to > at else f"before line {block[to].lineno}",
-                    )
+            if not {*map(called_name, ast.walk(call))}.isdisjoint(_NOT_AGAIN):
+                continue
+            cost = 0.7 + 0.2 * (isinstance(call.func, ast.Attribute) and call.func.attr != "perform")
+            found.setdefault(plan.segment(call), cost)
+            for each in ast.walk(call):
+                for change in (
+                    similar_name(each, plan) if isinstance(each, ast.Name) and each not in plan.called else ()
+                ):
+                    text = plan.replaced(change.parts, call)
+                    more = 0.3 - 2 * _UNUSED * self._is_forgotten(change)
+                    found[text] = min(found.get(text, FAR + 1), cost + more)
+        for text, cost in found.items():
+            names = {each.id for each in ast.walk(ast.parse(text)) if isinstance(each, ast.Name)}
+            if names <= known | plan.defined | {*plan.functions}:
+                yield text, cost
+
+    def _is_forgotten(self, change: Change) -> bool:
+        """Return whether a change uses a name that the plan defines, but doesn't use."""
+        return any(set(re.findall(r"\w+", new)) & self.plan.unused for _, new in change.parts)
+
+    def _names(self, node: ast.AST, sets: Sequence[set[str]]) -> Iterator[Change]:
+        plan = self.plan
+        if node in plan.scene:
+            return
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            fitting = set[str]().union(*(each for each in (*sets, *plan.strings.values()) if node.value in each))
+            for text in sorted(fitting - {node.value}):
+                yield Change(f"{text!r} instead of {node.value!r}", 0.4, ((node, repr(text)),), asks=True)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
+            yield from similar_name(node, plan)
+
+    def _moves(self, statement: ast.stmt) -> Iterator[tuple[str, float, str]]:
+        """Yield the plan with a statement moved: in its block, to a use of its values, or into or out of a loop."""
+        plan = self.plan
+        block = plan.block(statement)
+        if len(block) < 2 or isinstance(statement, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef):
+            return
+        at = block.index(statement)
+        made = stored(statement) if isinstance(statement, ast.Assign) else set[str]()
+        uses = [to for to in range(at + 1, len(block)) if loads(block[to], made)]
+        for to in dict.fromkeys((at + 1, at - 1, at + 2, at - 2, *(each - 1 for each in uses[:1] if each > at + 3))):
+            crossed = block[min(at, to) : max(at, to) + 1]
+            needed = [(statement, each) if to < at else (each, statement) for each in crossed if each is not statement]
+            undefined = any(loads(one, stored(other)) and not isinstance(other, ast.For) for one, other in needed)
+            if 0 <= to < len(block) and not undefined and not any(map(self._is_check, crossed)):
+                where = f"after line {block[to].lineno}" if to > at else f"before line {block[to].lineno}"
+                yield f"line {statement.lineno} {where}", 0.7, self._moved(statement, block[to], after=to > at)
+        inner = block[uses[0]] if uses else None
+        while inner is not None and isinstance(inner, ast.For | ast.While | ast.With):
+            what = f"line {statement.lineno} into the block of line {inner.lineno}"
+            if not any(map(self._is_check, block[at + 1 : uses[0]])):
+                yield what, 0.4, self._moved(statement, inner.body[0], after=False)
+            inner = next((each for each in inner.body if loads(each, made)), None)
+        parent = plan.parents[statement]
+        if isinstance(parent, ast.For | ast.While) and statement in parent.body:
+            if at == len(block) - 1:
+                yield f"line {statement.lineno} after the loop", 0.6, self._moved(statement, parent, after=True)
+            elif at == 0 and isinstance(statement, ast.Assign):
+                yield f"line {statement.lineno} before the loop", 0.6, self._moved(statement, parent, after=False)
 
     def _is_check(self, statement: ast.stmt) -> bool:
         """Return whether a statement asserts something, itself or by a call."""
         names = (getattr(each, "id", "") for each in ast.walk(statement))
-        return any(map(_asserts, ast.walk(statement))) or not self._checks.isdisjoint(names)
+        return any(map(asserts, ast.walk(statement))) or not self.plan.checks.isdisjoint(names)
 
-    def _reordered(self, block: Sequence[ast.stmt], order: Sequence[ast.stmt], moved: ast.stmt, where: str) -> Edit:
-        lines = self._lines
-        parts = {id(each): lines[each.lineno - 1 : each.end_lineno] for each in block}
-        gaps = [lines[a.end_lineno or a.lineno : b.lineno - 1] for a, b in pairwise(block)]
-        new = [line for each, gap in zip(order, [*gaps, []], strict=True) for line in (*parts[id(each)], *gap)]
-        start, end = block[0].lineno - 1, block[-1].end_lineno or block[-1].lineno
-        return Edit(0.7, moved.lineno, f"line {moved.lineno} {where}", "".join([*lines[:start], *new, *lines[end:]]))
-
-    def _edit(self, node: ast.AST, new: str, what: str, cost: float, *, asks: bool) -> Edit:
-        start, end = self._offset(node.lineno, node.col_offset), self._offset(node.end_lineno, node.end_col_offset)  # type: ignore[attr-defined]
-        text = (self._source[:start] + new.encode() + self._source[end:]).decode()
-        return Edit(cost, node.lineno, what, text, asks)  # type: ignore[attr-defined]
-
-    def _offset(self, line: int, column: int) -> int:
-        return len("".join(self._lines[: line - 1]).encode()) + column
-
-
-def _asserts(node: ast.AST) -> bool:
-    return isinstance(node, ast.Assert | ast.Raise)
-
-
-def _shifts(node: ast.AST) -> Iterator[tuple[str, str, float]]:
-    """Yield a range that counts from 0 instead of 1."""
-    shifted = _RANGE.fullmatch(ast.unparse(node)) if isinstance(node, ast.Call) else None
-    if shifted:
-        yield f"range({shifted[1]})", f"range({shifted[1]}) instead of {ast.unparse(node)}", 0.4
-
-
-def _structures(node: ast.AST) -> Iterator[tuple[str, str, float]]:
-    """Yield other forms of an expression: operators, order of items, negation, and blocks."""
-    is_whole = isinstance(node, ast.expr) and not isinstance(node, ast.Starred | ast.Slice)
-    copy = ast.parse(ast.unparse(node), mode="eval").body if is_whole else None
-    if isinstance(copy, ast.BinOp | ast.BoolOp):
-        for kind in _OPPOSITE.get(type(copy.op), ()):
-            copy.op = kind()  # type: ignore[assignment]
-            yield f"({ast.unparse(copy)})", f"{ast.unparse(node)} with another operator", 0.65
-    elif isinstance(copy, ast.Compare) and len(copy.ops) == 1:
-        for kind in _OPPOSITE.get(type(copy.ops[0]), ()):
-            copy.ops = [kind()]  # type: ignore[list-item]
-            yield ast.unparse(copy), f"{ast.unparse(copy)} instead of {ast.unparse(node)}", 0.55
-    elif isinstance(copy, ast.List | ast.Tuple) and 2 <= len(copy.elts) <= 4 and isinstance(copy.ctx, ast.Load):
-        items = copy.elts
-        orders = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
-        orders += [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
-        for number, order in enumerate(orders):
-            copy.elts = order
-            text = ast.unparse(copy)
-            yield text, f"{text} instead of {ast.unparse(node)}", 0.35 if len(items) == 4 and number < 2 else 0.42
-    elif isinstance(copy, ast.UnaryOp) and isinstance(copy.op, ast.Not):
-        yield f"({ast.unparse(copy.operand)})", f"without not: {ast.unparse(node)}", 0.56
-    elif isinstance(node, ast.Name) and node.id == "par" and isinstance(node.ctx, ast.Load):
-        yield "seq", "seq instead of par", 0.57
-    elif isinstance(copy, ast.Call) and any(keyword.arg == "orientation" for keyword in copy.keywords):
-        copy.keywords = [keyword for keyword in copy.keywords if keyword.arg != "orientation"]
-        yield ast.unparse(copy), "without orientation", _FAR
-
-
-def _roles(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
-    """Yield expressions with their roles: the keyword or the place of an argument, the key or place in a container."""
-    if isinstance(node, ast.Call):
-        function = ast.unparse(node.func)
-        yield from ((keyword.arg, keyword.value) for keyword in node.keywords if keyword.arg)
-        yield from ((f"{function} {at}", value) for at, value in enumerate(node.args))
-    elif isinstance(node, ast.Dict):
-        yield from (
-            (f"{{}} {key.value!r}", value)
-            for key, value in zip(node.keys, node.values, strict=True)
-            if isinstance(key, ast.Constant)
+    def _moved(self, statement: ast.stmt, other: ast.stmt, *, after: bool) -> str:
+        """Return the plan with a statement before or after another one."""
+        lines = self.plan.lines
+        start, end = statement.lineno - 1, statement.end_lineno or statement.lineno
+        shift, indent = statement.col_offset, " " * other.col_offset
+        part = [f"{indent}{line[shift:]}" if line.strip() else line for line in lines[start:end]]
+        to = (other.end_lineno or other.lineno) if after else other.lineno - 1
+        return "".join(
+            [*lines[:to], *part, *lines[to:start], *lines[end:]]
+            if to <= start
+            else [*lines[:start], *lines[end:to], *part, *lines[to:]]
         )
-        yield from ((f"keys of line {node.lineno}", key) for key in node.keys if key is not None)
-    elif isinstance(node, ast.List | ast.Tuple):
-        yield from ((f"items of line {node.lineno}", value) for value in node.elts)
+
+    def _edit(self, change: Change, line: int) -> Edit:
+        return Edit(change.cost, line, change.what, self.plan.replaced(change.parts), change.asks, change.chance)
 
 
-def _stored(node: ast.AST) -> set[str]:
-    """Return the variables that a syntax node assigns."""
-    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
-
-
-def _blocks(tree: ast.AST) -> Iterator[list[ast.stmt]]:
-    for node in ast.walk(tree):
-        for name in ("body", "orelse", "finalbody"):
-            block = getattr(node, name, None)
-            if isinstance(block, list) and block:
-                yield block
+def _changes(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    return (change for operator in OPERATORS for change in operator(node, plan))

@@ -103,11 +103,11 @@ def last_chance(
                 chances.close(first)
 
 
-def other_choice(trials: Trials, log: Recording, folder: Path, holds: Sequence[str]) -> LastChance:
+def other_choice(trials: Trials, log: Recording, folder: Path, holds: Sequence[str], budget: int) -> LastChance:
     """Force a few other choices before the failed motion, latest choice first, until the whole plan succeeds."""
     found = LastChance(runs=trials.runs)
     if log.why().task is not None:
-        chances = _Chances(trials, log, folder, found, holds, trials.runs + _FIRST)
+        chances = _Chances(trials, log, folder, found, holds, min(_FIRST, budget // 4))
         try:
             chances.find_choice()
         finally:
@@ -210,7 +210,8 @@ class _Chances:
         with ThreadPoolExecutor(usable_cores()) as pool, ExitStack() as undoing:
             undoing.callback(self._prover.stop)  # otherwise an interrupted block would wait for its forks
             while choices and self._left():
-                wave, choices = choices[: usable_cores()], choices[usable_cores() :]
+                size = min(usable_cores(), self._budget - self._found.runs)
+                wave, choices = choices[:size], choices[size:]
                 for tried in pool.map(self._prover.tried, wave):
                     self._found.runs = self._control + self._prover.forks
                     if not self._found.choice and self._succeeds(tried):

@@ -11,13 +11,13 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
-from itertools import count, islice
+from itertools import count, islice, zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
 from recorder.properties import BadProperty
-from recorder.records import Check, Mutation, Plain
+from recorder.records import Check, MoveBody, Mutation, Plain
 from recorder.tasks import Node, State
 from replay.errors import ReplayError
 from replay.explain.causes.case import hands
@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 CHECKS: Final = (5, 3)  # a repair is checked in this many runs with other seeds, and with displaced objects
 _AWAY: Final = 0.1  # largest final distance of a placed object from its target, m
 _MAX_LINES: Final = 12  # largest number of lines that are edited
+_LIKELY: Final = 2  # number of lines that come before handlers of errors
 _LATER: Final = 0.12  # additional cost of a line for each likelier line
+_GUESSED: Final = 0.2  # by how much another value is likelier where a number of the scene speaks for it
+_ELSEWHERE: Final = 0.5  # additional cost of edits of lines without values of the failure
 _ANOTHER: Final = 0.8  # additional cost for each earlier edit of the same kind on the same line
 _MAX_MARKED: Final = 2  # largest number of marked repairs that are shown
 _MORE: Final = 24  # number of runs that search for another repair after a marked repair
@@ -58,6 +61,7 @@ class Repair:
     seeds: int  # number of runs under other seeds that succeeded (:data:`CHECKS`)
     elsewhere: int  # number of runs with loose objects 1 cm elsewhere that succeeded (:data:`CHECKS`)
     mark: str  # reason why the plan's author may reject the repair; "" without a reason
+    checks: tuple[int, int] = (0, 0)  # number of these runs, fewer than :data:`CHECKS` at the end of the budget
 
 
 @dataclass(slots=True)
@@ -105,49 +109,52 @@ def search(
     unlikely: list[Repair] = []  # repairs with a mark; they are shown if there is no other
     try:
         _try_all(trials, _candidates(trials, log, why, checked), found, unlikely, budget, folder, properties, failed)
-    except KeyboardInterrupt:
-        found.repairs += unlikely[:_MAX_MARKED]
-        raise
-    shown = [] if found.repairs else unlikely[:_MAX_MARKED]
-    for each in unlikely:
-        if each not in shown:
-            each.recording.unlink(missing_ok=True)
-    fitting = [each if each.seeds or each.elsewhere else _checked(trials, each) for each in shown]
-    found.repairs += sorted(fitting, key=lambda each: (each.seeds == 0, each.edit.cost))
-    found.runs = trials.runs
+        for at, each in enumerate(unlikely[:_MAX_MARKED] if not found.repairs else ()):
+            unlikely[at] = each if any(each.checks) else _checked(trials, each, budget)
+    finally:
+        shown = [] if found.repairs else unlikely[:_MAX_MARKED]
+        for each in unlikely:
+            if each not in shown:
+                each.recording.unlink(missing_ok=True)
+        found.repairs += sorted(shown, key=lambda each: (each.seeds == 0, each.edit.cost))
+        found.runs = trials.runs
 
 
 def _try_all(
     trials: Trials, candidates: Iterator[Edit], found: SearchResult, unlikely: list[Repair], budget: int, folder: Path,
     properties: Sequence[str], failed: Node | None,
 ) -> None:  # fmt: skip
-    """Try candidates until a repair without a mark is found, or the budget is spent."""
-    while trials.runs < budget and not found.repairs:
-        wave = [*islice(candidates, usable_cores())]
+    """Try candidates until a repair without a mark is found, or only its checks are left of the budget."""
+    last = budget - min(sum(CHECKS) + 1, budget // 4)
+    while trials.runs < last and not found.repairs:
+        likely = (each for each in candidates if not (unlikely and each.chance))  # another chance proves nothing
+        wave = [*islice(likely, min(usable_cores(), last - trials.runs))]
         if not wave:
             break
         with closing(trials.all([Version(each.text) for each in wave])) as results:
             ended = sorted((at, trial.ending) for at, trial in results)
         found.tried += len(wave)
-        found.runs = trials.runs
         for at, ending in ended:
             edit = wave[at]
             if ending.kind != "succeeded":
                 if not alike(ending, trials.reference):
                     found.others[edit.what] = ending.failure
                 continue
+            if found.repairs or trials.runs >= budget:
+                break
             files = (folder / f"{trials.log.path.stem}.fix-{number}.mcap" for number in count(1))
             file = next(each for each in files if not each.exists())
             if not alike(trials.one(edit.text, file).ending, ending) or not reaches_goal(file, properties):
                 file.unlink(missing_ok=True)
                 continue
-            repair = Repair(edit, file, 0, 0, _mark(trials, edit, file, failed))
-            if repair.mark:
-                budget = min(budget, trials.runs + _MORE)
-            else:
-                repair = _checked(trials, repair)
-            (unlikely if repair.mark else found.repairs).append(repair)
-        found.repairs.sort(key=lambda each: each.edit.cost)
+            found.repairs.append(
+                Repair(edit, file, 0, 0, _mark(trials, edit, file, failed))
+            )  # shown after an interrupt
+            if not found.repairs[0].mark:
+                found.repairs[0] = _checked(trials, found.repairs[0], budget)
+            if found.repairs[0].mark:
+                unlikely.append(found.repairs.pop())
+                last = min(last, trials.runs + _MORE)
 
 
 def required(log: Recording, holds: Sequence[str]) -> list[str]:
@@ -167,11 +174,16 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     for rank, line in enumerate(lines):
         kinds: Counter[float] = Counter()
         for edit in editor.edits(line, alternatives, stale=line in stale):
-            cost = edit.cost + _LATER * rank + _ANOTHER * kinds[edit.cost]
-            edits.append(replace(edit, cost=cost, asks=edit.asks and line not in guessed))
             kinds[edit.cost] += 1
-    if lines:
-        edits += editor.insertions(lines[0])
+            later = _LATER * rank + _ANOTHER * (kinds[edit.cost] - 1)
+            is_likely = line in guessed and edit.asks
+            cost = edit.cost + later - _GUESSED * is_likely
+            asks, chance = edit.asks and not is_likely, edit.chance and not is_likely
+            edits.append(replace(edit, cost=cost, asks=asks, chance=chance))
+    failed = [each.number for each in why.call_stack if each.file.endswith(trials.program.name)][-1:]
+    for rank, line in enumerate(dict.fromkeys((*failed, *lines[:1]))):
+        edits += [replace(each, cost=each.cost + _LATER * rank) for each in editor.insertions(line)]
+    edits += [replace(each, cost=each.cost + _ELSEWHERE) for each in editor.structural()]
     seen: set[str] = set()
     for edit in sorted(edits):
         if edit.text not in seen and _is_python(edit.text):
@@ -197,7 +209,9 @@ def _lines(
         line.number for stack in (why.call_stack, *stacks) for line in reversed(stack) if line.file.endswith(name)
     ]
     flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
-    return [*dict.fromkeys((*ranked, *called[:1], *flow))][:_MAX_LINES], guessed, stale
+    lines = [*dict.fromkeys((*ranked, *called[:1], *flow))]
+    lines[_LIKELY:_LIKELY] = editor.handlers
+    return [*dict.fromkeys(lines)][:_MAX_LINES], guessed, stale
 
 
 def _is_python(text: str) -> bool:
@@ -233,22 +247,44 @@ def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
         before, done = (each.find(status=State.SUCCEEDED) for each in (tree(trials.log), log.tree()))
         mark = "" if failed is None else changed_goal(before, done, failed, edit)
         left = sorted(_commanded(trials.log) - _commanded(log))
-    return mark or (f"it leaves {phrases.names(left)} alone" if left else "")
+        mark = mark or (_changed_place(trials.log, log) if edit.asks else "")
+    if left and not mark:
+        mark = f"it leaves {phrases.names(left)} alone"
+    return mark or ("perhaps by chance: only the success of the run speaks for it" if edit.chance else "")
 
 
-def _checked(trials: Trials, repair: Repair) -> Repair:
-    """Run a repair under other seeds, and with loose objects elsewhere."""
+def _changed_place(before: RecordReader, log: RecordReader) -> str:
+    """Return where the plan itself puts an object in a repaired run, if it is elsewhere than before; otherwise ""."""
+    for one, other in zip(_put(before), _put(log), strict=False):
+        if one.body == other.body and math.dist(one.position, other.position) > _SETTLED:
+            places = (phrases.vector(each.position) for each in (one, other))
+            return f"it changes what is asked for: {one.body} at {' becomes '.join(places)}"
+    return ""
+
+
+def _put(log: RecordReader) -> list[MoveBody]:
+    """Return the plan's own moves of objects."""
+    moves = (each for each in log.records(Mutation) if each.HasField("move_body") and not each.task)
+    return [each.move_body for each in moves]
+
+
+def _checked(trials: Trials, repair: Repair, budget: int) -> Repair:
+    """Run a repair under other seeds, and with loose objects elsewhere, within the budget."""
     text = repair.edit.text
-    versions = [Version(text, seed=seed) for seed in range(1, CHECKS[0] + 1)]
-    versions += [Version(text, elsewhere=draw) for draw in range(1, CHECKS[1] + 1)]
-    good = [0, 0]
+    seeds = [Version(text, seed=seed) for seed in range(1, CHECKS[0] + 1)]
+    places = [Version(text, elsewhere=draw) for draw in range(1, CHECKS[1] + 1)]
+    versions = [each for pair in zip_longest(seeds, places) for each in pair if each][: max(budget - trials.runs, 0)]
+    good, every = [0, 0], [0, 0]
     with closing(trials.all(versions)) as results:
         for index, trial in results:
-            good[index >= CHECKS[0]] += trial.ending.kind == "succeeded"
+            every[bool(versions[index].elsewhere)] += 1
+            good[bool(versions[index].elsewhere)] += trial.ending.kind == "succeeded"
     mark = repair.mark
-    if not mark and not all(good):
-        mark = "it succeeds with its own seed only" if not good[0] else "it fails with objects 1 cm elsewhere"
-    return replace(repair, seeds=good[0], elsewhere=good[1], mark=mark)
+    if not mark and every[0] and not good[0]:
+        mark = "it succeeds with its own seed only"
+    elif not mark and every[1] and not good[1]:
+        mark = "it fails with objects 1 cm elsewhere"
+    return replace(repair, seeds=good[0], elsewhere=good[1], mark=mark, checks=(every[0], every[1]))
 
 
 def _commanded(log: RecordReader) -> set[str]:

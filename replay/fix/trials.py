@@ -138,7 +138,7 @@ class Trials:
             place = self._folder / str(self.runs) / self.program.parent.name
             lay({Path(self.program.name): job[1].text.encode()}, self.program.parent, place)
             plan = place / self.program.name
-            return run_from_start(partial(self._answer, plan, job[1]))
+            return run_from_start(partial(self._answer, plan, job[1], job[1].file and job[1].file.absolute()))
 
         with closing(pool.run(deque(enumerate(versions)), start)) as results:
             for (index, version), result in results:
@@ -150,9 +150,8 @@ class Trials:
                     ending = Ending("time limit", f"it was still running after {self._limit:.0f} s")
                 yield index, EditedRun(ending, result.seconds, version.file)
 
-    def _answer(self, plan: Path, version: Version) -> bytes:
-        """Run a plan in this child process; return its ending as JSON."""
-        file = version.file
+    def _answer(self, plan: Path, version: Version, file: Path | None) -> bytes:
+        """Run a plan in this child process, which changes its folder; return its ending as JSON."""
         sinks: list[EndingSink] = []
         outside: list[str] = []
         folder = None if file is None else file.parent

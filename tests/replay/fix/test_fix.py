@@ -74,7 +74,8 @@ def test_a_repair_that_fits_only_its_seed_is_marked(tmp_path: Path, capsys: pyte
         '            raise PlanFailure("high")\n        if random.random() > 0.2:\n            raise',
     )
     log = recorded(tmp_path, drawn.replace("HEIGHT = 20", "HEIGHT = 0.2"))
-    code, found = fixed(log, "--budget", "40", capsys=capsys)
+    code, found = fixed(log, "--budget", "21", capsys=capsys)
+    assert found["runs"] <= 21
     assert code == (0 if found["repairs"] else 1)
     assert all(each["mark"] for each in found["repairs"] if not each["seeds"])
 
@@ -121,6 +122,95 @@ def test_edits_stay_at_one_place_and_leave_no_statement_out() -> None:
     assert 'x = [1, 0, 0, 1]\nif a < b and not c:\n    go("right")  # é\n    do("left", d / 2)\n' in edited[4]
     for texts in edited.values():
         assert all("do(" in each and "go(" in each and "x = " in each for each in texts)
+
+
+#: A plan with a mistake, and the same plan without it.
+MISTAKES = {
+    "aliasing": ("slots = [[1, y]] * count\n", "slots = [[1, y] for _ in range(count)]\n"),
+    "default": (
+        "def line(names, used=[]):\n    used.append(names)\n",
+        "def line(names, used=None):\n    used = [] if used is None else used\n    used.append(names)\n",
+    ),
+    "late binding": (
+        "for kind in kinds:\n    jobs.add(lambda: go(kind))\n",
+        "for kind in kinds:\n    jobs.add(lambda kind=kind: go(kind))\n",
+    ),
+    "shadowing": (
+        "def put(goal):\n    for goal in ways:\n        go(goal)\n    place(goal)\n",
+        "def put(goal):\n    for goal_2 in ways:\n        go(goal_2)\n    place(goal)\n",
+    ),
+    "branches": (
+        "if a in b:\n    go(1)\nelif a in c:\n    go(2)\n    go(3)\n",
+        "if a in c:\n    go(2)\n    go(3)\nelif a in b:\n    go(1)\n",
+    ),
+    "swallowed error": (
+        "for arm in arms:\n    try:\n        take(arm)\n    except Error:\n        pass\n    go()\n",
+        "for arm in arms:\n    try:\n        take(arm)\n    except Error:\n        continue\n    go()\n",
+    ),
+    "success": (
+        "for arm in arms:\n    try:\n        take(arm)\n    except Error:\n        print()\n",
+        "for arm in arms:\n    try:\n        take(arm)\n        break\n    except Error:\n        print()\n",
+    ),
+    "precedence": ("y = a + b / 2\n", "y = ((a + b) / 2)\n"),
+    "degrees": ("import math\nturn(sin(degrees / 2))\n", "import math\nturn(sin(math.radians(degrees) / 2))\n"),
+    "bounds": ("for i in range(1, len(x)):\n    go(i)\n", "for i in range(len(x)):\n    go(i)\n"),
+    "method": (
+        "class Belief:\n    def look(self):\n        self.seen = 1\n        return self.seen\ngo(b.seen)\n",
+        "class Belief:\n    def look(self):\n        self.seen = 1\n        return self.seen\ngo(b.look())\n",
+    ),
+    "reset": (
+        "y = 0\nfor row in rows:\n    y += 1\n    go(y)\n",
+        "for row in rows:\n    y = 0\n    y += 1\n    go(y)\n",
+    ),
+    "early return": (
+        "def f():\n    for a in b:\n        go(a)\n        return a\n",
+        "def f():\n    for a in b:\n        go(a)\n    return a\n",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", MISTAKES)
+def test_typical_mistakes_have_an_inverse_without_doubt(kind: str) -> None:
+    before, after = MISTAKES[kind]
+    editor = Editor(before)
+    edits = [edit for line in range(1, before.count("\n") + 1) for edit in editor.edits(line)]
+    found = [edit for edit in edits if edit.text == after]
+    assert found
+    assert not any(edit.asks or edit.chance for edit in found)
+
+
+def test_a_call_of_the_plan_is_inserted_also_with_an_unused_name() -> None:
+    text = (
+        "from pycram import perform\nHERE, THERE = [0], [1]\nNEAR = [1, 2]\nFAR = [3, 4]\n"
+        "def go(to):\n    perform(to)\ngo(NEAR)\nperform(pick_up(1))\nperform(place(1))\n"
+    )
+    inserted = [edit.what for edit in sorted(Editor(text).insertions(9))]
+    assert inserted == ["go(FAR) before line 9", "go(NEAR) before line 9"]
+
+
+def test_values_for_assertions_and_prints_stay_unchanged() -> None:
+    text = (
+        "def gap(a):\n    return a[0] - 1\nput(cup)\ndx = abs(cup.get_position()[0] - 2)\nnear = dx < gap(cup)\n"
+        "assert near\nfor name in names[1:]:\n    y = where(name)[1]\n    print(y - 1)\nx = cup.get_position()[0]\nprint(x)\ngo(x)\n"
+    )
+    editor = Editor(text)
+    assert not [edit for line in (2, 4, 5, 7, 8, 9) for edit in editor.edits(line) if not edit.what.startswith("line")]
+    assert [edit for edit in editor.edits(10) if not edit.what.startswith("line")]
+
+
+def test_other_scales_and_swapped_axes_are_doubted_without_a_number_that_suggests_them() -> None:
+    editor = Editor("LEFT, RIGHT = 0.4, 1.6\nHEIGHT = 80\nput([LEFT, RIGHT, HEIGHT])\ny = LEFT / RIGHT\n")
+    doubted = {
+        edit.text.splitlines()[edit.line - 1]: edit.chance for line in (1, 2, 3, 4) for edit in editor.edits(line)
+    }
+    for text, chance in {
+        "LEFT, RIGHT = 0.004, 1.6": True,
+        "HEIGHT = 0.8": False,
+        "put([RIGHT, LEFT, HEIGHT])": True,
+        "y = (LEFT * RIGHT)": True,
+        "y = (LEFT // RIGHT)": False,
+    }.items():
+        assert doubted[text] == chance
 
 
 def test_another_target_changes_what_is_asked_for() -> None:

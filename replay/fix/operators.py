@@ -1,0 +1,343 @@
+"""Small changes of a syntax node: each is the inverse of a typical mistake, and has a cost."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import math
+import re
+from collections.abc import Callable, Iterator
+from typing import Final, NamedTuple
+
+from replay.fix.plan_syntax import PlanSyntax, called_name, loads, stored, written_number
+
+_FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
+_OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
+    ast.Add: (ast.Sub,),
+    ast.Sub: (ast.Add,),
+    ast.Mult: (ast.Div,),
+    ast.Div: (ast.FloorDiv, ast.Mult),
+    ast.FloorDiv: (ast.Div, ast.Mod),
+    ast.Mod: (ast.FloorDiv,),
+    ast.And: (ast.Or,),
+    ast.Or: (ast.And,),
+    ast.Lt: (ast.Gt, ast.LtE),
+    ast.Gt: (ast.Lt, ast.GtE),
+    ast.LtE: (ast.GtE, ast.Lt),
+    ast.GtE: (ast.LtE, ast.Gt),
+    ast.Eq: (ast.NotEq,),
+    ast.NotEq: (ast.Eq,),
+    ast.Is: (ast.IsNot,),
+    ast.IsNot: (ast.Is,),
+    ast.In: (ast.NotIn,),
+    ast.NotIn: (ast.In,),
+}
+_SCALES: Final = {ast.Mult, ast.Div}
+_FEW: Final = 2  # whole numbers up to this number are counts, not lengths
+_MANY: Final = 4.0  # a number that is so much larger than all others has another unit
+_GRAVITY: Final = 9.0
+_RIGHT_ANGLES: Final = 15.0  # multiples of this number are likely angles in degrees
+_PASSED: Final = 0.2  # additional cost of a number for a function of the plan, which may convert it
+_AXIS: Final = re.compile(r"(?:.*_)?[xyz]")
+_ANGLE: Final = re.compile(r".*(?:deg|angle|yaw|pitch|roll|theta|turn|heading|rotation).*", re.IGNORECASE)
+_MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
+_JUMPS: Final = ast.Return | ast.Break | ast.Continue | ast.Pass
+_OTHERS: Final = {"min": "max", "max": "min", "sin": "cos", "cos": "sin", "any": "all", "all": "any"}
+FAR: Final = 1.0  # cost of an edit that is larger than a typical mistake
+
+
+class Change(NamedTuple):
+    """New texts at places of the source."""
+
+    what: str  # the change, in words
+    cost: float
+    parts: tuple[tuple[ast.AST | tuple[int, int], str], ...]  # nodes, or places in bytes
+    asks: bool = False  # whether a value or name changes, rather than how values are computed
+    chance: bool = False  # whether nothing but a success speaks for the change
+
+
+def _to(node: ast.AST, new: str, cost: float, what: str = "", *, asks: bool = False, chance: bool = False) -> Change:
+    return Change(what or f"{new} instead of {ast.unparse(node)}", cost, ((node, new),), asks, chance)
+
+
+def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    value = written_number(node)
+    if value is None:
+        return
+    is_count = isinstance(value, int) and value <= _FEW and node in plan.counts
+    usual = max(
+        (each for each in plan.numbers if each != value and not _GRAVITY < each < _GRAVITY + 1), default=math.inf
+    )
+    for number, factor in enumerate(_FACTORS if value and not is_count else ()):
+        is_unit = value >= _MANY * usual and value * factor <= usual
+        is_unit |= factor == _FACTORS[2] and not value % _RIGHT_ANGLES
+        cost = 0.25 + 0.05 * number if is_unit else 0.3 + 0.1 * number + 0.4 * (number > 2)
+        cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)
+        what = f"{value} times {factor:.3g}"
+        yield _to(node, f"{value * factor:.6g}", cost, what, asks=not is_unit, chance=not is_unit)
+    if isinstance(value, float) or node not in plan.counts:
+        yield _to(node, f"{-value!r}", 0.5, f"the sign of {value}", asks=True)
+    if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":
+        for other in (value - 1, value + 1):
+            yield _to(node, repr(other), 0.45, asks=True)
+
+
+def _bounds(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
+    """Yield other first and last items."""
+    if isinstance(node, ast.Call) and called_name(node) == "range" and not node.keywords:
+        first, last = ("0", node.args[0]) if len(node.args) == 1 else (ast.unparse(node.args[0]), node.args[1])
+        step = "".join(f", {ast.unparse(each)}" for each in node.args[2:])
+        end, core = ast.unparse(last), ""
+        if isinstance(last, ast.BinOp) and isinstance(last.op, ast.Add | ast.Sub) and ast.unparse(last.right) == "1":
+            core = ast.unparse(last.left)
+        firsts = {"0": "1", "1": "0"}
+        news = [(firsts.get(first, first), core)] if core else []
+        news += [(firsts.get(first, f"{first} - 1"), end), (first, core or f"{end} + 1"), (first, f"{end} - 1")]
+        for at, (start, stop) in enumerate(news):
+            new = f"range({stop})" if start == "0" and not step else f"range({start}, {stop}{step})"
+            yield _to(node, new, 0.3 + 0.08 * at)
+    elif isinstance(node, ast.Call) and called_name(node) == "enumerate":
+        listed = ast.unparse(node.args[0])
+        yield _to(
+            node, f"enumerate({listed})" if len(node.args) + len(node.keywords) > 1 else f"enumerate({listed}, 1)", 0.5
+        )
+    elif isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice):
+        yield _to(node, f"{ast.unparse(node.value)}[:]", 0.4)
+
+
+def _grouping(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
+    """Yield other parentheses."""
+    if isinstance(node, ast.BinOp):
+        left, right = node.left, node.right
+        if isinstance(right, ast.BinOp) and not _is_same(node.op, right.op):
+            new = ast.BinOp(ast.BinOp(left, node.op, right.left), right.op, right.right)
+            yield _to(node, f"({ast.unparse(new)})", 0.35)
+        if isinstance(left, ast.BinOp) and not _is_same(left.op, node.op):
+            new = ast.BinOp(left.left, left.op, ast.BinOp(left.right, node.op, right))
+            yield _to(node, f"({ast.unparse(new)})", 0.35)
+    elif isinstance(node, ast.BoolOp) and isinstance(node.op, ast.Or) and isinstance(node.values[-1], ast.BoolOp):
+        first, *rest = node.values[-1].values
+        either = ast.BoolOp(ast.Or(), [*node.values[:-1], first])
+        yield _to(node, f"({ast.unparse(ast.BoolOp(ast.And(), [either, *rest]))})", 0.4)
+
+
+def _is_same(one: ast.operator, other: ast.operator) -> bool:
+    """Return whether parentheses don't matter in a, one, b, other, c."""
+    return (isinstance(one, ast.Add) and isinstance(other, ast.Add | ast.Sub)) or (
+        isinstance(one, ast.Mult) and isinstance(other, ast.Mult | ast.Div)
+    )
+
+
+def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield an angle in the other unit."""
+    if isinstance(node, ast.Call) and called_name(node) in ("radians", "degrees"):
+        yield _to(node, f"({ast.unparse(node.args[0])})", 0.4)
+    elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load):
+        parent = plan.parents[node]
+        named = _ANGLE.fullmatch(ast.unparse(node)) is not None and node not in plan.called
+        turned = called_name(parent) in ("sin", "cos", "tan") and node in getattr(parent, "args", ())
+        if (named or turned) and called_name(parent) not in ("radians", "degrees"):
+            function = "radians" if "radians" in plan.defined else "math.radians"
+            yield plan_import(_to(node, f"{function}({ast.unparse(node)})", 0.35), plan)
+
+
+def plan_import(change: Change, plan: PlanSyntax) -> Change:
+    """Return a change that also imports math, if the plan doesn't."""
+    first = next(each for each in plan.tree.body if not isinstance(each, ast.Expr))
+    if "math." not in change.parts[0][1] or "math" in plan.defined or getattr(first, "module", "") == "__future__":
+        return change
+    return change._replace(parts=((first, f"import math\n{plan.segment(first)}"), *change.parts))
+
+
+def _aliasing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a copy of a container instead of a second name, and as many containers as items."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
+        for listed, times in ((node.left, node.right), (node.right, node.left)):
+            if isinstance(listed, ast.List) and any(not isinstance(each, ast.Constant) for each in listed.elts):
+                items = ast.unparse(listed)[1:-1]
+                several = f"{items} for _ in range({ast.unparse(times)})" if len(listed.elts) == 1 else ""
+                if several:
+                    yield _to(node, f"[{several}]", 0.2)
+    if called_name(node) == "fromkeys" and isinstance(node, ast.Call) and len(node.args) > 1:
+        keys, value = map(ast.unparse, node.args)
+        yield _to(node, f"{{key: {value} for key in {keys}}}", 0.2)
+    if isinstance(node, ast.Assign | ast.Return) and node.value is not None:
+        kinds = {plan.literals.get(each.id) for each in ast.walk(node.value) if isinstance(each, ast.Name)} - {None}
+        if isinstance(node.value, ast.Name | ast.Subscript | ast.Attribute) and kinds:
+            value = ast.unparse(node.value)
+            kind = plan.literals.get(value)
+            copied = f"{kind}({value})" if kind else f"{value}.copy()"
+            yield _to(node.value, copied, 0.5)
+
+
+def _default(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a default value that each call makes anew."""
+    if not isinstance(node, ast.FunctionDef):
+        return
+    given = node.args
+    pairs = [*zip([*given.posonlyargs, *given.args][::-1], given.defaults[::-1], strict=False)]
+    pairs += [(name, value) for name, value in zip(given.kwonlyargs, given.kw_defaults, strict=True) if value]
+    for name, value in pairs:
+        if isinstance(value, _MUTABLE | ast.Call | ast.Attribute | ast.Subscript):
+            start = node.body[ast.get_docstring(node) is not None and len(node.body) > 1]
+            made = f"{name.arg} = {ast.unparse(value)} if {name.arg} is None else {name.arg}"
+            text = f"{made}\n{' ' * start.col_offset}{plan.segment(start)}"
+            yield Change(f"{ast.unparse(value)} for each call", 0.2, ((value, "None"), (start, text)))
+
+
+def _late(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a function that keeps the variables of the loop around it."""
+    if isinstance(node, ast.Lambda | ast.FunctionDef) and not node.args.vararg and not node.args.kwonlyargs:
+        loops = [each for each in plan.around(node) if isinstance(each, ast.For | ast.comprehension)]
+        loops += [each for around in plan.around(node) for each in getattr(around, "generators", ())]
+        names = set[str]().union(*(stored(each.target) for each in loops)) - {each.arg for each in node.args.args}
+        body = node.body if isinstance(node.body, list) else [node.body]
+        used = sorted(name for name in names if any(loads(each, {name}) for each in body))
+        if used:
+            other = copy.deepcopy(node)
+            other.args.args += [ast.arg(name) for name in used]
+            other.args.defaults += [ast.Name(name, ast.Load()) for name in used]
+            new = ast.unparse(other).replace("\n", f"\n{' ' * node.col_offset}")
+            yield _to(node, new, 0.25, f"{', '.join(used)} of each iteration")
+
+
+def _shadowing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a loop whose variable has a name of its own."""
+    if not isinstance(node, ast.For):
+        return
+    scope = plan.scope(node)
+    for name in sorted(stored(node.target)):
+        same = [each for each in ast.walk(scope) if isinstance(each, ast.Name | ast.arg) and _name(each) == name]
+        inside = {each for each in ast.walk(node) if isinstance(each, ast.Name) and each.id == name}
+        earlier = [each for each in same if each.lineno < node.lineno and not _is_load(each)]
+        if earlier and any(each.lineno > (node.end_lineno or 0) for each in same):
+            parts = tuple((each, f"{name}_2") for each in inside)
+            yield Change(f"{name}_2 instead of {name} in the loop of line {node.lineno}", 0.3, parts)
+
+
+def _name(node: ast.Name | ast.arg) -> str:
+    return node.id if isinstance(node, ast.Name) else node.arg
+
+
+def _is_load(node: ast.Name | ast.arg) -> bool:
+    return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
+
+
+def _branches(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield the branches of a condition in the other order."""
+    other = node.orelse[0] if isinstance(node, ast.If) and len(node.orelse) == 1 else None
+    if isinstance(node, ast.If) and isinstance(other, ast.If) and other.col_offset == node.col_offset:
+        ends = [(each.test, each.test) for each in (node, other)] + [
+            (each.body[0], each.body[-1]) for each in (node, other)
+        ]
+        texts = [plan.segment(*each) for each in ends]
+        parts = zip((plan.span(*each) for each in ends), (texts[1], texts[0], texts[3], texts[2]), strict=True)
+        yield Change(f"the condition of line {other.lineno} before that of line {node.lineno}", 0.3, tuple(parts))
+
+
+def _handling(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield handlers that don't swallow an error, and loops that end after a success."""
+    if isinstance(node, ast.ExceptHandler) and not any(isinstance(each, ast.Raise) for each in ast.walk(node)):
+        last = node.body[-1]
+        for jump in ("continue", "break", "raise") if plan.in_loop(node) else ("raise",):
+            old, indent = plan.segment(last), " " * last.col_offset
+            new = jump if isinstance(last, _JUMPS) else f"{old}\n{indent}{jump}"
+            if new != old:
+                yield _to(last, new, 0.4, f"{jump} after the error of line {node.lineno}")
+        attempt = plan.parents[node]
+        if isinstance(attempt, ast.Try) and plan.in_loop(node) and not isinstance(attempt.body[-1], _JUMPS):
+            last = attempt.body[-1]
+            new = f"{plan.segment(last)}\n{' ' * last.col_offset}break"
+            yield _to(last, new, 0.45, f"break after line {last.end_lineno}")
+    elif isinstance(node, ast.Break | ast.Continue):
+        yield _to(node, "continue" if isinstance(node, ast.Break) else "break", 0.55)
+
+
+def _calls(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield the call of a method instead of an attribute, and calls with a forgotten world."""
+    if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and node not in plan.called:
+        owner = ast.unparse(node.value)
+        named = {
+            each.func.attr for each in plan.nodes if isinstance(each, ast.Call) and isinstance(each.func, ast.Attribute)
+        }
+        if node.attr in named:
+            yield _to(node, f"{ast.unparse(node)}()", 0.3)
+        for method in plan.functions.values() if owner != "self" else ():
+            stores = (each for each in ast.walk(method) if isinstance(each, ast.Attribute) and each.attr == node.attr)
+            returns = any(isinstance(each, ast.Return) and each.value for each in ast.walk(method))
+            is_method = [each.arg for each in method.args.args] == ["self"] and method.name != "__init__"
+            if is_method and returns and any(isinstance(each.ctx, ast.Store) for each in stores):
+                yield _to(node, f"{owner}.{method.name}()", 0.35)
+    elif called_name(node) == "Object" and isinstance(node, ast.Call):
+        worlds = sorted(plan.names["BulletWorld"]) if "world" not in {each.arg for each in node.keywords} else []
+        for world in worlds if len(worlds) > 1 else ():
+            yield _to(node, f"{plan.segment(node)[:-1]}, world={world})", 0.4, f"world={world}")
+    elif isinstance(node, ast.Name | ast.Attribute) and node in plan.called:
+        name = getattr(node, "attr", getattr(node, "id", ""))
+        if name in _OTHERS:
+            yield _to(node, ast.unparse(node).removesuffix(name) + _OTHERS[name], 0.55)
+
+
+def _structure(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
+    """Yield other forms of an expression: operators, and order of items."""
+    is_whole = isinstance(node, ast.expr) and not isinstance(node, ast.Starred | ast.Slice)
+    other = ast.parse(ast.unparse(node), mode="eval").body if is_whole else None
+    if isinstance(other, ast.BinOp | ast.BoolOp):
+        before = type(other.op)
+        for kind in _OPPOSITE.get(before, ()):
+            other.op = kind()  # type: ignore[assignment]
+            chance = {before, kind} == _SCALES
+            yield _to(
+                node, f"({ast.unparse(other)})", 0.65, f"{ast.unparse(node)} with another operator", chance=chance
+            )
+    elif isinstance(other, ast.Compare) and len(other.ops) == 1:
+        for kind in _OPPOSITE.get(type(other.ops[0]), ()):
+            other.ops = [kind()]  # type: ignore[list-item]
+            yield _to(node, ast.unparse(other), 0.55)
+    elif isinstance(other, ast.List | ast.Tuple) and 2 <= len(other.elts) <= 4 and isinstance(other.ctx, ast.Load):
+        items = other.elts
+        turned = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
+        swapped = [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
+        for order in (*turned, *swapped):
+            other.elts = order
+            is_turn = order in turned
+            yield _to(node, ast.unparse(other), 0.35 if is_turn else 0.42, asks=True, chance=not is_turn)
+    elif isinstance(other, ast.Call) and any(keyword.arg == "orientation" for keyword in other.keywords):
+        other.keywords = [keyword for keyword in other.keywords if keyword.arg != "orientation"]
+        yield _to(node, ast.unparse(other), FAR, "without orientation")
+
+
+def _condition(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield the opposite of a condition, and a sequence instead of a parallel block."""
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+        yield _to(node, f"({ast.unparse(node.operand)})", 0.56, f"without not: {ast.unparse(node)}")
+    elif isinstance(node, ast.Name) and node.id == "par" and isinstance(node.ctx, ast.Load):
+        yield _to(node, "seq", 0.57)
+    elif getattr(plan.parents.get(node), "test", None) is node and not isinstance(node, ast.Compare | ast.BoolOp):
+        yield _to(node, f"not ({ast.unparse(node)})", 0.56)
+
+
+def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield other variables with the same role."""
+    fitting = set[str]().union(*(each for each in plan.names.values() if node.id in each))
+    for name in sorted(fitting - {node.id}):
+        chance = bool(_AXIS.fullmatch(name) and _AXIS.fullmatch(node.id))
+        yield _to(node, name, 0.6, asks=name in plan.constants, chance=chance)
+
+
+#: What an edit of a line tries, for each of its nodes.
+OPERATORS: Final[tuple[Callable[[ast.AST, PlanSyntax], Iterator[Change]], ...]] = (
+    _number,
+    _bounds,
+    _grouping,
+    _angle,
+    _aliasing,
+    _default,
+    _late,
+    _shadowing,
+    _branches,
+    _handling,
+    _calls,
+    _structure,
+    _condition,
+)

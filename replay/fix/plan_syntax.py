@@ -1,0 +1,247 @@
+"""The syntax tree of a plan, with facts for edits: which names have the same role, and what stays unchanged."""
+
+from __future__ import annotations
+
+import ast
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+_CHECKING: Final = ("print", "monitored")  # their arguments have no effect on the world
+#: Functions and methods that change the world, or a container.
+_ACTING: Final = (
+    *("perform", "simulate", "settle", "wait_for", "attach", "detach", "Object", "BulletWorld"),
+    *("append", "add", "extend", "insert", "pop", "remove", "update", "clear"),
+)
+Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
+
+
+class PlanSyntax:
+    """Facts about one source file."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.source = text.encode()  # the syntax tree counts bytes
+        self.lines = [line.decode() for line in self.source.splitlines(keepends=True)]
+        self.tree = ast.parse(text)
+        self.nodes = [*ast.walk(self.tree)]  # outer nodes first
+        self.parents = {child: node for node in self.nodes for child in ast.iter_child_nodes(node)}
+        self.strings: dict[str, set[str]] = defaultdict(set)  # string constants by their role
+        self.names: dict[str, set[str]] = defaultdict(set)  # variables by the call that returned their value
+        self.goals: set[ast.AST] = set()  # assertions and what only they need; they stay unchanged
+        self.counts: set[ast.AST] = set()  # expressions that count or number something, such as indices
+        self.scene: set[ast.AST] = set()  # arguments of loaded objects; which objects there are stays unchanged
+        self.checks: set[str] = set()  # functions with assertions
+        self.functions = {node.name: node for node in self.nodes if isinstance(node, ast.FunctionDef)}
+        self.called = {node.func for node in self.nodes if isinstance(node, ast.Call)}
+        self.constants: set[str] = set()  # variables with a written container
+        self.literals: dict[str, str] = {}  # types of variables with a list, a dictionary or a set
+        self.numbers = [each for each in map(written_number, self.nodes) if each is not None]  # without signs
+        self.defined = {
+            each.asname or each.name
+            for node in self.nodes
+            for each in getattr(node, "names", ())
+            if isinstance(each, ast.alias)
+        }
+        self._stored: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
+        for node in self.nodes:
+            self._protect(node)
+            self._note_roles(node)
+        self._protect_measurements()
+        self.unused = self._unused()
+
+    def _protect(self, node: ast.AST) -> None:
+        """Note the expressions that keep their value, and the numbers that count something."""
+        if isinstance(node, ast.Subscript | ast.BinOp | ast.Compare | ast.Slice):
+            self.counts |= {*ast.iter_child_nodes(node)}
+        if isinstance(node, ast.Call):
+            name = ast.unparse(node.func)
+            self.counts |= {*node.args} if name in ("range", "enumerate") else set()
+            self.scene |= {*ast.walk(node)} if name.endswith("Object") else set()
+            self.goals |= {*ast.walk(node)} if name in _CHECKING else set()
+        if isinstance(node, ast.Dict) and len({ast.dump(key) for key in node.keys if key}) == len(node.keys):
+            self.scene |= {*filter(None, node.keys)}  # a key that stands there twice may be wrong
+        if isinstance(node, ast.Constant) and str(node.value).endswith((".stl", ".urdf", ".obj", ".dae")):
+            self.scene.add(node)
+        if asserts(node):
+            self.goals |= {*ast.walk(node)}
+        if isinstance(node, ast.If) and any(map(asserts, (*node.body, *node.orelse))):
+            self.goals |= {node, *ast.walk(node.test)}
+        if isinstance(node, ast.FunctionDef) and any(map(asserts, ast.walk(node))):
+            self.checks.add(node.name)
+
+    def _note_roles(self, node: ast.AST) -> None:
+        """Note which texts and names the plan uses in the same role."""
+        for role, value in _roles(node):
+            if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                self.strings[role].add(value.value)
+            if isinstance(value, ast.Name):
+                self.names[role].add(value.id)
+        if isinstance(node, ast.withitem) and isinstance(node.context_expr, ast.Call):
+            self.names[ast.unparse(node.context_expr.func)] |= stored(node)
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
+            self.names[ast.unparse(node.value.func)] |= stored(node)
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.List | ast.Tuple | ast.Dict | ast.Set):
+            self.names[_shape(node.value)] |= stored(node)
+            self.constants |= stored(node)
+            kind = type(node.value).__name__.lower()
+            self.literals |= {} if kind == "tuple" else dict.fromkeys(stored(node), kind)
+        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            self._stored[self.scope(node)].add(node.id)
+        if isinstance(node, ast.arg):
+            self._stored[self.scope(node)].add(node.arg)
+
+    def span(self, first: ast.AST, last: ast.AST) -> tuple[int, int]:
+        """Return the place of some nodes in the source, in bytes."""
+        return self._offset(first.lineno, first.col_offset), self._offset(last.end_lineno, last.end_col_offset)  # type: ignore[attr-defined]
+
+    def segment(self, first: ast.AST, last: ast.AST | None = None) -> str:
+        """Return the text of some nodes."""
+        start, end = self.span(first, last or first)
+        return self.source[start:end].decode()
+
+    def replaced(self, parts: Iterable[tuple[ast.AST | tuple[int, int], str]], within: ast.AST | None = None) -> str:
+        """Return the source, or the text of a node, with other texts at some places."""
+        source = self.source
+        start, end = (0, len(source)) if within is None else self.span(within, within)
+        end -= len(source)
+        places = ((each if isinstance(each, tuple) else self.span(each, each), new) for each, new in parts)
+        for (first, last), new in sorted(places, reverse=True):
+            source = source[:first] + new.encode() + source[last:]
+        return source[start : len(source) + end].decode()
+
+    def _offset(self, line: int, column: int) -> int:
+        return len("".join(self.lines[: line - 1]).encode()) + column
+
+    def around(self, node: ast.AST) -> Iterator[ast.AST]:
+        """Yield the nodes around a node, inner nodes first."""
+        while node in self.parents:
+            node = self.parents[node]
+            yield node
+
+    def scope(self, node: ast.AST) -> ast.AST:
+        """Return the function around a node, or the module."""
+        return next((each for each in self.around(node) if isinstance(each, Function)), self.tree)
+
+    def in_loop(self, node: ast.AST) -> bool:
+        """Return whether a statement belongs to a loop of its function."""
+        kinds = (each for each in self.around(node) if isinstance(each, ast.For | ast.While | Function))
+        return isinstance(next(kinds, None), ast.For | ast.While)
+
+    def block(self, statement: ast.AST) -> list[ast.stmt]:
+        """Return the statements of a statement's block."""
+        fields = [value for _, value in ast.iter_fields(self.parents.get(statement, self.tree))]
+        return next((each for each in fields if isinstance(each, list) and statement in each), [])
+
+    def acts(self, node: ast.AST, seen: tuple[str, ...] = ()) -> bool:
+        """Return whether a node calls something that changes the world, or a container."""
+        for each in ast.walk(node):
+            name = called_name(each)
+            if name in _ACTING or name.startswith("set_"):
+                return True
+            if name in self.functions and name not in seen and self.acts(self.functions[name], (*seen, name)):
+                return True
+        return False
+
+    def _home(self, node: ast.Name) -> tuple[ast.AST, str]:
+        """Return the scope that assigns a name, with the name."""
+        scope = self.scope(node)
+        while scope is not self.tree and node.id not in self._stored[scope]:
+            scope = self.scope(scope)
+        return scope, node.id
+
+    def _protect_measurements(self) -> None:
+        """Protect the statements whose values only assertions, properties and printed texts use."""
+        names = [node for node in self.nodes if isinstance(node, ast.Name)]
+        homes = {node: self._home(node) for node in names}
+        loaded = {homes[node] for node in names if isinstance(node.ctx, ast.Load)}
+        before = -1
+        while before < len(self.goals):
+            before = len(self.goals)
+            used = {homes[node] for node in names if isinstance(node.ctx, ast.Load) and node not in self.goals}
+            for node in self.nodes:
+                if node in self.goals or not isinstance(node, ast.stmt):
+                    continue
+                if isinstance(node, ast.For | ast.If | ast.While):
+                    if all(each in self.goals for each in (*node.body, *node.orelse)):
+                        self.goals |= {*ast.walk(node)}
+                elif isinstance(node, ast.Expr) and called_name(node.value) in _CHECKING:
+                    self.goals.add(node)
+                elif isinstance(node, ast.Assign | ast.AugAssign | ast.AnnAssign | ast.FunctionDef):
+                    made = {homes[each] for each in ast.walk(node) if each in homes and isinstance(each.ctx, ast.Store)}
+                    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+                    if isinstance(node, ast.FunctionDef):
+                        made, targets = {(self.scope(node), node.name)}, []
+                    stores = any(isinstance(each, ast.Attribute | ast.Subscript) for each in targets)
+                    if made and made <= loaded - used and not stores and not self.acts(node):
+                        self.goals |= {*ast.walk(node)}
+
+    def _unused(self) -> set[str]:
+        """Return the names that the plan defines, but doesn't use for an effect."""
+        used = {
+            getattr(node, "id", getattr(node, "attr", ""))
+            for node in self.nodes
+            if _loads(node) and node not in self.goals
+        }
+        methods = {
+            each.name
+            for node in self.nodes
+            if isinstance(node, ast.ClassDef)
+            for each in node.body
+            if isinstance(each, ast.FunctionDef)
+        }
+        return set[str]().union(methods, self.functions, *self._stored.values()) - used - {"_"}
+
+
+def asserts(node: ast.AST) -> bool:
+    """Return whether a node is an assertion."""
+    return isinstance(node, ast.Assert | ast.Raise)
+
+
+def written_number(node: ast.AST) -> int | float | None:
+    """Return the number of a constant; None for another node."""
+    value = node.value if isinstance(node, ast.Constant) else None
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def called_name(node: ast.AST) -> str:
+    """Return the name of the function or method that a node calls; "" if it calls none."""
+    function = node.func if isinstance(node, ast.Call) else None
+    return str(getattr(function, "attr", getattr(function, "id", "")))
+
+
+def stored(node: ast.AST) -> set[str]:
+    """Return the variables that a syntax node assigns."""
+    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
+
+
+def loads(node: ast.AST, names: set[str]) -> bool:
+    """Return whether a node uses one of some variables."""
+    return any(isinstance(each, ast.Name) and _loads(each) and each.id in names for each in ast.walk(node))
+
+
+def _loads(node: ast.AST) -> bool:
+    return isinstance(getattr(node, "ctx", None), ast.Load)
+
+
+def _shape(node: ast.expr) -> str:
+    """Return the types of a container and its items."""
+    items = getattr(node, "elts", None)
+    return f"{type(node).__name__}({', '.join(map(_shape, items))})" if items is not None else "."
+
+
+def _roles(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
+    """Yield expressions with their roles: the keyword or the place of an argument, the key or place in a container."""
+    if isinstance(node, ast.Call):
+        function = ast.unparse(node.func)
+        yield from ((keyword.arg, keyword.value) for keyword in node.keywords if keyword.arg)
+        yield from ((f"{function} {at}", value) for at, value in enumerate(node.args))
+    elif isinstance(node, ast.Dict):
+        yield from (
+            (f"{{}} {key.value!r}", value)
+            for key, value in zip(node.keys, node.values, strict=True)
+            if isinstance(key, ast.Constant)
+        )
+        yield from ((f"keys of line {node.lineno}", key) for key in node.keys if key is not None)
+    elif isinstance(node, ast.List | ast.Tuple):
+        yield from ((f"items of line {node.lineno}", value) for value in node.elts)
