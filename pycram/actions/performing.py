@@ -36,8 +36,7 @@ from recorder.tracing.span import Span
 if TYPE_CHECKING:
     from pycram.actions.action import ActionType
 
-BUDGET: Final = 20
-"""Default number of failed tries that an action and its subactions may have."""
+BUDGET: Final = 20  # default number of failed tries that an action and its subactions may have
 
 _ENDLESS: Final = 10**9  # number of retries; only the budget limits them
 _MAX_REASONS: Final = 4  # maximum number of different failures in the message of ActionFailed

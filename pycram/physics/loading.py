@@ -32,8 +32,7 @@ class Loading:
     that is large for a link's inertia causes growing oscillations. A published URDF of the PR2 has a damping of 2e10 N
     m s/rad.
     """
-    clamped: bool = True
-    """Whether joints start within their limits. Joints outside of limits would jump at first."""
+    clamped: bool = True  # whether joints start within their limits. Joints outside of limits would jump at first.
     mimic: bool = True
     """Whether joints that mimic another joint are set with it. In simulation, motors hold them, because PyBullet has no
     mimic joints."""

@@ -24,8 +24,7 @@ class Clock(Protocol):
 class Limit(Condition, ABC):
     """A deadline of a part of the plan, which notifies waits when it comes."""
 
-    clock: Clock | None = None
-    """The simulated clock by which the deadline is measured; None for wall-clock time."""
+    clock: Clock | None = None  # the simulated clock by which the deadline is measured; None for wall-clock time
 
     @property
     @abstractmethod

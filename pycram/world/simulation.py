@@ -31,12 +31,9 @@ from recorder.tracing import journal
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
-SLOW: Final = 2e-3
-"""Speed in m/s below which an object may be at rest."""
-SLOW_TURN: Final = 2e-2
-"""Angular speed in rad/s below which an object may be at rest."""
-INTERVALS: Final = 4
-"""Number of successive intervals in which an object must be slow before it is at rest."""
+SLOW: Final = 2e-3  # speed in m/s below which an object may be at rest
+SLOW_TURN: Final = 2e-2  # angular speed in rad/s below which an object may be at rest
+INTERVALS: Final = 4  # number of successive intervals in which an object must be slow before it is at rest
 _GAIN: Final = 1.15  # largest gain of speed over these intervals; a 2 m high shelf that starts to tip gains more
 _STRAY: Final = 0.25  # in this duration in s, an object at rest may move as far as the slow speed would move it
 _TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # number of steps after which a trembling object is at rest

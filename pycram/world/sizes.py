@@ -8,8 +8,7 @@ from typing import Final
 
 from pycram.models.shapes import piece_bounds
 
-WIDEST: Final = 10.0
-"""Width in m of a free object's mesh above which its unit is probably wrong."""
+WIDEST: Final = 10.0  # width in m of a free object's mesh above which its unit is probably wrong
 _NAMED: Final = 5  # maximum number of links that a warning names
 
 
