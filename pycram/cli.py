@@ -181,9 +181,6 @@ def recording_path(template: str, plan: str, seed: int | None) -> Path:
         ) from error
 
 
-# --- options ----------------------------------------------------------------------------------------------------------
-
-
 def demos() -> Path:
     """Return the folder with the demos."""
     here = Path(__file__).parent

@@ -181,9 +181,6 @@ def _literal(node: ast.expr | None) -> Any:
         return ANY
 
 
-# --- variations -------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class Variations:
     """The parameters that vary between the runs of a sweep.

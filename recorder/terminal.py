@@ -54,9 +54,6 @@ def coloured(text: str, colour: str) -> str:
     return f"\x1b[{_COLOURS[colour]}m{text}\x1b[0m"
 
 
-# --- a pager ----------------------------------------------------------------------------------------------------------
-
-
 class _Pager(io.TextIOBase):
     """A stream of output for a terminal. Output that is longer than the screen is shown in a pager."""
 
@@ -139,9 +136,6 @@ def paged() -> Iterator[None]:
 def messages() -> IO[str]:
     """Return the stream for messages: stderr, or the open pager, because stderr would overwrite the pager's text."""
     return sys.stdout if isinstance(cast("object", sys.stdout), _Pager) and sys.stderr.isatty() else sys.stderr
-
-
-# --- help, progress and completion ------------------------------------------------------------------------------------
 
 
 class Parser(argparse.ArgumentParser):

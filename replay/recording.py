@@ -147,8 +147,6 @@ class Recording(RecordReader):
             geometry = contacts_of(self)
         return check(self, parsed, geometry)
 
-    # --- methods that need more than reading does import their modules late -----------------------------------------
-
     def render(
         self,
         step: int | str,

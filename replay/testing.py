@@ -91,9 +91,6 @@ def seeds(count: int) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("seed", range(count))
 
 
-# --- fixtures ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.fixture
 def pycram_record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """Record the test. If the test fails, the recording is kept under the name of the test."""
@@ -190,9 +187,6 @@ def _keep(request: pytest.FixtureRequest, file: Path, kept: Path) -> None:
     else:
         with suppress(OSError):
             file.unlink()
-
-
-# --- hooks ------------------------------------------------------------------------------------------------------------
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

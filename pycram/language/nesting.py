@@ -134,9 +134,6 @@ def scope(function: Callable[Arguments, Iterator[Value]]) -> Callable[Arguments,
     return made
 
 
-# --- bodies of blocks -------------------------------------------------------------------------------------------------
-
-
 def in_block(host: BlockBody | None) -> Binding[BlockBody | None]:
     """Make actions in the ``with`` block branches of ``host``; if ``host`` is None, run actions in order."""
     return Binding(body_context, host)
@@ -172,9 +169,6 @@ def sequential() -> Iterator[Callable[[], None]]:
     host = body_context.get()
     with in_block(None):
         yield host.await_turn if host is not None else lambda: None
-
-
-# --- cleanup ----------------------------------------------------------------------------------------------------------
 
 
 @scope

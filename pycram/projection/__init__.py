@@ -310,9 +310,6 @@ def _path() -> Path | None:
     return path
 
 
-# --- in the child -----------------------------------------------------------------------------------------------------
-
-
 def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[[], None], memory: int | None) -> bytes:
     failure: BaseException | None = None
     result: Result = None

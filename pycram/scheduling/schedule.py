@@ -604,9 +604,6 @@ def schedule_alone() -> None:
     _local.scheduler.continue_order(before)
 
 
-# --- locks -----------------------------------------------------------------------------------------------------------
-
-
 class LockHeld(UsageError):
     """A branch waits or yields while it holds a lock; all branches of its thread would then hold the lock."""
 

@@ -220,9 +220,6 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
     return result
 
 
-# --- the folder -------------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
     """Create a folder, and lock it against other sweeps during the ``with`` block.

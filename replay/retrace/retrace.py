@@ -102,9 +102,6 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
     return Retracing(process.program, len(log), outcome.equal, outcome.difference, notes, seconds, outcome.taken)
 
 
-# --- data from outside ------------------------------------------------------------------------------------------------
-
-
 def likely_reasons(log: RecordReader, difference: FirstDifference) -> Iterator[str]:
     """Yield possible causes of a difference outside of the plan in words."""
     yield from reads_before(difference)

@@ -234,9 +234,6 @@ def difference(a: int, of_a: int, b: int, of_b: int) -> tuple[float, float]:
     return apart - math.hypot(first - low_a, high_b - second), apart + math.hypot(high_a - first, second - low_b)
 
 
-# --- two folders ------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, slots=True)
 class FolderComparison:
     """The difference between two folders of runs."""

@@ -200,9 +200,6 @@ def check_ground(robot: Object, target: Sequence[float], orientation: Quaternion
         raise NotDrivable(target, orientation, f"the robot would lean over by {math.degrees(lean):.0f} degrees")
 
 
-# --- remedies ---------------------------------------------------------------------------------------------------------
-
-
 class Reasons:
     """The reasons against the places of a search, by constraint; a remedy is suggested only if it can help."""
 
