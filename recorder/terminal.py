@@ -171,6 +171,15 @@ class Parser(argparse.ArgumentParser):
         stream = sys.stdout if file is None else file
         stream.write(painted(self.format_help(), _HELP, stream))
 
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse arguments; the usage of the subcommand follows unknown arguments."""
+        options, unknown = self.parse_known_args(args, namespace)
+        verbs = (each for each in self._actions if isinstance(each, argparse._SubParsersAction))  # noqa: SLF001
+        if unknown:
+            parser = next((each.choices[getattr(options, each.dest)] for each in verbs), self)
+            parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+        return options
+
     def error(self, message: str) -> Any:
         """Exit with a message about wrong usage."""
         if wrong := _WRONG_CHOICE.search(message):

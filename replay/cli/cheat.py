@@ -86,7 +86,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
         ),
         "fork": (
             ("run.mcap --at 100 --set milk.position=1.3,0.9,0.95", "continue with the milk in another place"),
-            ("run.mcap --at 100 --plan new.py", "continue with an edited plan"),
+            ("run.mcap --plan new.py", "continue with an edited plan"),
         ),
         "debug": (
             ("run.mcap", "a debugger that also steps back"),

@@ -132,7 +132,9 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         "or a decision of --answer didn't come. "
         "With --control, the exit code is 0 if the control run matches the recording, and 1 if it differs."
     )
-    parser.add_argument("--at", metavar="STEP", required=True, help=f"the last unchanged step: {HINT}")
+    parser.add_argument(
+        "--at", metavar="STEP", help=f"the last unchanged step (default: the last step before --plan differs): {HINT}"
+    )
     parser.add_argument(
         "--plan", metavar="FILE", help="continue with this edited plan, which must act as recorded up to the step"
     )
@@ -169,7 +171,7 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
 def run_fork(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.fork import fork  # noqa: PLC0415  needs the executor
 
-    step = log.step(options.at)
+    step = log.step(options.at) if options.at is not None else _last_equal(log, options)
     target = _free_file(log, options.target, "fork")
     forked = fork(
         log,
@@ -186,6 +188,20 @@ def run_fork(log: Recording, options: argparse.Namespace) -> int:
         begun=lambda: print_message(f"the plan runs again up to step {step}; {AGAIN}"),
     )
     return _print_fork(log, forked, as_json=options.json)
+
+
+def _last_equal(log: Recording, options: argparse.Namespace) -> int:
+    """Run an edited plan up to its first difference, and return the step before."""
+    from replay.retrace.retrace import retrace  # noqa: PLC0415  needs the executor
+
+    if options.plan is None:
+        raise ReplayError("give the last unchanged step, --at STEP; only --plan FILE finds its step by itself")
+    found = retrace(log, plan=options.plan, arguments=options.arguments, answers="recorded")
+    if not found.difference or not found.difference.step:
+        raise ReplayError(
+            f"{options.plan} {'differs from the start' if found.difference else 'makes the same records'}"
+        )
+    return found.difference.step - 1
 
 
 def _free_file(log: Recording, given: str | None, kind: str) -> Path:

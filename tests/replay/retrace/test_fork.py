@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
-from recorder.records import Run
+from recorder.records import Mutation, Run
 from replay.cli.main import main
 from replay.compare import differing
 from replay.errors import ReplayError
@@ -200,6 +200,29 @@ def test_secret_arguments_can_be_given_again(tmp_path: Path, capsys: pytest.Capt
     assert main(["fork", str(log), "--at", "0", "-o", on]) == 2
     assert "give all of them as the last option, --arguments" in capsys.readouterr().err
     assert main(["fork", str(log), "--at", "0", "-o", on, "--arguments", "--token", "abc"]) == 0
+
+
+MOVES = """\
+from pycram.bullet_world import BulletWorld, Object
+with BulletWorld() as world:
+    milk = Object("milk", "milk", "milk.stl", [1.0, 0, 1])
+    milk.set_position([2.0, 0, 1])
+"""
+
+
+def test_an_edited_plan_forks_where_it_first_differs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, edited, on = (tmp_path / name for name in ("plan.py", "edited.py", "on.mcap"))
+    file.write_text(MOVES)
+    log = record(file)
+    edited.write_text(MOVES.replace("[2.0", "[3.0"))
+    assert main(["fork", str(log), "--plan", str(edited), "-o", str(on)]) == 0
+    with replay.open(log) as recording, replay.open(on) as forked:
+        (moved,) = (record.seq for record in recording.records(Mutation) if record.HasField("move_body"))
+        assert forked[0].origin.step == moved - 1
+    capsys.readouterr()
+    for options, why in ((["--plan", str(file)], "makes the same records"), ([], "--at STEP")):
+        assert main(["fork", str(log), *options]) == 2
+        assert why in capsys.readouterr().err
 
 
 HANGS = """\
