@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import recorder  # noqa: F401  imported before numpy, because it limits numpy's threads
+import recorder  # noqa: F401  it limits numpy's threads, so the import of numpy must follow
 
 if TYPE_CHECKING:
     from pycram.actions import perform
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from pycram.running import seed
     from pycram.sweeping import sweep
 
-#: Modules of the names that plans use as ``pycram.NAME``; they are imported on demand, so that commands start fast.
+#: Modules that plans use as ``pycram.NAME``; they are imported on demand, so that commands start fast.
 _SOURCES = {
     "UnknownParameter": "pycram.plan_parameters",
     "monitored": "pycram.monitoring",

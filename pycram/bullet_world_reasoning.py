@@ -1,6 +1,7 @@
 """The reasoning queries of the thesis (section 4.4, table 4.3); plans import this module as ``btr``.
 
-Queries don't change the world. A camera is the name of its frame, its position, or a pair of position and orientation.
+Queries don't change the world. A camera is given by its frame's name, its position, or a pair of position and
+orientation.
 """
 
 from importlib import import_module
@@ -36,7 +37,7 @@ __all__ = [
     "visible",
 ]
 
-#: Modules of the queries. A module is imported with its first query, because all of them together take 30 ms.
+#: Modules of the queries. Each module is imported with its first query; importing all takes 30 ms.
 _MODULES = {
     "contact": ("contact", "supporting"),
     "reachability": ("blocking", "reachable", "reachable_object", "reachable_pose", "reachable_poses"),
@@ -46,7 +47,7 @@ _MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    query = "reachable" if name == "reachable_position" else name  # table 4.3 says reachable_position
+    query = "reachable" if name == "reachable_position" else name  # the name in table 4.3 is reachable_position
     for module, queries in _MODULES.items():
         if query in queries:
             found = globals()[name] = getattr(import_module(f"pycram.reasoning.queries.{module}"), query)

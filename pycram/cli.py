@@ -1,7 +1,7 @@
 # PYTHON_ARGCOMPLETE_OK
 """The command line ``pycram``.
 
-The command restarts itself (:mod:`pycram.running`), so modules that take long to load are imported in functions.
+The command restarts itself (:mod:`pycram.running`), so functions import the modules that load slowly.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     Returns:
         0 if the plan succeeded, 1 if it failed, 2 for wrong usage, 130 after Ctrl-C, 143 after SIGTERM, 129 after
-        SIGHUP; or the exit code that the plan chose.
+        SIGHUP; or the plan's own exit code.
     """
     if argv is not None:
         return _run_command(argv)
@@ -109,7 +109,7 @@ def _run_command(argv: Sequence[str] | None) -> int:
 def _other_command(options: argparse.Namespace, arguments: Sequence[str], checks: Sequence[str], *, again: bool) -> int:
     """Run ``sweep``, ``describe`` or ``tutorial``. If ``again`` is true, ``sweep`` first restarts this process."""
     if options.command == "tutorial":
-        from pycram import tutorial  # noqa: PLC0415  only this command needs it
+        from pycram import tutorial  # noqa: PLC0415  only this command needs this import
 
         return tutorial.check(options.chapter)
     if options.command == "sweep" and again:

@@ -1,7 +1,7 @@
 """A robot's beliefs: where it last saw, took or put down objects.
 
-``believed("milk")`` returns the result of the robot's latest look. The robot doesn't notice later changes by others
-until it looks again. Grasps, placements, and the motions ``detecting`` and ``world-state-detecting`` update beliefs.
+``believed("milk")`` returns the result of the robot's latest look. A robot notices later changes by others only when it
+looks again. Grasps, placements, and the motions ``detecting`` and ``world-state-detecting`` update beliefs.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Belief:
     position: Vector  # position of the object's base in the world, m; for a held object, its present position
     orientation: Quaternion  # orientation of the object's base, xyzw
     sim_step: int  # simulated step (1/240 s) of the world at which the robot learned the pose
-    #: Recorded step of the look, grasp or placement that set the belief; -1 if no running recording has the step.
+    #: Step of the look, grasp or placement that set the belief; -1 if no running recording contains the step.
     step: int
     #: "seen"; "told" (the robot read the world's state); "held"; "placed" (the robot released the object there).
     source: str
@@ -50,9 +50,9 @@ def believed(what: str | Object, *, robot: Object | None = None) -> Belief | Non
 
 
 def beliefs(what: str | Object | None = None, *, robot: Object | None = None) -> list[Belief]:
-    """Return a robot's beliefs about objects, the latest first; without ``what``, about all objects.
+    """Return a robot's beliefs about objects, the latest first; by default about all objects.
 
-    :func:`believed` describes the arguments and errors.
+    :func:`believed` describes arguments and errors.
     """
     wanted, who = unwrap(what), _robot(robot)
     if wanted is not None and not isinstance(wanted, str | Object):
@@ -71,9 +71,9 @@ def beliefs(what: str | Object | None = None, *, robot: Object | None = None) ->
 
 
 def learn(poses: Mapping[Object, PoseLike], *, robot: Object | None = None) -> None:
-    """Update a robot's beliefs with seen poses; process modules for cameras of your own call this.
+    """Update a robot's beliefs with seen poses; own process modules for cameras call this.
 
-    The recording has the update as one query, ``seen``.
+    The recording contains the update as one query, ``seen``.
 
     Args:
         poses: Poses of the objects in the world: xyz in m, xyzw.

@@ -1,7 +1,7 @@
 """Properties that are watched while a plan runs (:mod:`recorder.properties`).
 
-A monitor gets each record when it is written, so it sees the same records as a reader, in the same order. It doesn't
-affect random numbers or the order of branches.
+A monitor gets each record when it is written, so it sees the same records in the same order as a reader. A monitor
+doesn't affect random numbers or the order of branches.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
 
     Raises:
         PropertyViolated: A property is violated.
-        BadProperty: A text isn't a property (docs/reference/properties.md), or has an unknown name.
+        BadProperty: A text isn't a property (docs/reference/properties.md), or contains an unknown name.
     """
     with sequential() as settle, watched(properties, only_record=only_record):
         yield
@@ -62,7 +62,7 @@ def watched(properties: Sequence[str], *, by_run: bool = False, only_record: boo
 
 @contextmanager
 def _attached(sink: _MonitorSink) -> Iterator[None]:
-    """Pass the records of the present recording to a sink; without a recording, those of a new journal."""
+    """Pass the records of the present recording to a sink; if there is none, those of a new journal."""
     journals = journal.listening()
     if not journals:
         sink.log = Journal([sink])
@@ -102,10 +102,10 @@ class _MonitorSink(NullSink):
         self._recorded = journal.recording()
         self._errors: list[PropertyViolated] = []
         self.violations: list[str] = []
-        self._lines: dict[int, str] = {}  # the plan's lines by steps
+        self._lines: dict[int, str] = {}  # the plan's lines, by steps
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  a sink's
-        """Follow a record. The journal writes records of violations after this record."""
+        """Follow a record. The journal writes the records of violations after this record."""
         self.follow(record)
 
     def follow(self, record: Record) -> None:
@@ -123,14 +123,14 @@ class _MonitorSink(NullSink):
     def finish(self) -> None:
         """End the properties; raise the first violation that wasn't raised before."""
         ended = [self._violated(violation) for violation in self._monitor.finish()]
-        self._monitor.verdicts()  # raises BadProperty for names that never existed
+        self._monitor.verdicts()  # raises BadProperty for names that never existed in the run
         scheduler().take_failure()
         for error in (*self._errors, *ended):
             if error.__traceback__ is None and not self._only_record:
                 raise error
 
     def record(self, record: Check) -> None:
-        """Append a record of a property; the journal writes it after the record that it is writing."""
+        """Append a record of a property; the journal writes it after the record that it is writing now."""
         record.by_run, record.only_record = self._by_run, self._only_record
         record.thread = current_name()
         record.task = record.task or journal.task_id()
@@ -140,7 +140,7 @@ class _MonitorSink(NullSink):
         self.log.append(record)
 
     def _since(self, violation: Violation) -> str:
-        """Return the step and the line that made a condition false for the last time."""
+        """Return the step and the line that last made a condition false."""
         if violation.statement.kind != AT_END or violation.since is None or not self._recorded:
             return ""
         line = self._lines.get(violation.since.step)

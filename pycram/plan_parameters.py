@@ -22,9 +22,9 @@ from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
 from recorder.errors import suggestion
 
-MAIN: Final = "main"  # the arguments of this function are the parameters of the plan
-ANY: Final = object()  # stands for a default that isn't known before the plan runs
-#: Distributions by name: the number of arguments, and a function that draws a value.
+MAIN: Final = "main"  # this function's arguments are the parameters of the plan
+ANY: Final = object()  # represents a default that isn't known until the plan runs
+#: Distributions by name: the number of arguments, and a function that draws a value from them.
 _DISTRIBUTIONS: Final[Mapping[str, tuple[int, Callable[..., Any]]]] = {
     "uniform": (2, lambda dice, a, b: dice.uniform(a, b)),
     "normal": (2, lambda dice, mean, deviation: dice.gauss(mean, deviation)),
@@ -53,9 +53,10 @@ export("pycram", UnknownParameter)
 
 
 def parameters(**defaults: Any) -> SimpleNamespace:
-    """Return a plan's parameters: the values that this run sets, else the defaults.
+    """Return a plan's parameters: the values that this run has set, else the defaults.
 
-    Use it as ``speed = pycram.parameters(speed=0.5).speed``. A value must have the type of a default that isn't None.
+    A plan writes ``speed = pycram.parameters(speed=0.5).speed``. The type of a parameter's value must be that of the
+    default, unless the default is None.
 
     Raises:
         BadArgument: A value has another type than its default.
@@ -80,7 +81,7 @@ def fitting(name: str, value: Any, default: Any) -> Any:
         return value
     if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
-    if isinstance(default, str) and isinstance(value, int | float):  # the text looks like a number
+    if isinstance(default, str) and isinstance(value, int | float):  # a text that looks like a number
         return str(value)
     if isinstance(default, tuple) and isinstance(value, list):
         return tuple(value)
@@ -91,7 +92,8 @@ def fitting(name: str, value: Any, default: Any) -> Any:
 def declared_in(plan: Path) -> dict[str, Any] | None:
     """Return the defaults of the parameters that a plan's file declares, by name, without running the plan.
 
-    A default that isn't a literal is :data:`ANY`. Returns None if a call like ``parameters(**others)`` hides names.
+    A default that isn't a literal is :data:`ANY`. The result is None if a call like ``parameters(**others)`` hides
+    names.
 
     Raises:
         SyntaxError: The file isn't Python.
@@ -144,7 +146,7 @@ def value_of(text: str) -> tuple[str, Any]:
 
 
 def split(option: str, text: str, expected: str) -> tuple[str, str]:
-    """Return the name before ``=`` and the text after it; error messages contain ``option`` and ``expected``.
+    """Return the name before ``=``, and the text after it; messages of errors contain ``option`` and ``expected``.
 
     Raises:
         BadArgument: The text has another form.
@@ -189,9 +191,9 @@ class Variations:
         BadArgument: A parameter has no values or is given twice, or a distribution is invalid.
     """
 
-    #: Values by name. Runs take all combinations in turn; the values of the last name change fastest.
+    #: Values by name. Runs take all combinations one after the other; the values of the last name change fastest.
     listed: Mapping[str, Sequence[Any]]
-    #: Distributions by name, as text. A drawn value depends only on the seed, the run's number and the name.
+    #: The distributions by name, as text. A drawn value depends only on the seed, the run's number and the name.
     sampled: Mapping[str, str]
 
     def __post_init__(self) -> None:
@@ -212,12 +214,12 @@ class Variations:
             values[name] = self.listed[name][index]
         for name, text in self.sampled.items():
             kind, arguments = _distribution(name, str(text))
-            dice = random.Random(f"{seed}/{number}/{name}")  # PYTHONHASHSEED doesn't affect seeds that are texts
+            dice = random.Random(f"{seed}/{number}/{name}")  # Seeds that are texts don't depend on PYTHONHASHSEED
             values[name] = _DISTRIBUTIONS[kind][1](dice, *arguments)
         return values
 
     def every(self) -> Iterator[dict[str, Any]]:
-        """Yield combinations that contain each listed value, and one value of each distribution."""
+        """Yield combinations that together contain each listed value, and one value of each distribution."""
         drawn = self.of(0, 0)
         yield drawn
         for name, values in self.listed.items():
@@ -225,7 +227,7 @@ class Variations:
 
 
 def listed(text: str) -> tuple[str, list[Any]]:
-    """Parse ``name=1,2,3``; values are JSON or plain text. Brackets or quotes enclose values with commas.
+    """Parse ``name=1,2,3``; values are JSON or plain text. Values that contain commas are in brackets or quotes.
 
     Raises:
         BadArgument: The text has another form.
@@ -248,7 +250,7 @@ def sampled(text: str) -> tuple[str, str]:
     return name, distribution
 
 
-@lru_cache  # this is called often, because a sweep draws values for the name of each recording
+@lru_cache  # cached, because a sweep draws the values for the name of each recording
 def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
     call = _CALL.fullmatch(text.strip())
     if call is None:
@@ -258,7 +260,7 @@ def _distribution(name: str, text: str) -> tuple[str, list[Any]]:
         raise BadArgument(name, text, f"a distribution; {suggestion(kind, _DISTRIBUTIONS)}")
     try:
         arguments = list(ast.literal_eval(f"({values},)"))
-    except (SyntaxError, ValueError):  # the arguments are texts without quotes, as in choice(cup.stl,bowl.stl)
+    except (SyntaxError, ValueError):  # the arguments are texts without quotes, such as choice(cup.stl,bowl.stl)
         words = [each.strip() for each in values.split(",")]
         if not all(map(_WORD.fullmatch, words)):
             raise BadArgument(name, text, _EXPECTED) from None

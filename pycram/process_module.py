@@ -18,5 +18,5 @@ from pycram.motions.resources import Resources
 
 __all__ = ["NoDescription", "NoProcessModule", "ProcessModule", "Resources", "execution_environment", "register"]
 
-register_default(SIMULATED, default_modules)  # here, because the modules import the class that selects them
+register_default(SIMULATED, default_modules)  # imported here, because the modules import the class that selects them
 register_default(CONTINUOUS, partial(default_modules, IN_SIMULATED_TIME))

@@ -1,7 +1,7 @@
 """Run a plan as a main program: the settings of a run, its seed, and its recording.
 
-The order of Python's sets depends on ``PYTHONHASHSEED`` when Python starts. So a command that runs a plan sets this
-variable to the seed, and restarts itself once.
+The order of Python's sets depends on the value of ``PYTHONHASHSEED`` when Python starts. A command that runs a plan
+therefore sets this variable to the seed, and restarts itself once.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
 MAX_SEED: Final = 2**32 - 1  # largest seed that PYTHONHASHSEED and NumPy accept
 _HASH: Final = "PYTHONHASHSEED"
-#: :func:`restart` sets it to the id of the restarted process and its seed. Child processes of a plan have other ids.
+#: :func:`restart` sets this variable to the id of the restarted process and its seed. Child processes of a plan have
+#: other ids.
 _RESTARTED: Final = "PYCRAM_SEEDED"
 _PAGE: Final = "serve"  # value of --rerun
 
@@ -41,10 +42,10 @@ class RunSpec:
 
     plan: Path
     arguments: tuple[str, ...] = ()
-    seed: int | None = None  # None: the run doesn't seed random numbers
-    order: str = ""  # order of branches; "" for the seed's order
-    motion: str = ""  # execution environment unless the plan names one; "" for "simulated"
-    parameters: Mapping[str, Any] = field(default_factory=dict)  # other parameters of the plan keep their defaults
+    seed: int | None = None  # None if the run doesn't seed random numbers
+    order: str = ""  # text of the order of branches; "" for the seed's order
+    motion: str = ""  # execution environment of plans that don't name one; "" for "simulated"
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # values of parameters; others have defaults
     checks: tuple[str, ...] = ()  # properties to watch
     only_record: bool = False  # whether violations of the properties are recorded without an error
     local_variables: bool = True  # whether recorded failures contain the plan's local variables
@@ -61,13 +62,13 @@ def run(
 ) -> int:
     """Run a plan as a main program, record it, and return the exit code; see :func:`pycram.cli.main`.
 
-    Without ``overwrite``, an existing recording is kept, and the new recording gets the next free name. ``live`` and
+    Without ``overwrite``, an existing recording stays, and the new recording gets the next free name. ``live`` and
     ``durable`` are described at :func:`recorder.record`. With ``debug``, the debugger opens at a failure.
     """
     before = sys.argv, list(sys.path)
     sys.argv = [str(spec.plan), *spec.arguments]
     sys.path.insert(0, str(spec.plan.parent.resolve()))
-    folder, file = Path.cwd(), log.absolute()  # a plan may change the working directory
+    folder, file = Path.cwd(), log.absolute()  # absolute, because a plan may change the working directory
     recording: Recording | None = None
     code = SUCCEEDED
     error: BaseException | None = None
@@ -109,7 +110,7 @@ def run(
                 for thread in threading.enumerate():  # a run ends after the plan's threads, as any Python program
                     if thread is not threading.current_thread() and not thread.daemon:
                         thread.join()
-    except BaseException as raised:  # noqa: BLE001  the plan may raise anything
+    except BaseException as raised:  # noqa: BLE001  a plan may raise any error
         error = raised
         code = _report(raised)
     finally:
@@ -117,7 +118,7 @@ def run(
     for violation in violations if code == SUCCEEDED else ():  # the plan handled it, or violations are only recorded
         tell(f"pycram: {violation}")
     unrecorded = isinstance(error, RecordingError | NotInstalled)
-    # closing the recording may fail after an error of the plan, which is then the context
+    # closing the recording may fail after an error of the plan; that error is then the context
     unrecorded |= isinstance(getattr(error, "__context__", None), RecordingError)
     if recording is not None and recording.path.is_file() and not unrecorded:
         shown = recording.path if log.is_absolute() else Path(os.path.relpath(recording.path, folder))
@@ -126,7 +127,7 @@ def run(
         if live == _PAGE and not isinstance(error, KeyboardInterrupt | Terminated):
             _keep_page(recording)
         if debug and code == FAILED:
-            given = ["--arguments", *spec.arguments] if spec.arguments else []  # a recording omits secret arguments
+            given = ["--arguments", *spec.arguments] if spec.arguments else []  # a recording hides secret arguments
             command = [sys.executable, "-P", "-m", "replay", "debug", str(recording.path), *given]
             subprocess.run(command, check=False)  # noqa: S603  this package must not import replay
     return code
@@ -171,7 +172,7 @@ def _report(error: BaseException) -> int:
 
 
 def _watching(spec: RunSpec) -> contextlib.AbstractContextManager[list[str]]:
-    """Return a context in which a run's properties are watched; it yields the messages of violations."""
+    """Return a context that watches a run's properties; it yields the messages of violations."""
     if not spec.checks:
         return contextlib.nullcontext([])
     from pycram.monitoring import watched  # noqa: PLC0415  heavy
@@ -207,7 +208,7 @@ def chosen_seed(given: int | None) -> int:
 
 
 def restart(seed: int) -> None:
-    """Restart this command in this process with ``PYTHONHASHSEED`` set, unless the variable has this seed."""
+    """Restart this command in this process with ``PYTHONHASHSEED`` set, unless it already has this seed."""
     mark = f"{os.getpid()}:{seed}"
     if os.environ.get(_RESTARTED) == mark or sys.flags.ignore_environment:
         return
@@ -224,18 +225,18 @@ def seed_random_numbers(seed: int | None) -> None:
     import numpy as np  # noqa: PLC0415  imported here, because only the restarted process needs it
 
     random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002  plans may use the old interface
+    np.random.seed(seed)  # noqa: NPY002  plans may use NumPy's old interface
 
 
 def seed(number: int) -> None:
-    """Seed Python's and NumPy's random numbers, and the order in which branches take turns, as ``run --seed`` does.
+    """Seed the random numbers of Python and NumPy and the order of branches, as ``run --seed`` does.
 
     Python chooses the order of sets of texts when it starts; set ``PYTHONHASHSEED`` for that.
 
     Raises:
         BadArgument: The number isn't an integer from 0 to 2**32 - 1.
     """
-    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  slow; --help doesn't need it
+    from pycram.foundation.failures import BadArgument  # noqa: PLC0415  imported here: slow, and --help doesn't need it
     from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
 
     if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number <= MAX_SEED:

@@ -12,11 +12,11 @@ __all__ = ["Moment", "Node", "State", "Tree", "current", "tree"]
 
 
 def tree() -> Tree:
-    """Return all tasks since the start of the latest recording or of the process. A running plan adds tasks to it."""
+    """Return all tasks since the start of the latest recording or of the process. Tasks are added while a plan runs."""
     return span.tree()
 
 
 def current() -> Node | None:
-    """Return the innermost task of this code; None outside of all tasks."""
+    """Return the innermost task around this code; None outside of all tasks."""
     task = span.current()
     return span.tree().nodes.get(task.id) if task is not None else None

@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 NEAR: Final = 0.02  # nearest visible distance in m
 FAR: Final = 20.0  # farthest visible distance in m
 _SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background at the top and at the bottom
-_HOUSING: Final = 0.005  # largest distance in m of the lens from its housing
-_LARGE: Final = 400  # number of pixels in its bounds above which a triangle is drawn alone
-_BAND: Final = 32  # number of rows of a large triangle that are drawn together; few pixels outside of it are tested
+_HOUSING: Final = 0.005  # largest distance in m between a camera's lens and its housing
+_LARGE: Final = 400  # number of pixels in a triangle's bounds above which it is drawn alone
+_BAND: Final = 32  # number of rows of a large triangle drawn together, so that few pixels outside are tested
 _BATCH: Final = 1 << 16  # number of pixels of small triangles that are drawn together; larger batches need more memory
 
 
@@ -39,7 +39,7 @@ class Rendering:
     colors: NDArray[np.float64]  # (n, 3) colours of the triangles, RGB 0..1
     seen: NDArray[np.int64]  # (height, width) index of the triangle at each pixel; -1 without a triangle
     links: Sequence[str]  # names of the rendered links
-    numbers: NDArray[np.int64]  # (n,) index of each triangle's link
+    numbers: NDArray[np.int64]  # (n,) index of the link of each triangle
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
         """Return a colour image (height, width, 3), RGB. The scene is lit from above and from the camera.
@@ -56,7 +56,7 @@ class Rendering:
     def picture_before(
         self, behind: NDArray[np.uint8], depth: NDArray[np.float64], up: Sequence[float]
     ) -> NDArray[np.uint8]:
-        """Return a colour image before another one of the same camera, whose pixels have the given depth in m."""
+        """Return a colour image in front of another one of the same camera, whose pixels have the given depth in m."""
         nearer = self.depth < depth
         image = behind.copy()
         image[nearer] = self._lit(up)[self.seen[nearer]]
@@ -77,7 +77,7 @@ class Rendering:
         return lit
 
     def before(self, other: Rendering) -> Rendering:
-        """Return this picture merged with another picture of the same camera and size; nearer objects are in front."""
+        """Return this picture merged with another picture of the same camera and size; nearer objects hide others."""
         nearer = other.depth < self.depth
         return Rendering(
             np.where(nearer, other.depth, self.depth),
@@ -144,7 +144,7 @@ class Camera:
 
     @property
     def window(self) -> Window:
-        """The part of the image plane in the camera's picture."""
+        """The part of the image plane that the camera's picture shows."""
         return Window(-self.right, -self.down, self.right, self.down)
 
     @property
@@ -165,7 +165,7 @@ class Camera:
         Args:
             bodies: the objects to render, of one world. The caller holds the world's lock.
             size: width and height in pixels.
-            far: farthest relevant distance in m, if less than the camera's.
+            far: largest relevant distance in m, if it is less than the camera's.
         """
         return self.draw([drawable(body) for body in bodies], window, size, far)
 
@@ -224,7 +224,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """A part of the image plane. The edges are tangents: x to the right, y down."""
+    """A part of the image plane. Its edges are tangents: x to the right, y down."""
 
     left: float
     top: float
@@ -256,7 +256,7 @@ def rasterize(
     shown = np.flatnonzero((left < right) & (top < bottom) & (inverse.max(axis=1) >= 1.0 / far))
     planes = np.zeros((len(u), 4, 3))
     planes[shown] = _planes(u[shown], v[shown], inverse[shown])
-    shown = shown[np.isfinite(planes[shown]).all(axis=(1, 2))]  # edge-on triangles aren't visible
+    shown = shown[np.isfinite(planes[shown]).all(axis=(1, 2))]  # triangles that are seen edge-on aren't visible
     pixels = (right - left) * (bottom - top)
     large = shown[pixels[shown] > _LARGE]
     for number, low, high, start, end in _bands(planes[large], left[large], right[large], top[large], bottom[large]):
@@ -285,15 +285,15 @@ def rasterize(
 def _value(
     factors: NDArray[np.float64], part: NDArray[np.int64], columns: NDArray[np.int64], rows: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the value of a triangle's plane at each pixel; ``part`` has the index of each pixel's triangle."""
+    """Return the value of a triangle's plane at each pixel; ``part`` has the index of the pixel's triangle."""
     a, b, c = factors.T
     values: NDArray[np.float64] = a[part] * columns + b[part] * rows + c[part]
     return values
 
 
 def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the first pixel along an axis whose center may be in each triangle, and the end of these pixels."""
-    a, b, c = axis.T  # the minimum of three columns takes a fraction of the time of the minimum along rows
+    """Return the first pixel along an axis whose center may be in each triangle, and the pixels' end."""
+    a, b, c = axis.T  # the minimum of three columns is much faster than the minimum along rows
     low = np.ceil(np.clip(np.minimum(np.minimum(a, b), c), 0, limit)).astype(np.int64)
     high = np.floor(np.clip(np.maximum(np.maximum(a, b), c), -1, limit - 1)).astype(np.int64) + 1
     return low, high
@@ -311,7 +311,7 @@ def _bands(
     owner = np.repeat(np.arange(len(counts)), counts)
     low = top[owner] + _BAND * (np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts))
     high = np.minimum(low + _BAND, bottom[owner])
-    a, b, c = planes[owner, :3].transpose(2, 0, 1)  # on an edge, a * column + b * row + c is 0
+    a, b, c = planes[owner, :3].transpose(2, 0, 1)  # on an edge, the value a * column + b * row + c is 0
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = np.stack([-(b * row[:, None] + c) / a for row in (low, high - 1)])
         slack = 1 + 1e-12 * (np.abs(b) * high[:, None] + np.abs(c)) / np.abs(a)  # possible rounding error
@@ -328,19 +328,19 @@ def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.
     u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
     edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
     with np.errstate(divide="ignore", invalid="ignore"):
-        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]  # not finite for triangles that are seen edge-on
+        weights = edges / edges[:, :, 2].sum(axis=1)[:, None, None]  # infinite for triangles seen edge-on
         nearness = (weights * inverse[:, :, None]).sum(axis=1, keepdims=True)
     return np.concatenate([weights, nearness], axis=1)
 
 
 def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the triangles beyond the near plane, without the parts before it, and their original indices."""
+    """Return the triangles behind the near plane, without the parts in front of it, and their original indices."""
     beyond = triangles[:, :, 2] > near
     count = beyond.sum(axis=1)
     numbers = np.arange(len(triangles))
     all_three, one, two = (numbers[count == wanted] for wanted in (3, 1, 2))
-    tip, left, right = _odd_first(triangles[one], beyond[one])  # the tip is beyond the near plane
-    lost, first, second = _odd_first(triangles[two], ~beyond[two])  # the tip is before the near plane
+    tip, left, right = _odd_first(triangles[one], beyond[one])  # the tip is behind the near plane
+    lost, first, second = _odd_first(triangles[two], ~beyond[two])  # the tip is in front of the near plane
     on_first, on_second = _at(first, lost, near), _at(second, lost, near)
     parts = [
         triangles[all_three],

@@ -80,7 +80,7 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
 
 
 def _failures(failure: BaseException) -> Iterator[BaseException]:
-    """Yield the failures of all tried choices of an action and of its subactions; if none, the action's failure."""
+    """Yield the failures of all tried choices of an action and its subactions, or else the action's failure."""
     tried = getattr(failure, "tried", ())
     for each in tried:
         if not isinstance(each.failure, ReasoningError):  # skip failures to clear obstacles away

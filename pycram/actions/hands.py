@@ -158,7 +158,7 @@ def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
 
 
 def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, blocked: list[Blocked]) -> Iterator[Pose]:
-    """Yield collision-free poses of the giving hand in the robot's frame; append other poses' obstacles to ``blocked``.
+    """Yield collision-free poses of the giving hand in the robot's frame; add obstacles of others to ``blocked``.
 
     ``place`` is the place of the robot; None for its present place.
     """

@@ -65,7 +65,7 @@ class JointTree:
         return part is not None and all(f"{part[1]}_{axis}_link" in self.urdf.links for axis in "xy")
 
     def moved_by(self, link: str) -> UrdfJoint | None:
-        """Return the nearest joint that moves a link; None if no joint moves the link."""
+        """Return the nearest joint that moves a link; None if there is none."""
         joint = self.urdf.parent_joint(link)
         while joint is not None and not self._moves(joint):
             joint = self.urdf.parent_joint(joint.parent)
@@ -90,7 +90,7 @@ class JointTree:
         return found
 
     def arms(self) -> list[ArmChain]:
-        """Return the arms: chains of successive joints that end at a gripper or freely, and aren't legs."""
+        """Return the arms: chains of successive joints, except legs, whose end is a gripper or free."""
         found = []
         pending = list(self._next[""])
         leading = {mimic.leader for mimic in self.urdf.mimics.values()}
@@ -113,7 +113,7 @@ class JointTree:
         """Return whether the next joint belongs to a finger.
 
         A joint that is named like a finger belongs to a wrist if several fingers are below it, or if it turns farther
-        than a jaw.
+        than jaws do.
         """
         (after,) = self._next[joint.name]
         lower, upper = limits(after)
@@ -129,7 +129,7 @@ class JointTree:
         """Return links that are named like grippers or fingers, and that no joint of an arm moves directly.
 
         Args:
-            arm: The arm that ends at these links; None for links at which no arm ends.
+            arm: The arm that ends at these links; None if no arm ends there.
             arms: All arms of the robot.
         """
         of_arms = {joint.name: each for each in arms for joint in each.joints}
@@ -145,7 +145,7 @@ class JointTree:
         return found
 
     def torso(self, arms: list[ArmChain]) -> UrdfJoint | None:
-        """Return the joint that lifts the arms; None if no joint lifts them."""
+        """Return the joint that lifts the arms; None if there is none."""
         for arm in arms:
             joint = self._above[arm.joints[0].name]
             while joint is not None:
@@ -179,7 +179,7 @@ class JointTree:
 
 
 def _short_names(runs: list[list[str]], robot: str) -> list[str]:
-    """Return names of arms: the sides in the names of their joints; for a single arm, the name of the robot.
+    """Return names of arms: the sides that the names of their joints contain; for one arm, the robot's name.
 
     The names consist of letters, digits and hyphens, because TOML keys and slots (``NAME-arm``) contain them.
     """
@@ -187,7 +187,7 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
         return [_NO_NAME.sub("-", robot).strip("-") or "arm"]
     names = []
     for number, run in enumerate(runs, 1):
-        text = "_".join(run)  # the names may contain "l_elbow_joint", "LElbowYaw" or "left_elbow"
+        text = "_".join(run)  # a name may contain the side as in "l_elbow_joint", "LElbowYaw" or "left_elbow"
         left, right = (
             bool(re.search(rf"(?:^|_){side}(?:_|$)|(?:^|_){side.upper()}(?=[A-Z])|(?i:{word})", text))
             for side, word in (("l", "left"), ("r", "right"))
@@ -199,7 +199,7 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
 def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[UrdfJoint]]]:
     """Yield each finger tip of an arm that has a shape, and the joints that move the tip.
 
-    Links without a shape are frames below a tip, or sliders and screws of a motor above it.
+    Links without a shape are frames below a finger tip, or sliders and screws of a motor above it.
     """
     for joint in arm.fingers:
         if joint.child not in with_shape or any(below.child in with_shape for below in tree.below(joint)):

@@ -25,17 +25,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _POSES: Final = 40  # number of tool poses that the check of reach tries
-_ENOUGH: Final = 0.9  # minimum share of reached poses
+_ENOUGH: Final = 0.9  # minimum share of the poses that an arm must reach
 _CENTRED: Final = 0.003  # maximum distance in m from the tool frame to the middle between the fingers
 _APERTURE: Final = 0.005  # tolerance in m for measures of fingers
 _STILL_TIME: Final = 2.0  # duration in s of the simulation
-_STILL: Final = 1e-3  # maximum motion in rad or m of a still joint
+_STILL: Final = 1e-3  # maximum motion in rad or m of a joint that counts as still
 _TRIED: Final = 4000  # number of candidates for a parking posture
-_CHECKED: Final = 300  # number of best candidates that are checked for self-collisions
-_SAMPLED: Final = 40  # number of sampled postures; links that overlap in all of these always overlap
+_CHECKED: Final = 300  # number of the best candidates that are checked for self-collisions
+_SAMPLED: Final = 40  # number of sampled postures; links that overlap in all of them always overlap
 _FLOOR: Final = 0.05  # minimum height in m of a parked arm above the root link
 _NAMED: Final = 4  # maximum number of links that a finding names
-_STRAIN: Final = 0.1  # penalty in m for a posture at joint limits, added to the posture's size
+_STRAIN: Final = 0.1  # penalty in m, added to the size of a posture at joint limits
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     if opened is None or closed is None:
         yield Finding(False, about, "the fingers don't have shapes on both sides of the tool frame")
         return
-    wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle between open jaws that move unevenly
+    wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle of open jaws that move unevenly
     middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))
     yield Finding(
         middle <= _CENTRED, about, f"the middle between the fingers is {1e3 * middle:.1f} mm from the tool frame"
@@ -171,7 +171,7 @@ def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
 def _head(robot: Object, description: RobotDescription) -> Finding:
     """Check that the camera can be turned to a point in front of the robot."""
     camera = description.camera
-    assert camera is not None  # noqa: S101  the caller has checked that there is a camera
+    assert camera is not None  # noqa: S101  the caller has checked that the robot has a camera
     joints = description.head.joints if description.head else ()
     now = robot.get_joint_positions()
     frame = camera.pose(robot.urdf.forward_kinematics(now, camera.frame))
@@ -184,7 +184,7 @@ def _head(robot: Object, description: RobotDescription) -> Finding:
 
 
 def _stillness(robot: Object) -> Finding:
-    """Check that no joint moves in two simulated seconds; arms are parked, and there is no floor."""
+    """Check that no joint moves in two simulated seconds with parked arms and without a floor."""
     if robot.description is not None:
         for arm in robot.description.arms.values():
             robot.set_joint_positions(arm.posture("park") if "park" in arm.poses else {})

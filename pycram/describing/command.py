@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import argparse
 
 _FINE, _FAILED, _WRONG_USAGE = 0, 1, 2  # exit codes
-_IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture, as of a drawer behind a door
+_IN_A_ROW: Final = 2  # maximum number of successive movable joints of furniture, as for a drawer behind a door
 
 
 def run(options: argparse.Namespace) -> int:
@@ -87,7 +87,7 @@ def _loaded(description: RobotDescription, urdf: str, world: BulletWorld) -> Obj
 
 
 def _draw(body: Object, file: Path) -> None:
-    from pycram.describing.picture import draw  # noqa: PLC0415  needs the extra for pictures
+    from pycram.describing.picture import draw  # noqa: PLC0415  the import needs the extra for pictures
 
     try:
         draw(body, file)
@@ -97,7 +97,7 @@ def _draw(body: Object, file: Path) -> None:
 
 
 def _with_grippers(urdf: str) -> str:
-    """Write the URDF of a robot whose arms without a gripper have PyCRAM's gripper; return its name."""
+    """Write the URDF of a robot in which PyCRAM's gripper is on each arm without a gripper; return its name."""
     source = find(urdf)
     arms = [(arm, hand) for arm, hand in guess(load.load(urdf), suction=True).arms if not arm.fingers]
     if not arms:
@@ -105,7 +105,7 @@ def _with_grippers(urdf: str) -> str:
     robot = canonical_urdf.read(source, xacro_files.expanded(source, read_bytes(source)))
     robot.set("name", f"{robot.get('name')}_with_gripper")
     for arm, hand in arms:
-        assert isinstance(hand, SuctionGuess)  # noqa: S101  such arms get suction cups
+        assert isinstance(hand, SuctionGuess)  # noqa: S101  arms without grippers get suction cups
         xyz, rpy = (" ".join(map(repr, numbers)) for numbers in (hand.offset[0], geometry.to_rpy(hand.offset[1])))
         mount_gripper(robot, arm.joints[-1].child, xyz, rpy, f"{arm.name}_" if len(arms) > 1 else "")
     target = Path(f"{source.name.partition('.')[0]}_with_gripper.urdf")
@@ -153,7 +153,7 @@ def describe_robot(urdf: str | Path, *, suction: bool = False) -> str:
 
 
 def is_furniture(model: Model) -> bool:
-    """Return whether a model has surfaces, but no arms, legs or wheels."""
+    """Return whether a model is furniture: it has surfaces, but no arms, legs or wheels."""
     found, tree = guess(model), model.urdf
     in_a_row = max(sum(joint.movable for joint in tree.chain(tree.root, link)) for link in tree.links)
     has_arms = bool(found.arms) or in_a_row > _IN_A_ROW
@@ -161,7 +161,7 @@ def is_furniture(model: Model) -> bool:
 
 
 def describe_furniture(model: Model, urdf: str | Path) -> str:
-    """Return the TOML of found furniture with its corrections.
+    """Return the TOML of found furniture with the corrections of it.
 
     Raises:
         AssetError: The corrections don't match the furniture.
@@ -195,7 +195,7 @@ def _count(things: Sized, name: str) -> str:
 
 
 def _tables(kind: str, found: list[str], said: Mapping[str, Any], now: Mapping[str, str]) -> Iterator[str]:
-    """Yield a table with its corrections for each surface or container; a comment describes the thing."""
+    """Yield a table for each surface or container, with its corrections; a comment describes the thing."""
     for key in dict.fromkeys([*found, *said]):
         entries = said.get(key, {})
         about = now.get(entries.get("name", key), "removed")

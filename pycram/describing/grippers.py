@@ -23,17 +23,17 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 TIPS: Final = 0.015
-"""Distance from the tool frame to the finger tips, m."""
+"""Distance in m from the tool frame to the finger tips."""
 _PADS: Final = 0.02  # length in m of the pads on the fingers, measured from the tips
-_NEAR_TIP: Final = 0.02  # maximum distance in m from the finger tips to a link that grasps
+_NEAR_TIP: Final = 0.02  # maximum distance in m between finger tips and a link that counts as grasping
 _MAX_DEPTH: Final = 0.03  # m
 _CUP_RIM: Final = 0.003  # length in m of a suction cup; it keeps the end of the arm away from a released object
 _PALM_CLEARANCE: Final = 0.003  # minimum distance in m between a grasped object and the palm
 _PADDING: Final = 1e-3  # thickness in m of the padding that the engine adds around shapes
 _STRAIGHT: Final = math.cos(math.radians(10))  # minimum component of a direction that becomes an axis of the link
 _SIDES: Final = 2
-_PHALANGES: Final = 2  # a finger with more joints curls
-_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # candidates for open fingers, as shares of the joints' ranges
+_PHALANGES: Final = 2  # a finger with more joints can curl
+_SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # candidates for open fingers, as shares of the ranges of the joints
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +83,10 @@ class Corners:
         return np.vstack(found)
 
     def jaws(self, fingers: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Jaws | None:
-        """Return the positions of fingers in a frame; None if they aren't on two sides. Arguments as in :meth:`of`."""
+        """Return the positions of fingers in a frame; None if they aren't on two sides. Arguments: see :meth:`of`."""
         found = [corners for finger in fingers if len(corners := self.of([finger], positions, base, offset))]
         tips = [corners[corners[:, 0] >= corners[:, 0].max() - _PADS] for corners in found]
-        for seen in (found, tips):  # if a fixed jaw is a part of the palm, only its tip is on one side
+        for seen in (found, tips):  # if the palm contains a fixed jaw, only the tip of the jaw is on one side
             sides: tuple[list[Array], list[Array]] = ([], [])
             for corners, part in zip(found, seen, strict=True):
                 sides[float(part[:, 1].mean()) < 0.0].append(corners)
@@ -113,7 +113,7 @@ class HandGuess(Gripper):
 
 @dataclass(frozen=True, slots=True)
 class SuctionGuess:
-    """A suction cup for an arm without a gripper in its URDF; the rim is just beyond the shapes of the last link."""
+    """A suction cup for an arm without a gripper in its URDF; the cup's rim is just beyond the last link."""
 
     offset: Pose  # pose of the tool frame in the last link; x points away from the arm, along the last joint's axis
     underside: float  # distance in m from the tool frame down to the lowest point of the last link
@@ -130,14 +130,14 @@ def suction_cup(tree: JointTree, arm: ArmChain, corners: Corners) -> SuctionGues
     out, far = (-axis, -ends[0]) if -ends[0] > ends[1] else (axis, ends[1])
     across = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < _STRAIGHT else np.array([0.0, 1.0, 0.0])
     turn = _frame(out, np.cross(across, out))
-    assert turn is not None  # noqa: S101  both directions have length 1 and aren't parallel
+    assert turn is not None  # noqa: S101  both directions have length 1, and they aren't parallel
     position = out * (far + _CUP_RIM)
     around = np.linalg.norm(points - along[:, None] * axis, axis=1)
     return SuctionGuess((tuple(position.tolist()), turn), float(around.max(initial=0.0)))
 
 
 def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | str:
-    """Return the gripper of an arm, or a text: why no gripper that closes from two sides was recognised."""
+    """Return the gripper of an arm, or a text: why no gripper that closes from two sides was found."""
     if not arm.fingers:
         return "no movable joint is below the arm"
     ends = [joint for joint in arm.fingers if not tree.below(joint) and joint.type != "continuous"]  # without screws
@@ -169,7 +169,7 @@ def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | 
 def _fingers(
     tree: JointTree, palm: str, tips: Sequence[tuple[str, list[UrdfJoint]]], corners: Corners
 ) -> HandGuess | None:
-    """Return a gripper with two or more moving fingers; None if these don't close from two sides."""
+    """Return a gripper with two or more moving fingers; None if they don't close from two sides."""
     links = [link for link, _ in tips]
     closed, widest = _ends(tree, corners, palm, tips)
     there = [corners.of([link], closed, palm, IDENTITY).mean(axis=0) for link in links]
@@ -185,7 +185,7 @@ def _fingers(
 
 
 def _openings(closed: Mapping[str, float], widest: Mapping[str, float]) -> Iterator[Mapping[str, float]]:
-    """Yield candidates for open positions, from wide to narrow, because wide fingers may not close along a line."""
+    """Yield candidates for open positions, from wide to narrow: wide open fingers may not close along a line."""
     for share in _SHARES:
         yield {name: value + share * (widest[name] - value) for name, value in closed.items()}
 
@@ -229,7 +229,7 @@ def _fitted(
     links: Sequence[str],
     ends: tuple[Mapping[str, float], Mapping[str, float]],
 ) -> HandGuess | None:
-    """Return the gripper whose fingers close around a pose in the palm; None if the fingers don't close there."""
+    """Return the gripper whose fingers close around a pose in the palm; None if none close there."""
     (x, y, z), axes = between
     frame: Pose = ((float(x), float(y), float(z)), axes)
     shut, wide = (corners.jaws(links, positions, palm, frame) for positions in ends)
@@ -242,7 +242,7 @@ def _fitted(
 def _ends(
     tree: JointTree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[UrdfJoint]]]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the joint positions when closed and when open; an open finger is far from the other fingers."""
+    """Return the joint positions when closed and when open: a finger is open when far from the others."""
     joints = {joint.name: joint for _, moving in tips for joint in moving}
     middles = {name: sum(limits(joint)) / 2 for name, joint in joints.items()}
     closed: dict[str, float] = {}
@@ -301,7 +301,7 @@ def _measured(
 def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
     """Return the orientation of the tool frame in the palm: x points out of the hand, the fingers close along y.
 
-    ``closed`` and ``opened`` are the points midway between the fingers, in the palm's frame, in m.
+    ``closed`` and ``opened`` are the points midway between closed and between open fingers, in the palm's frame, in m.
     """
     ways = [b - a for a, b in zip(closed, opened, strict=True)]
     apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)

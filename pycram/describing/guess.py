@@ -1,6 +1,7 @@
 """A description of a robot that is guessed from its URDF, as TOML with comments for a reviewer.
 
-A URDF has no fields of view and other values of cameras; a comment marks the typical values that replace them.
+A URDF doesn't contain all values of a camera, such as its field of view; typical values replace them, marked by a
+comment.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class Guess:
     """The parts of a robot that were recognised in its URDF."""
 
     model: Model
-    #: Each arm with its gripper, or with the reason why no gripper was recognised.
+    #: Each arm with its gripper, or with the reason why no gripper was found.
     arms: Sequence[tuple[ArmChain, HandGuess | SuctionGuess | str]]
     torso: UrdfJoint | None  # the joint that lifts the arms
     camera: str  # the link of a camera; "" without a camera
@@ -151,7 +152,7 @@ def quoted(text: str) -> str:
 
 
 def _number(value: float) -> str:
-    """Return a number as text, rounded towards zero, so that it doesn't exceed a joint limit."""
+    """Return a number as text, rounded towards zero so that it stays within a joint limit."""
     scale = 10**_DIGITS
     return f"{math.trunc(value * scale + math.copysign(1e-9 * scale, value)) / scale + 0.0:g}"
 

@@ -26,20 +26,20 @@ with needed():
 _SIZE: Final = (800, 600)  # pixels
 _AWAY: Final = (1.0, 0.7, 0.45)  # direction from the robot to the viewpoint
 _ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the viewpoint: above walls, in front of fronts
-_MARGIN: Final = 1.1  # distance of the camera, as a multiple of the distance at which the robot fills the picture
+_MARGIN: Final = 1.1  # distance of the camera, as a multiple of the distance at which the robot just fills the picture
 _OVERSAMPLING: Final = 2
 _FIELD: Final = math.tan(math.radians(25))  # tangent of half the horizontal field of view
 _AXIS: Final = 0.12  # length in m of a tool frame's axes
 _COLORS: Final = ("#e03030", "#30a030", "#3060e0")  # x, y, z
 _OPEN: Final = (48, 160, 48)  # RGB of surfaces outside containers
 _INSIDE: Final = {DRAWER: (230, 120, 20), DOOR: (48, 96, 224)}  # RGB of surfaces in containers
-_FILLED: Final = 110  # opacity of surfaces, up to 255
+_FILLED: Final = 110  # opacity of surfaces, 0 to 255
 
 
 def draw(body: Object, file: Path) -> None:
     """Draw a robot or furniture into a picture file; the suffix of the file determines the format.
 
-    Surfaces are drawn over the parts that hide them: open surfaces green, in drawers orange, behind doors blue.
+    Surfaces are drawn over the parts that hide them: open ones green, in drawers orange, behind doors blue.
 
     Raises:
         OSError: The file can't be written.
@@ -50,7 +50,7 @@ def draw(body: Object, file: Path) -> None:
         surface: [geometry.transform(body.surface_pose(surface), (x, y, 0.0)) for x, y in surface.outline]
         for surface in body.surfaces.values()
     }
-    if surfaces:  # leave out the walls of a kitchen
+    if surfaces:  # the walls of a kitchen are left out
         corners = np.array([*itertools.chain(*surfaces.values())])
         low[:2], high[:2] = corners[:, :2].min(axis=0), corners[:, :2].max(axis=0)
         high[2] = corners[:, 2].max()
@@ -75,7 +75,7 @@ def draw(body: Object, file: Path) -> None:
 
 
 def _camera(points: NDArray[np.float64], middle: NDArray[np.float64], away: Vector) -> Camera:
-    """Return a camera that is in the direction ``away`` from the middle, and sees all points (n, 3)."""
+    """Return a camera that looks from the direction ``away``, and sees all points (n, 3)."""
     height = _FIELD * _SIZE[1] / _SIZE[0]
     turn = geometry.look_at(away, (0.0, 0.0, 0.0))
     right, down, ahead = ((points - middle) @ geometry.to_matrix(turn)).T

@@ -1,9 +1,10 @@
-"""Exploration: a plan runs in many orders of its branches, to find orders with different endings (races).
+"""Exploration: a plan runs in many orders of its branches, to find races: orders with different endings.
 
 Random numbers and the order of sets are the same in all runs, so only the order of branches causes differences. The
 first run takes branches in the order in which they were added; :class:`~pycram.scheduling.order.Pct` draws the other
-orders. Delta debugging minimises each ending's precedences (Zeller, Hildebrandt: Simplifying and isolating
-failure-inducing input, IEEE TSE 2002). The result is 1-minimal: without any one of them, the run ends in another way.
+orders. Delta debugging minimises the precedences for each ending (Zeller and Hildebrandt: Simplifying and isolating
+failure-inducing input, IEEE TSE 2002). The result is 1-minimal: if any precedence is removed, the run ends in another
+way.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
-import numpy.random  # noqa: F401  each run seeds NumPy, and would else import this module
+import numpy.random  # noqa: F401  each run seeds NumPy, and would otherwise import it
 
 from pycram.foundation import checks
 from pycram.foundation.errors import export
@@ -65,22 +66,22 @@ __all__ = [
 
 #: A function with two arguments, an order as text and a file: it runs the plan in that order, and records the run.
 Runner: TypeAlias = "Callable[[str, Path], object]"
-_Body: TypeAlias = "dict[str, list[float]]"  # "position", "orientation" and "/JOINT" of a body
+_Body: TypeAlias = "dict[str, list[float]]"  # the pose of a body ("position", "orientation") and its joints ("/JOINT")
 
 #: Kinds of endings.
 SUCCEEDED, FAILED, DEADLOCK, TIME_LIMIT, DIED = "succeeded", "failed", "deadlock", "time limit", "died"
-VIOLATED = "succeeded but violated"  # the run violated a property, and only recorded the violation
-_WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings of runs that return their order
-DEPTH: Final = 3  # default depth of races; most known races aren't deeper (Burckhardt et al.)
+VIOLATED = "succeeded but violated"  # the run violated a property, but the violation was only recorded
+_WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings of runs with a known order
+DEPTH: Final = 3  # default depth of races; most known races have no greater depth (Burckhardt et al.)
 LIMIT: Final = 60.0  # default limit of a run's wall-clock time, in s
-_ROUND: Final = 16  # number of runs in a round; their orders are drawn for the same number of turns
-_EXPLAINED: Final = 8  # maximum number of explained endings, because each run may have another ending
+_ROUND: Final = 16  # number of runs in a round; the orders of a round are drawn for the same number of turns
+_EXPLAINED: Final = 8  # maximum number of explained endings; without it, each run might have another ending
 _MAX_TRIES: Final = 200  # maximum number of runs in the search for the precedences that cause an ending
-# States with smaller differences are alike, because physics computes each order a little differently.
+# Physics computes each order a little differently, so states count as equal up to these differences.
 _DISTANCE: Final = 0.01  # m
 _ANGLE: Final = 0.1  # rad
 _JOINT: Final = 0.02  # rad or m
-_NUMBER: Final = 1e-3  # difference of numbers in fluents
+_NUMBER: Final = 1e-3  # difference of numbers in fluents that count as equal
 _DECIMAL: Final = re.compile(r"-?\d+\.\d+(?:e[+-]?\d+)?")
 
 
@@ -102,7 +103,7 @@ class EndingGroup:
     ending: Ending  # ending of the first of these runs
     count: int
     order: str  # smallest known order of branches with this ending, as text (:mod:`pycram.scheduling.order`)
-    #: The orders of two branches that cause this ending of a run; empty for the first ending, or if unknown.
+    #: Precedences of branches that together cause this ending; empty for the first ending, or if unknown.
     made: tuple[AppliedPrecedence, ...] = ()
     recording: Path | None = None  # recording of a run in that order
 
@@ -114,7 +115,7 @@ class Exploration:
     runs: int  # number of ended runs
     orders: int  # number of different orders of these runs
     found: list[EndingGroup]  # groups of runs, ordered by their first runs
-    deterministic: bool = True  # whether runs in the same order had the same ending
+    deterministic: bool = True  # whether all runs in the same order had the same ending
     interrupted: bool = False  # whether Ctrl-C ended the exploration
 
     @property
@@ -137,11 +138,11 @@ def explore(
     limit: float = LIMIT,
     folder: str | Path | None = None,
 ) -> Exploration:
-    """Run an action in many orders of its branches. Each run is in a copy of this process; nothing changes here.
+    """Run an action in many orders of its branches. Each run is in a copy of this process, so nothing changes here.
 
     Args:
         seed: Seed of the random numbers in every run, and of the drawn orders.
-        depth: Maximum depth of the races: the number of precedences that together cause a race.
+        depth: Maximum depth of the races: the number of precedences that cause a race together.
         limit: Seconds of wall-clock time for each run.
         folder: Folder for a recording of each ending; None keeps no recordings.
 
@@ -160,7 +161,7 @@ def explore(
         seed_random_numbers(seed)
         seed_order(seed, order)
         with (
-            suppress(BaseException),  # the recording has the error
+            suppress(BaseException),  # the recording contains the error
             record(path, name=name, arguments=(), seed=seed, order=order, output=True, overwrite=True),
         ):
             action()
@@ -192,7 +193,7 @@ def explore_runs(
         raise BadArgument("limit", limit, "seconds, more than 0")
     if cause := obstacle():
         raise NotExplorable(cause)
-    if file is not None and not file.parent.is_dir():  # checked now, because writing comes after all runs
+    if file is not None and not file.parent.is_dir():  # checked first, because files are written only after all runs
         raise RecordingError(file, "No such file or directory", "make the folder first")
     look_up_revisions(plan)
     runner = PlanRunner(run, limit)
@@ -216,7 +217,7 @@ def explore_runs(
 
 
 def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator[Sequence[str]]:
-    """Yield the orders of each round. Orders change at random turns, up to the last turn of the longest run."""
+    """Yield the orders of each round. Orders change at random turns, up to the number of turns of the longest run."""
     yield [ADDED]
     for start in range(1, count, _ROUND):
         turns = max(attempt.turns for attempt in attempts.values())
@@ -226,7 +227,7 @@ def _orders(count: int, depth: int, attempts: dict[int, OrderedRun]) -> Iterator
 
 
 def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
-    if not result.runs:  # otherwise the runs are grouped already
+    if not result.runs:  # otherwise the runs are already grouped
         for _, attempt in sorted(attempts.items()):
             like = next((each for each in result.found if each.ending.is_like(attempt.ending)), None)
             if like is None:
@@ -238,7 +239,7 @@ def _sort(attempts: Mapping[int, OrderedRun], result: Exploration) -> None:
 
 
 def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, OrderedRun]) -> None:
-    """If runs end in different ways, find for each ending the few orders of two branches that cause it."""
+    """If runs end in different ways, find the few precedences that cause each ending."""
     if len(result.found) < 2:
         return
     again = [each for each in result.found[:_EXPLAINED] if each.ending.kind in _WITH_ORDER] * 2
@@ -256,7 +257,7 @@ def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, Ordere
 
 
 def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, overwrite: bool) -> None:
-    """Run the smallest order of each ending once more, to record the run and the places of its branches."""
+    """Run the smallest order of each ending again, to record the run and the lines of its branches."""
     for number, found in enumerate(result.found[:_EXPLAINED], 1):
         name = None if file is None else file.with_name(f"{file.stem}.explored-{number}{file.suffix}")
         if name is not None and not overwrite:
@@ -272,7 +273,7 @@ def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, over
 
 
 class _Tries:
-    """Runs the plan with sets of precedences, once for each set, to find a set that causes a certain ending."""
+    """Runs the plan with sets of precedences, once for each set, to find the set that causes a certain ending."""
 
     def __init__(self, runs: PlanRunner, ending: Ending) -> None:
         self._runs = runs
@@ -280,7 +281,7 @@ class _Tries:
         self._known: dict[tuple[Precedence, ...], OrderedRun] = {}
 
     def first_of(self, tries: Sequence[Sequence[Precedence]]) -> OrderedRun | None:
-        """Return the first run with that ending. One run for each core is in progress at a time."""
+        """Return the first run with that ending. At any moment, at most one run per core is in progress."""
         for start in range(0, len(tries), self._runs.cores):
             wave = [tuple(each) for each in tries[start : start + self._runs.cores]]
             new = [each for each in wave if each not in self._known][: _MAX_TRIES - len(self._known)]
@@ -293,7 +294,7 @@ class _Tries:
 
 
 def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending) -> OrderedRun | None:
-    """Return a run with the wanted ending and as few precedences as possible; None for a non-deterministic plan."""
+    """Return a run with the wanted ending and as few precedences as possible; None if the plan isn't deterministic."""
     tries = _Tries(runs, ending)
     best = tries.first_of([precedences])
     parts = 2
@@ -311,7 +312,7 @@ def _reduced(runs: PlanRunner, precedences: Sequence[Precedence], ending: Ending
 
 
 def _nearer(tries: _Tries, best: OrderedRun) -> OrderedRun:
-    """Return a run with smaller precedences: each moves a branch before as few other branches as possible."""
+    """Return a run with weaker precedences: each puts a branch before as few other branches as possible."""
     for at in range(len(best.made)):
         made = best.precedences
         found = tries.first_of([(*made[:at], passed, *made[at + 1 :]) for passed in best.made[at].passed])
@@ -330,17 +331,17 @@ class OrderedRun:
     order: str  # the requested order
     ending: Ending
     turns: int  # number of turns with two or more ready branches
-    made: tuple[AppliedPrecedence, ...]  # order of the run, as exceptions from the ranks of branches
+    made: tuple[AppliedPrecedence, ...]  # order of the run, as exceptions from the order by ranks
     seconds: float
 
     @property
     def precedences(self) -> tuple[Precedence, ...]:
-        """The order of the run, without its branches' lines."""
+        """The order of the run, without the lines of its branches."""
         return tuple([each.precedence for each in self.made])
 
 
 class PlanRunner:
-    """Runs a plan in many orders; ``limit`` is the wall-clock time in s after which it interrupts a run."""
+    """Runs a plan in many orders; a run is interrupted after ``limit`` seconds of wall-clock time."""
 
     def __init__(self, run: Runner, limit: float) -> None:
         self._run = run
@@ -348,7 +349,7 @@ class PlanRunner:
         self._limit = limit
 
     def all(self, orders: Iterable[str], file: Path | None = None) -> Generator[tuple[int, OrderedRun], None, None]:
-        """Run orders in parallel; yield index and run when a run ends. Closing the generator kills running plans."""
+        """Run orders in parallel; yield each index and run at its end. Closing the generator kills running plans."""
         pool: ChildPool[tuple[int, str]] = ChildPool(self.cores, self._limit, GRACE)
 
         def start(job: tuple[int, str]) -> Child:
@@ -376,7 +377,7 @@ class PlanRunner:
 
 
 def _run_in_order(run: Runner, order: str, file: Path | None) -> bytes:
-    """Run the plan in this child process; write only its first recording to the file."""
+    """Run the plan in this child process; only its first recording is written to the file."""
     path = file or Path(os.devnull)
     sinks: list[EndingSink] = []
 
@@ -394,13 +395,13 @@ def _run_in_order(run: Runner, order: str, file: Path | None) -> bytes:
 
 @dataclass(slots=True)
 class Ending:
-    """The ending of a run, with the final state of its worlds and fluents."""
+    """The ending of a run: its outcome, and the final state of its worlds and fluents."""
 
     kind: str  # "succeeded", "succeeded but violated", "failed", "deadlock", "time limit" or "died"
-    #: Type and message of the plan's failure; or the violated properties; or the cause of another ending.
+    #: Type and message of the plan's failure, or the violated properties, or the cause of another ending.
     failure: str = ""
     line: str = ""  # innermost line of the plan's code in the failure's traceback, FILE:LINE; "" if unknown
-    plan_line: str = ""  # innermost line of the plan's main file in that traceback
+    plan_line: str = ""  # innermost line of the plan's main file in the same traceback
     bodies: dict[str, _Body] = field(default_factory=dict)  # states of bodies by "WORLD/BODY"
     held: list[str] = field(default_factory=list)  # attachments: "WORLD: CARRIER holds BODY"
     fluents: dict[str, str] = field(default_factory=dict)  # fluents that the plan set: values as JSON by name
@@ -464,17 +465,17 @@ def _same(a: object, b: object) -> bool:
 
 
 class EndingSink:
-    """Computes how a run ended, from its records; forwards the records to a file, if there is one."""
+    """Computes from a run's records how it ended; passes the records on to a file, if there is one."""
 
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
-        #: Lines of each failure, one for each task that failed with it, as (FILE, FILE:LINE) from the outside in.
+        #: Lines of each failure, for each task that failed with it, as (FILE, FILE:LINE) from the outside in.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
-        self._violated: dict[str, None] = {}  # violated properties, in order
-        self.ending = Ending(DIED, "the process ended")  # replaced at the record of the run's end
+        self._violated: dict[str, None] = {}  # violated properties, in the order of violations
+        self.ending = Ending(DIED, "the process ended")  # replaced when the record of the run's end comes
         if file is not None:
-            self.path = file.path  # recordings of projections are next to this file
+            self.path = file.path  # recordings of projections are written next to this file
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Evaluate and forward a record."""
@@ -506,7 +507,7 @@ class EndingSink:
 
     def _change(self, world: str, command: str, effect: Effect) -> None:
         ending = self.ending
-        if command == "open_world":  # replaces an earlier world with the same name
+        if command == "open_world":  # this world replaces an earlier world with the same name
             ending.bodies = {name: body for name, body in ending.bodies.items() if name.partition("/")[0] != world}
             ending.held = [each for each in ending.held if not each.startswith(f"{world}: ")]
         self._take(world, effect.bodies)

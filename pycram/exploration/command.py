@@ -29,13 +29,13 @@ from pycram.scheduling.order import BranchLine
 from recorder.errors import RecordingError
 from recorder.terminal import ProgressLines
 
-_MAX_TOLD: Final = 6  # maximum number of printed differences of states, and of printed orders of two branches
+_MAX_TOLD: Final = 6  # maximum number of printed differences between states, and of printed precedences
 _WIDTH: Final = 200  # maximum number of characters of a printed failure
 
 
 def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
-    """Explore a plan, print the results, and return the exit code; names of recordings begin like ``log``."""
-    # import the modules that plans need now, once for all runs
+    """Explore a plan, print the results, and return the exit code; recordings are named like ``log``."""
+    # import the modules that plans need before all runs
     from pycram import event, fluent, language, process_module  # noqa: F401, PLC0415
     from pycram.bullet_world_reasoning import blocking, contact, stable, visible  # noqa: F401, PLC0415
 

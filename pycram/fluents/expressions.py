@@ -1,13 +1,14 @@
 """Expressions: the variables, pulse counters and operations behind fluents.
 
 A state has the values of all leaves (variables and counters of unhandled pulses) at one moment. An operation computes
-its value from a state, so it never mixes two moments. References from operands to their operations are weak, so unused
-networks are freed. A pulse means that something happened to a fluent, whether or not its value changed. Pulses spread
-to all operations on an expression. A counter counts a change once, however many paths lead to the counter.
+its value from one state, so it never mixes values of two moments. References from operands to their operations are
+weak, so unused networks are freed. A pulse means that something happened to a fluent, even if its value didn't change.
+Pulses spread to all operations on an expression. A counter counts each change only once, however many paths of the
+network lead to the counter.
 
-One re-entrant lock guards all leaves of the process. It comes after a world's lock and before a journal's lock, so the
-order of records is the order of changes. While a thread holds it, no user code runs: no function of a network, no
-``__eq__``, no conversion to JSON, no finalizer of an old value.
+One re-entrant lock guards all leaves of the process. This lock comes after a world's lock and before a journal's lock,
+so the order of records is the order of changes. While a thread holds the lock, no user code runs: no function of a
+network, no ``__eq__``, no conversion to JSON, no finalizer of an old value.
 """
 
 from __future__ import annotations
@@ -37,21 +38,21 @@ Value: TypeAlias = Any  # any value of a fluent
 State: TypeAlias = dict["Expression", Value]
 
 lock: Final = Lock()
-_MAX_NAME_DEPTH: Final = 4  # number of nested operations that a name shows
+_MAX_NAME_DEPTH: Final = 4  # maximum number of nested operations in a name
 
 
 class Ended(NamedTuple):
-    """Replaces the value of a leaf when the object or world that the leaf followed is gone."""
+    """Replaces the value of a leaf when the object or world that it followed is gone."""
 
     world: str  # name of the world
     what: str  # the object or world that is gone, for messages
 
 
 class LeafListener(Protocol):
-    """Receives all changes of the leaves at which it is registered."""
+    """Receives all changes of the leaves with which it is registered."""
 
     def state_changed(self) -> None:
-        """Handle a change; called with the lock held."""
+        """Handle a change; the caller holds the lock."""
 
 
 class Expression(ABC):
@@ -64,13 +65,13 @@ class Expression(ABC):
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
         self.operands = operands  # the expressions from which the value is computed
-        #: Counters of this expression's pulses, by the counters' id(); None before the first counter.
+        #: Counters of this expression's pulses by their id(); None before the first counter.
         self.counters: WeakValueDictionary[int, PulseCounter] | None = None
 
     @property
     @abstractmethod
     def leaves(self) -> tuple[Leaf, ...]:
-        """All leaves below this expression, each once; for a leaf, the leaf itself."""
+        """All leaves below this expression, each once; a leaf has only itself."""
 
     @abstractmethod
     def value(self, state: State) -> Value:
@@ -83,12 +84,12 @@ class Expression(ABC):
 
     @abstractmethod
     def text(self, depth: int = 0) -> str:
-        """Return the expression's name as an operand below ``depth`` operations."""
+        """Return the expression's name when it is an operand at a ``depth`` of nested operations."""
 
     def variables(self) -> Iterator[Variable]:
         """Yield all variables that determine the value, also variables behind counters."""
         leaves: list[Expression] = [*self.leaves]
-        for leaf in leaves:  # the loop appends to the list
+        for leaf in leaves:  # the loop appends to the list that it iterates over
             if isinstance(leaf, Variable):
                 yield leaf
             for operand in leaf.operands:
@@ -107,12 +108,12 @@ class Leaf(Expression):
 
     def __init__(self, operands: tuple[Expression, ...], held: Value) -> None:
         super().__init__(operands)
-        self.held = held  # the value, or Ended
+        self.held = held  # the value, or Ended when the followed object is gone
         self.waiters: list[LeafListener] = []
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
-        """The leaf itself. A stored reference would delay its freeing, so this is a property."""
+        """The leaf itself. This is a property, because a stored reference would delay the freeing of the expression."""
         return (self,)
 
     def value(self, state: State) -> Value:
@@ -138,7 +139,7 @@ class Constant(Expression):
         """Return the value in a state."""
         return self._value
 
-    def text(self, depth: int = 0) -> str:  # noqa: ARG002  constants need no parentheses
+    def text(self, depth: int = 0) -> str:  # noqa: ARG002  constants have no parentheses
         """Return the name."""
         return reprlib.repr(self._value)
 
@@ -156,7 +157,7 @@ class Operation(Expression):
         super().__init__(operands)
         self.leaves = tuple(dict.fromkeys(leaf for operand in operands for leaf in operand.leaves))
         self.form = form  # the name, with ``{}`` in place of each operand
-        self.function = function  # the argument is an iterator, which computes the operands' values on demand
+        self.function = function  # the function gets an iterator that computes the operands' values on demand
 
     def value(self, state: State) -> Value:
         """Return the value in a state."""
@@ -165,7 +166,7 @@ class Operation(Expression):
         return state[self]
 
     def text(self, depth: int = 0) -> str:
-        """Return the name, in parentheses if it is an operand; "..." if it is nested too deep."""
+        """Return the name, in parentheses if it is an operand; "..." if it is nested too deeply."""
         if depth > _MAX_NAME_DEPTH:
             return "..."
         text = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
@@ -179,23 +180,23 @@ def notify(changed: Iterable[Expression]) -> None:
 
 
 class Behavior(Enum):
-    """How ``whenever`` handles pulses that come while its body handles an earlier pulse."""
+    """How ``whenever`` handles pulses that come while its body still handles an earlier pulse."""
 
     NEVER = 1
     """Ignore the pulses."""
     ONCE = 2
-    """Run the body once for all of the pulses together."""
+    """Run the body once for all pulses together."""
     ALWAYS = 3
-    """Run the body once for each of the pulses."""
+    """Run the body once for each pulse."""
 
 
 class _Seen:
-    """A state that a counter has seen. Pulses are counted later: no network function runs during a change."""
+    """A state that a counter has seen. States are counted later: functions mustn't run during changes."""
 
     __slots__ = ("before", "count", "state", "value")
 
     def __init__(self, state: State, before: _Seen | None) -> None:
-        self.state: State | None = state  # None after the value was computed
+        self.state: State | None = state  # None after the number of pulses was computed
         self.before = before
         self.value: Value = None
         self.count = 0  # number of pulses up to this state
@@ -209,7 +210,7 @@ class _Seen:
             state, before = seen.state, seen.before  # read each attribute once, because another thread may clear both
             if state is None:
                 continue
-            # if a network's function fails, these results are kept; the function may succeed in the next state
+            # if a function of the network fails, these results are kept; it may succeed in the next state
             value, count = (None, 0) if before is None else (before.value, before.count)
             try:
                 now = of.value(state)
@@ -221,29 +222,29 @@ class _Seen:
 
 
 class Pulses(NamedTuple):
-    """Value of a counter: the number of its unhandled pulses, without pulses of states that weren't read yet."""
+    """Value of a counter: the number of its unhandled pulses, except pulses of states that no thread has read yet."""
 
     direct: int
     seen: _Seen | None
 
 
 def changes(before: Value, after: Value) -> bool:
-    """Whether the value ``after`` a change differs from the value ``before`` it."""
+    """Return whether the value ``after`` a change differs from the value ``before`` it."""
     if before is after:
         return False
     try:
         return bool(before != after)
-    except ValueError:  # arrays compare element by element
+    except ValueError:  # arrays are compared element by element
         return True
 
 
 def rises(before: Value, after: Value) -> bool:
-    """Whether a value becomes true."""
+    """Return whether a value becomes true."""
     return not before and bool(after)
 
 
 def falls(before: Value, after: Value) -> bool:
-    """Whether a value stops being true."""
+    """Return whether a value stops being true."""
     return bool(before) and not after
 
 
@@ -251,8 +252,8 @@ class PulseCounter(Leaf):
     """Counts the unhandled pulses of an expression; its value is True while a pulse is unhandled, else None.
 
     Args:
-        is_pulse: :func:`changes`, :func:`rises` or :func:`falls`: whether two successive values are a pulse. By default
-            each assignment to a variable is a pulse, and each change of a network's value.
+        is_pulse: :func:`changes`, :func:`rises` or :func:`falls`; returns whether a change from a value to the next is
+            a pulse. By default each assignment to a variable is a pulse, and each change of the value of a network.
     """
 
     __slots__ = ("is_pulse", "kind", "missed")
@@ -263,7 +264,7 @@ class PulseCounter(Leaf):
         self.missed = missed
         self.kind = "pulsed" if is_pulse is None else _METHODS[is_pulse]
         counted = isinstance(of, Variable) or (isinstance(of, PulseCounter) and of.is_pulse is None)
-        #: None if every change is a pulse, so that no values need to be compared.
+        #: None if every change is a pulse; then no values are compared.
         self.is_pulse: Callable[[Value, Value], bool] | None = changes if is_pulse is None and not counted else is_pulse
         with lock:
             super().__init__((of,), Pulses(0, None if self.is_pulse is None else _Seen(of.state(), None)))
@@ -283,7 +284,7 @@ class PulseCounter(Leaf):
         return f"{self.operands[0].text(depth + 1)}.{self.kind}({self.missed.name})"
 
     def pulse(self, without_change: bool) -> None:
-        """Count a pulse, or keep the new state to look for a pulse later; the caller holds the lock."""
+        """Count a pulse, or keep the new state to find pulses later; the caller holds the lock."""
         direct, seen = self.held
         if self.is_pulse is None or (without_change and self.kind == "pulsed"):
             self.held = Pulses(direct + 1, seen)
@@ -291,11 +292,11 @@ class PulseCounter(Leaf):
             self.held = Pulses(direct, _Seen({leaf: leaf.held for leaf in self.operands[0].leaves}, seen))
 
     def take(self) -> None:
-        """Mark one pulse as handled, if a pulse is unhandled."""
+        """Mark one unhandled pulse, if there is one, as handled."""
         self._handle(lambda count: min(count, 1))
 
     def settle(self) -> None:
-        """Finish handling a pulse. Drop later pulses as the behavior says."""
+        """Finish handling a pulse. Drop later pulses if the behavior demands it."""
         if self.missed is not Behavior.ALWAYS:
             kept = 1 if self.missed is Behavior.ONCE else 0
             self._handle(lambda count: max(count - kept, 0))
@@ -313,12 +314,12 @@ class PulseCounter(Leaf):
                     notify((self,))
 
 
-#: Names of the fluents' methods that make counters, by the counted pulses.
+#: The methods of fluents that make counters, by the kind of pulses.
 _METHODS: Final[dict[object, str]] = {changes: "changed", rises: "rising", falls: "falling"}
 
 
 def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iterable[Expression]]) -> list[Expression]:
-    """Return the given distinct expressions, followed by all expressions reachable from them, each once."""
+    """Return the given distinct expressions, then all expressions that depend on them, each once."""
     queue = list(given)
     reached = set(queue)
     for expression in queue:
@@ -337,7 +338,7 @@ def _counters(expression: Expression) -> Collection[PulseCounter]:
 
 
 def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
-    """Return the counters of these expressions' pulses, and the counters of the counters' pulses, each once."""
+    """Return the counters of these expressions' pulses, and the counters of those counters' pulses, each once."""
     return cast("list[PulseCounter]", _reachable(pulsed, _counters)[len(pulsed) :])
 
 
@@ -360,12 +361,12 @@ class Variable(Leaf):
     def __init__(self, value: Value, name: str | None = None, source: str = "", bodies: tuple[str, ...] = ()) -> None:
         super().__init__((), value)
         self.name = f"fluent_{next(_numbers)}" if name is None else name
-        self.source = source  # the followed quantity of a world ("pose", "joint", ...); "" if a plan sets the value
+        self.source = source  # the quantity of a world ("pose", "joint", ...) that it follows; "" if a plan sets it
         self.bodies = bodies  # names of the followed objects
-        self.json: str | None = None  # the value as JSON, for the record; None if unknown
+        self.json: str | None = None  # the value as JSON for records; None if it isn't known
         self.set_by = ""  # name of the branch or thread that set the value last; "" before the first setting
 
-    def text(self, depth: int = 0) -> str:  # noqa: ARG002  names need no parentheses
+    def text(self, depth: int = 0) -> str:  # noqa: ARG002  names of variables have no parentheses
         """Return the name."""
         return self.name
 
@@ -374,7 +375,7 @@ class Variable(Leaf):
         return None
 
     def serialize(self) -> None:
-        """Convert the value to JSON. The caller holds no lock, because conversions may be user code."""
+        """Convert the value to JSON. The caller holds no lock, because the conversion may be user code."""
         if self.json is None and not isinstance(self.held, Ended):
             held = self.held
             json = records.to_json(held)
@@ -402,7 +403,7 @@ def assign(values: Mapping[Variable, Value], world: str = "", sim_step: int = 0)
             variable.serialize()
             serialized[variable] = records.to_json(value)
     with Uninterrupted():
-        old = []  # frees the old values after the lock is released
+        old = []  # frees the old values after the release of the lock
         with lock:
             for variable, json in serialized.items():
                 span.emit(variable.record(json), world=world, sim_step=sim_step)
@@ -429,7 +430,7 @@ def pulse_unchanged(expression: Expression) -> None:
 
 
 def end(leaves: Collection[Leaf], ended: Ended) -> None:
-    """Close these operands: from now on, it is an error to read or await them."""
+    """Close these operands: reading or awaiting them is an error from now on."""
     with lock:
         all_ended = (*leaves, *counters_on(leaves))
         for leaf in all_ended:

@@ -11,16 +11,16 @@ Any branch or thread may read the value of a fluent, set it, and wait until it i
 
 Operators make networks. A network computes its value from the values of its operands at one moment. Comparisons and
 AND, OR, NOT, IS, IS_NOT return True or None, never False, because waits end at a value that is not None. None means
-that there is no value (yet): comparisons and sums with None are None. AND and OR read their second operand only if they
-need it, as in ``(speed != 0).AND(distance / speed < 10)``.
+that there is no value: comparisons and sums with None are None. AND and OR read their second operand only if it
+matters, as in ``(speed != 0).AND(distance / speed < 10)``.
 
 Setting a fluent pulses it, even if the value stays the same. A network pulses when its value changes.
 :meth:`Fluent.pulsed` counts pulses; :meth:`Fluent.rising`, :meth:`Fluent.falling` and :meth:`Fluent.changed` count
 changes. :func:`~pycram.fluents.whenever.whenever` handles pulses and changes.
 
-A wait never misses a value, however short it lasts. A change only appends a new state, and the waiting thread computes
-the values. Functions of networks run in the thread that reads or waits, without any lock held. These functions should
-be quick and depend only on their arguments. :mod:`pycram.fluents.world` has fluents that follow a world.
+A wait never misses a value, however short it lasts. A change only appends a new state; the waiting thread computes the
+values. Functions of networks run in the thread that reads or waits, without any lock held. Such functions should be
+quick, and depend only on their arguments. :mod:`pycram.fluents.world` has fluents that follow a world.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class NotTrueOrFalse(UsageError):
 
 
 def _order(sign: str, test: Callable[[Value, Value], object]) -> Callable[[Fluent, object], Fluent]:
-    """Return the method of an order relation; the relation is None if one of the values is None."""
+    """Return the method for an order relation; the method returns None if one of the values is None."""
 
     def compare(self: Fluent, other: object) -> Fluent:
         return _comparison(sign, lambda a, b: a is not None and b is not None and test(a, b), self, other)
@@ -102,7 +102,7 @@ def _order(sign: str, test: Callable[[Value, Value], object]) -> Callable[[Fluen
 def _arithmetic(
     sign: str, function: Callable[[Value, Value], Value]
 ) -> tuple[Callable[[Fluent, object], Fluent], Callable[[Fluent, object], Fluent]]:
-    """Return the two methods of an arithmetic operator: the fluent is its left operand, or its right operand."""
+    """Return two methods for an arithmetic operator: one with the fluent on the left, one on the right."""
 
     def left(self: Fluent, other: object) -> Fluent:
         return _network(f"{{}} {sign} {{}}", _unless_none(function), self, other)
@@ -114,7 +114,7 @@ def _arithmetic(
 
 
 def _unless_none(function: Callable[..., Value]) -> Callable[[Iterator[Value]], Value]:
-    """Return a function of the operands' values; its result is None if one of the values is None."""
+    """Return a function of the operands' values that returns None if one of them is None."""
 
     def compute(values: Iterator[Value]) -> Value:
         given = tuple(values)
@@ -148,14 +148,14 @@ class Fluent:
 
     @property
     def name(self) -> str:
-        """Name of the fluent; for a network, its operation as text."""
+        """Name of the fluent; for a network, the text of its operation."""
         return self.expression.text()
 
     def __repr__(self) -> str:
         return f"Fluent({self.name})"
 
     def __record__(self) -> object:
-        """Return the reference to the fluent that records contain."""
+        """Return the reference by which records name the fluent."""
         return {"fluent": self.name}
 
     # --- value -----------------------------------------------------------------------------------------------------
@@ -176,7 +176,7 @@ class Fluent:
         Raises:
             NotSettable: The fluent is a network, counts pulses or follows a world.
             BadArgument: The value is a function.
-            RecordingError: The recording failed; the value stays.
+            RecordingError: The recording failed; the value didn't change.
         """
         if not isinstance(self.expression, Variable) or self.expression.source:
             raise NotSettable(self.name, isinstance(self.expression, Variable))
@@ -192,7 +192,7 @@ class Fluent:
             timeout: In seconds; None for no limit.
 
         Returns:
-            True if the value is not None, or wasn't None for a moment during the wait; False after the timeout.
+            True if the value is not None, or was not None at any moment during the wait; False after the timeout.
 
         Raises:
             BadArgument: The timeout isn't a number.
@@ -288,7 +288,7 @@ class Fluent:
         return hash(self.expression)
 
     def is_same(self, other: object) -> bool | None:
-        """Return whether ``other`` is this fluent, regardless of values; None if ``other`` isn't a fluent."""
+        """Return whether ``other`` is this fluent itself; None if ``other`` isn't a fluent."""
         return self.expression is other.expression if isinstance(other, Fluent) else None
 
     def __bool__(self) -> bool:
@@ -320,8 +320,8 @@ class Derived(Fluent):
     """A fluent whose value is computed from other fluents or from a world.
 
     Args:
-        same: Truth value for ``in``, if the network compares two fluents: whether they are the same fluent (for ``==``)
-            or two fluents (for ``!=``).
+        same: Truth value for ``in`` if the network compares two fluents: whether they are the same (for ``==``), or
+            different (for ``!=``).
     """
 
     __slots__ = ("_same",)
@@ -376,7 +376,7 @@ export("pycram.fluent", FalseEndsWait, NotSettable, NotTrueOrFalse)
 
 
 class StateStream:
-    """The states of an expression from the beginning of the ``with`` block to its end."""
+    """All states of an expression from the beginning of the ``with`` block to its end."""
 
     __slots__ = ("_expression", "_news", "_states")
 
@@ -400,15 +400,15 @@ class StateStream:
     def state_changed(self) -> None:
         """Append the present state; the caller holds the lock."""
         self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
-        self._news.notify_all()  # notify even if states are left, because the branch takes states without the lock
+        self._news.notify_all()  # notify even if states are left: the waiting branch takes them without the lock
 
     def states(self, limit: Deadline | None = None) -> Iterator[State]:
-        """Yield the states in order; end at the deadline, even if new states keep coming."""
+        """Yield the states in order until the deadline, even if new states still come."""
         clock = next(filter(None, (variable.clock() for variable in self._expression.variables())), None)
         while True:
             late = limit is not None and limit.has_come
             if self._states:
-                checkpoint()  # one mapping for all states, because a reaction must keep up with 30 states a second
+                checkpoint()  # one mapping serves all states, because a reaction must keep up with 30 states a second
             for _ in range(len(self._states)):
                 raise_if_cancelled()
                 yield self._states.popleft()
@@ -427,9 +427,9 @@ class StateStream:
 
 
 def first_value(expression: Expression, timeout: float | None = None) -> Value:
-    """Wait until the value of an expression is not None, at least for a moment, and return that value.
+    """Wait until the value of an expression is not None, at least for a moment; return that value.
 
-    After the timeout in s, return None. Errors are as in :meth:`Fluent.wait_for`.
+    Return None after the timeout in s. :meth:`Fluent.wait_for` describes the errors.
     """
     with StateStream(expression) as stream, nullcontext() if timeout is None else Deadline(timeout) as limit:
         values = (expression.value(state) for state in stream.states(limit))

@@ -25,11 +25,11 @@ def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 @lazy("`s(whenever, fluent, body)`: without a body, `whenever` returns an iterator for a `for` loop")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
-    """Run a body whenever a fluent's value is not None; repeat the body while the value stays so.
+    """Run a body whenever a fluent's value is not None; the body repeats while the value stays like that.
 
     To run the body once for each change, use a counter: :meth:`Fluent.rising`, :meth:`Fluent.falling`,
-    :meth:`Fluent.changed` or :meth:`Fluent.pulsed`. The counter's behavior says whether one run handles several
-    changes::
+    :meth:`Fluent.changed` or :meth:`Fluent.pulsed`. The behavior of a counter decides whether one run of the body
+    handles several changes::
 
         for _ in whenever(door.pulsed()):
             look_at(door)
@@ -38,11 +38,11 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
             s(whenever, (battery < 20).rising(), charge)
             s(plan)
 
-    Both forms run in the calling thread. The repetition ends when the surrounding block is decided and so cancels the
-    branch, and when the body raises an error. A loop also ends by ``break``.
+    Both forms run in the thread that calls them. The repetition ends when the surrounding block is decided and so
+    cancels the branch, and when the body raises an error. A ``break`` also ends the loop.
 
     Returns:
-        Without a body, an iterator that waits and yields each value that isn't None.
+        Without a body, the result is an iterator that waits, and yields each value that isn't None.
 
     Raises:
         BadArgument: ``fluent`` isn't a fluent, or the body isn't callable.

@@ -44,7 +44,7 @@ def position(body: Object, link: str | None = None) -> Fluent:
 
 @refusing(name="fluents.joint")
 def joint(body: Object, name: str) -> Fluent:
-    """Follow the position of an object's movable joint, in rad or m."""
+    """Follow the position of a movable joint of an object, in rad or m."""
     owner = _object(body)
     owner.check_joint(name)
     return _follow("joint", f"{name} of {owner.name}", lambda: owner.get_joint_position(name), owner)
@@ -84,11 +84,11 @@ class _WorldVariable(Variable):
 
     def __init__(self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]) -> None:
         super().__init__(read(), f"{source} of {name}", source, tuple(body.name for body in objects))
-        self.read = read  # a function that returns the value; its caller holds the world's lock, and the objects exist
+        self.read = read  # returns the value; the caller holds the world's lock, and the objects exist
         self.objects = objects
 
     def clock(self) -> WorldClock | None:
-        """Return the clock of the world, if motions take time."""
+        """Return the clock of the world if motions take simulated time."""
         return WorldClock(self.objects[0].world, last=False) if current_environment() == CONTINUOUS else None
 
     def gone(self) -> str:
@@ -115,13 +115,13 @@ class WorldVariables:
         return known
 
     def time_passed(self) -> None:
-        """Read the values of all variables during a simulation; the end of its transaction assigns the values."""
+        """Read the values of all variables during a simulation; the simulation's end assigns these values."""
         values = {variable: variable.read() for variable in self._variables.values() if not variable.gone()}
         if values:
             self._passed.append((self._world.sim_step, values))
 
     def has_news(self) -> bool:
-        """Return whether the simulation has changed a value that a wait or a counter needs."""
+        """Return whether the simulation has changed a value for which a wait or a counter waits."""
         followed = [each for each in self._variables.values() if (each.waiters or each.counters) and not each.gone()]
         return any(each.read() != each.held for each in followed)
 

@@ -1,7 +1,7 @@
 """Checks of arguments before anything changes: numbers, positions, orientations, colours, names.
 
-Each function takes the name of a parameter and its value. Functions return plain Python values that don't alias the
-caller's arrays, and raise BadArgument for an impossible value.
+Each function gets the name of a parameter and the parameter's value. The functions return plain Python values that
+don't share memory with the caller's arrays, and raise BadArgument for an impossible value.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from recorder.geometry import Pose, Quaternion, Vector
 
 Table: TypeAlias = dict[str, object]
 
-_MAX_COUNT = 2**53  # JSON has no larger whole numbers
-_MAX_COORDINATE = 1e6  # largest coordinate in m; at larger ones the engine's arithmetic can't resolve millimetres
-_UNIT_TOLERANCE = 1e-9  # a quaternion is normalised if its length differs from 1 by more than this
+_MAX_COUNT = 2**53  # JSON has no larger exact whole numbers
+_MAX_COORDINATE = 1e6  # largest coordinate in m; at larger coordinates the engine can't resolve millimetres
+_UNIT_TOLERANCE = 1e-9  # a quaternion is normalised if its length differs by more than this from 1
 
 
 def number(argument: str, value: object) -> float:
@@ -69,7 +69,7 @@ def vector(argument: str, value: object) -> Vector:
 
 
 def quaternion(argument: str, value: object) -> Quaternion:
-    """Return 4 numbers x, y, z, w as a unit quaternion; if their length is 1, they stay unchanged."""
+    """Return 4 numbers x, y, z, w as a unit quaternion; numbers with a length of 1 aren't changed."""
     expected = "4 finite numbers x, y, z, w that aren't all zero"
     x, y, z, w = _numbers(argument, value, 4, expected)
     length = math.hypot(x, y, z, w)
@@ -81,7 +81,7 @@ def quaternion(argument: str, value: object) -> Quaternion:
 
 
 def color(argument: str, value: object) -> tuple[float, float, float, float]:
-    """Return an RGBA colour with components in 0..1."""
+    """Return an RGBA colour with components from 0 to 1."""
     expected = "4 numbers r, g, b, a from 0 to 1"
     r, g, b, a = _numbers(argument, value, 4, expected)
     if min(r, g, b, a) < 0 or max(r, g, b, a) > 1:
@@ -112,7 +112,7 @@ def texts(argument: str, value: object) -> tuple[str, ...]:
 
 
 def table(parent: Table, key: str) -> Table:
-    """Return a TOML table within a table."""
+    """Return a TOML table that is within another table."""
     value = parent[key]
     if not isinstance(value, dict):
         raise BadArgument(key, value, "a table")

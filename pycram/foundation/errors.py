@@ -13,10 +13,11 @@ its message. An error of PyCRAM is a dataclass with a template for its message::
 
         _template = "{arm} gripper can't grasp {body}"
 
-- The fields are parameters of the constructor, and are recorded in the same order. ``kept_as`` copies the argument.
+- The fields are parameters of the constructor, and are recorded in this order. ``kept_as`` converts and copies the
+  argument.
 - If a message needs more than a template, override ``_message()``.
-- If a field depends on other fields, set it in ``_complete()``, which runs before ``_message()``.
-- If the parameters differ from the fields, write ``__init__`` instead, and call ``super().__init__(message)``.
+- If a field depends on other fields, set it in ``_complete()``, which is called before ``_message()``.
+- If the parameters differ from the fields, write an own ``__init__``, and call ``super().__init__(message)`` there.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class PycramError(PortableError):
 
     @property
     def data(self) -> Mapping[str, object]:
-        """Values of the error's fields by name."""
+        """The values of the error's fields by name."""
         return {name: value for name, value in vars(self).items() if not name.startswith("_")}
 
     def _complete(self) -> None:
@@ -74,8 +75,8 @@ def floats(values: Sequence[float]) -> list[float]:
 def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
     """Make an error a dataclass; its template or its ``_message()`` makes the message.
 
-    The attributes that mark a dataclass are deleted, so a dataclass that a plan derives from the error has only its own
-    fields. Errors stay equal by identity, and print like other exceptions.
+    The attributes that mark a dataclass are deleted, so a dataclass that a plan derives from the error has no other
+    fields than its own. Errors are equal only to themselves, and print like other exceptions.
     """
     dataclass(eq=False, repr=False, match_args=False)(kind)
     conversions = {each.name: each.metadata["convert"] for each in fields(cast("Any", kind)) if each.metadata}
@@ -102,7 +103,7 @@ class BadArgument(UsageError, ValueError):
 
     argument: str  # name of the parameter that has the value
     value: object
-    expected: str  # description of accepted values
+    expected: str  # text about the accepted values
 
     _template = "{argument} = {value!r}: expected {expected}"
 
@@ -124,10 +125,10 @@ class UnknownName(UsageError, LookupError):
     def __init__(self, kind: str, name: object, owner: str, known: Iterable[str]) -> None:
         names = list(known)
         super().__init__(f"{owner} has no {kind} {name!r}; {suggestion(name, names)}")
-        self.kind = kind  # "joint", "link", "object", ...
+        self.kind = kind  # kind of the name, such as "joint", "link" or "object".
         self.name = name
         self.owner = owner
-        self.nearest = nearest(name, names)  # names of the owner that are the most similar to ``name``
+        self.nearest = nearest(name, names)  # names that the owner has and that are the most similar to ``name``
 
 
 class AssetError(UsageError):
@@ -141,7 +142,7 @@ class AssetError(UsageError):
 
 @dataclass_error
 class AttachmentError(UsageError):
-    """An impossible attachment: a cycle, or an object that is carried already or belongs to another world."""
+    """An impossible attachment: a cycle, or an object that another object carries or that is in another world."""
 
     carrier: str
     body: str
@@ -154,15 +155,15 @@ class AttachmentError(UsageError):
 class ReadOnly(UsageError, AttributeError):
     """A plan assigned a read-only attribute; only methods change it, and record the change."""
 
-    owner: str  # the world or object
+    owner: str  # the world or object with the attribute
     attribute: str
-    instead: str  # what to do instead
+    instead: str  # the method to use instead
 
     _template = "{attribute} of {owner} can't be assigned: {instead}"
 
 
 class WorldClosed(UsageError):
-    """An action on a world that has ended, or on an object that was removed."""
+    """A call for a world that has ended, or for an object that was removed."""
 
     def __init__(self, world: str, action: str, what: str = "the world") -> None:
         super().__init__(f"can't {action} in {world}: {what} is gone")
@@ -194,7 +195,7 @@ class ChangeRefused(UsageError):
 
 @dataclass_error
 class ObjectsChanged(UsageError):
-    """A saved state can't be restored, because the world has other objects now."""
+    """A saved state can't be restored, because the world now has other objects."""
 
     world: str
     added: Sequence[str] = kept_as(tuple)  # names of the objects that were loaded after the state was saved
@@ -210,12 +211,12 @@ class ObjectsChanged(UsageError):
 
 @dataclass_error
 class FollowsTrajectory(UsageError):
-    """An action can't be done while a body follows a trajectory."""
+    """A call that is impossible while a body follows a trajectory."""
 
     action: str
     body: str
     number: int  # number of the trajectory in its world
-    joints: Sequence[str] = kept_as(tuple, default=())  # names of the moved joints; empty for the base
+    joints: Sequence[str] = kept_as(tuple, default=())  # names of the joints that it moves; empty for the base
 
     def _message(self) -> str:
         joints = self.joints
@@ -235,7 +236,7 @@ class DisplayError(UsageError):
 
 
 def chained(error: ErrorType, others: Iterable[BaseException]) -> ErrorType:
-    """Append errors to the context chain of ``error``, each once, so that tracebacks print all; return ``error``."""
+    """Append errors to the context chain of ``error``, each only once, so that all are printed; return ``error``."""
     for other in others:
         last: BaseException = error
         known = {id(last)}
@@ -260,10 +261,10 @@ def call_all(calls: Iterable[Callable[[], object]]) -> list[Exception]:
 
 
 class OnError:
-    """Calls a function with an error or an interrupt of its ``with`` block; then the error propagates.
+    """Calls a function with an error or an interrupt of its ``with`` block; then the error is raised further.
 
-    A signal handler may raise an error after the last statement of the block. The function may miss that error, so code
-    that mustn't miss an error needs ``except``.
+    A signal handler may still raise an error after the last statement of the block. The function doesn't see that
+    error, so code that must see every error needs ``except``.
     """
 
     __slots__ = ("_call", "_kind")
@@ -281,7 +282,7 @@ class OnError:
 
 
 def raise_unchanged(error: BaseException) -> NoReturn:
-    """Raise an error with its own context, even while another error is being handled."""
+    """Raise an error with its own context, even while Python handles another error."""
     context = error.__context__
     try:
         raise error
@@ -292,7 +293,7 @@ def raise_unchanged(error: BaseException) -> NoReturn:
 def _detached(error: BaseException, known: set[int]) -> bool:
     """Cut an error's context chain before the first known error; return False if the error was raised ``from`` it.
 
-    Without the cut, appending the error to the known errors would make a circle.
+    Without the cut, the appended error would close a circle.
     """
     seen: set[int] = set()
     later = error
@@ -319,6 +320,6 @@ def qualified_name(function: object) -> str:
 
 
 def export(module: str, *classes: type) -> None:
-    """Set the module that tracebacks and pickles name for classes: the module from which users import them."""
+    """Set the module that tracebacks and pickles name for classes: the module from which users import the classes."""
     for exported in classes:
         exported.__module__ = module

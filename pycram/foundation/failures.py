@@ -81,7 +81,7 @@ _MAX_LISTED: Final = 3  # maximum number of collision pairs in a message
 
 @dataclass(frozen=True, slots=True)
 class CollisionPair:
-    """Two links that touch: a link of a robot or of an object that the robot holds, and a link of any object."""
+    """Two links that touch: a link of a robot or of an object that it holds, and a link of any object."""
 
     mover: str  # name of the object that moves: the robot, or an object that it holds
     link: str  # link of the mover; "" if the mover has only one link
@@ -132,8 +132,8 @@ class Unreachable(PlanFailure):
 
     arm: str  # name of the arm, or of the tool frame
     target: Sequence[float] = kept_as(floats)
-    distance: float | None = None  # distance in m from the target to the tool in the nearest posture; None if unknown
-    reason: str = ""  # cause, if the distance isn't the cause
+    distance: float | None = None  # distance in m from the target to the tool in the nearest posture; None: unknown
+    reason: str = ""  # another cause than the distance
 
     def _message(self) -> str:
         near = f"; the nearest posture found stays {self.distance:.3f} m away" if self.distance is not None else ""
@@ -146,7 +146,7 @@ class Blocked(Unreachable):
 
     def __init__(self, arm: str, target: Sequence[float], pairs: Sequence[CollisionPair], reason: str = "") -> None:
         super().__init__(arm, target, None, f"{phrases(pairs)}{'; ' + reason if reason else ''}")
-        self.pairs = list(pairs)  # deepest overlapping pair of links with each object
+        self.pairs = list(pairs)  # for each object, the pair of links that overlaps most
         self.bodies = _bodies(pairs)
 
 
@@ -157,7 +157,7 @@ class InCollision(PlanFailure):
     position: Sequence[float] = kept_as(floats)  # position of the refused base pose
     orientation: Sequence[float] = kept_as(floats)
     bodies: Sequence[str] = kept_as(list)  # names of the objects that the robot would touch
-    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # deepest overlapping pair of links with each object
+    pairs: Sequence[CollisionPair] = kept_as(list, default=())  # for each object, the pair of links that overlaps most
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
@@ -182,10 +182,10 @@ class PostureInCollision(PlanFailure):
 
     arms: Sequence[str] = kept_as(list)
     bodies: Sequence[str] = kept_as(list)  # names of the objects that the arms would touch; may include the robot
-    # For each object the pair of links that would overlap most; for the robot itself all pairs of links
+    # For each object, the pair of links that would overlap most; for the robot itself, all pairs of links.
     pairs: Sequence[CollisionPair] = kept_as(list, default=())
     _: KW_ONLY
-    # Name of the torso's joint, and the height in m at which the arms would touch nothing; None without such a height
+    # Name of the torso's joint, and its height in m at which the arms would touch nothing; None if there is none
     torso: tuple[str, float] | None = None
 
     def _message(self) -> str:
@@ -198,12 +198,12 @@ class PostureInCollision(PlanFailure):
 class NoPath(PlanFailure):
     """No collision-free path was found within a budget of collision checks; a path may still exist."""
 
-    mover: str  # part of the robot that should move: "left arm", "base", ...
+    mover: str  # part of the robot that should move, such as "left arm" or "base".
     goal: Mapping[str, float] = kept_as(dict)  # joint values by name; for a base, x, y and yaw in the world
-    checks: int  # configurations that were checked for collisions
-    nearest: Mapping[str, float] = kept_as(dict)  # reached configuration nearest to the goal
-    distance: float  # distance from ``nearest`` to the goal in joint values; for a base in m, 0.5 m per radian
-    pairs: Sequence[CollisionPair] = kept_as(list)  # pairs of links that touched most often when a path ended
+    checks: int  # number of configurations that were checked for collisions
+    nearest: Mapping[str, float] = kept_as(dict)  # the reached configuration that is nearest to the goal
+    distance: float  # distance from ``nearest`` to the goal in joint values; for a base in m, 1 rad as 0.5 m
+    pairs: Sequence[CollisionPair] = kept_as(list)  # the pairs of links that most often ended a path by touching
     reason: str = ""  # another cause
 
     def _message(self) -> str:
@@ -219,7 +219,7 @@ class NoPlace(PlanFailure):
     """No place fulfils all constraints at the same time."""
 
     wanted: str  # the purpose of the place
-    excluded: Mapping[str, int] = kept_as(dict)  # number of excluded places by constraint, in order
+    excluded: Mapping[str, int] = kept_as(dict)  # number of places that each constraint excluded, in order
     last: str  # the constraint that excluded the last places
     _: KW_ONLY
     _why: str = ""  # the last constraint's most frequent reason, and a remedy; only for the message
@@ -247,7 +247,7 @@ class LookingFailed(PlanFailure):
     """The head can't turn the camera to the target."""
 
     target: Sequence[float] = kept_as(floats)
-    angle: float  # angle between the camera's axis and the target, with the head at its joint limits
+    angle: float  # angle that remains between the camera's axis and the target, with the head at its joint limits
 
     def _message(self) -> str:
         return f"the head can't look at {_point(self.target)}: its joint limits stop it {self.angle:.3f} rad before"
@@ -270,7 +270,7 @@ class DoesNotFit(GraspFailed):
     def __init__(self, arm: str, body: str, widths: Sequence[float], gap: float, widest: float, how: str = "") -> None:
         self.widths = tuple(sorted(widths))  # widths in m of the sides and rims that were tried
         self.gap = gap  # gap in m between the closed fingers: thinner objects slip through
-        self.widest = widest  # gap in m between the open fingers
+        self.widest = widest  # gap in m between the open fingers: thicker objects don't fit
         thin = any(width < gap for width in widths)
         big = any(width >= gap for width in widths)
         size = "too big or too thin" if thin and big else "too thin" if thin else "too big"
@@ -278,7 +278,7 @@ class DoesNotFit(GraspFailed):
         while digits < _MAX_DIGITS and any(
             round(gap * 1e3, digits) <= round(width * 1e3, digits) <= round(widest * 1e3, digits) for width in widths
         ):
-            digits += 1  # else 73.04 mm and 72.96 mm would look equal
+            digits += 1  # otherwise 73.04 mm and 72.96 mm would look equal
         between = f"{gap * 1e3:.{max(digits, 1)}f}-" if gap else "up to "
         between += f"{widest * 1e3:.{digits}f} mm"
         measured = ", ".join(dict.fromkeys(f"{width * 1e3:.{digits}f}" for width in self.widths))
@@ -329,7 +329,7 @@ class TrackingLost(PlanFailure):
     joint: str  # the first joint whose deviation was too large
     error: float  # deviation of that joint, rad or m
     time: float  # time reached on the trajectory, s
-    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body and its load at that time, hardest first
+    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body at that time, with their loads, hardest first
 
     def _message(self) -> str:
         why = f": {phrases(self.pairs)}" if self.pairs else "; it touches nothing"
@@ -354,11 +354,11 @@ class TrajectoryEnded(PlanFailure):
 
 @dataclass_error
 class Displaced(PlanFailure):
-    """Something, such as another branch, moved a joint or base between two parts of a motion."""
+    """Between two parts of a motion, something else moved a joint or the base, such as another branch."""
 
     body: str
-    coordinate: str  # name of the joint, or x, y or yaw of the base
-    expected: float  # expected position in rad or m
+    coordinate: str  # name of the joint; x, y or yaw for the base
+    expected: float  # its expected position in rad or m
     position: float
 
     _template = (
@@ -377,8 +377,8 @@ class AccessFailed(PlanFailure):
     handle: str = ""  # name of the handle's link
     arm: str = ""
     asked: float | None = None  # requested position of the joint in rad or m
-    value: float | None = None  # joint position at which the arm's path fails; None if the path isn't the cause
-    reached: float | None = None  # joint position that the arm could reach; None if it can't begin
+    value: float | None = None  # joint position at which the arm's path ends early; None if the path isn't the cause
+    reached: float | None = None  # the last joint position that the arm could reach; None if it can't begin
     orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation at ``value``
     remedies: Sequence[str] = kept_as(list, default=())  # texts
 
@@ -421,9 +421,9 @@ class PropertyViolated(PlanFailure):
     property: str  # text of the property
     step: int  # step of the record that violates the property; -1 without a recording
     seconds: float  # simulated time of the world at the violation
-    margin: float | None  # margin in m, rad or s, negative; None if the property has no margin
-    values: Mapping[str, object]  # values of the property's quantities, by their texts
-    reason: str = ""  # why the property is violated; "" if the values say why
+    margin: float | None  # negative margin in m, rad or s by which the property is violated; None if it has no margin
+    values: Mapping[str, object]  # values of the quantities in the property, by their texts
+    reason: str = ""  # why the property is violated; "" if the values show it
 
     def _message(self) -> str:
         values = ", ".join(

@@ -1,6 +1,6 @@
 """Decisions that a fork forces: candidates of choices, solutions of designators, limits, calls, the order of branches.
 
-Code calls :func:`forced` before each decision. Decisions are forced only in a run that a recording guides.
+Code of PyCRAM calls :func:`forced` before each decision. Decisions are forced only in a run that a recording guides.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ class Decider(Protocol):
     """An object that forces decisions."""
 
     def decide(self, decision: str, arguments: Mapping[str, Any]) -> Any:
-        """Return the forced value of a decision, such as "choice grasp"; None for a free decision.
+        """Return the forced value of a decision, such as "choice grasp"; None if the decision is free.
 
-        The kinds are choice (of a candidate), solution (of a designator), timeout (a limit in s), order (of branches),
-        and call (of a function; :data:`SKIPPED` skips it).
+        The kinds of decisions are choice (of a candidate), solution (of a designator), timeout (a limit in s), order
+        (of branches), and call (of a function; :data:`SKIPPED` skips it).
         """
 
     def missing(self, decision: str, candidate: str, candidates: Sequence[str]) -> None:
@@ -46,5 +46,5 @@ def decider() -> Decider | None:
 
 
 def forced(decision: str, arguments: Mapping[str, Any]) -> Any:
-    """Return the forced value of a decision; None for a free decision."""
+    """Return the forced value of a decision; None if the decision is free."""
     return None if _decider is None else _decider.decide(decision, arguments)

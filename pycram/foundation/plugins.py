@@ -1,7 +1,7 @@
 """Robots, process modules and actions of other packages: entry points that are loaded when a plan uses their name.
 
-``docs/guides/process_modules.md`` shows how a package declares them. The log of the run has a line for each loaded
-entry point, with the version of its package.
+``docs/guides/process_modules.md`` shows how a package declares them. The log of a run names each loaded entry point and
+the version of its package.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class PluginFailed(UsageError):
 
     def __init__(self, group: str, name: str, packages: list[str], problem: str) -> None:
         super().__init__(f"{name} of {' and '.join(packages)} (entry point of {group}) can't be used: {problem}")
-        self.group = group  # group of the entry point: "pycram.robots", ...
+        self.group = group  # group of the entry point, such as "pycram.robots".
         self.name = name  # name of the entry point
         self.packages = packages  # names and versions of the packages that declare it
         self.problem = problem
@@ -38,8 +38,8 @@ def load(group: str, name: str) -> Any:
     Raises:
         PluginFailed: Several packages have an entry point with that name, or the entry point can't be imported.
     """
-    import logging  # noqa: PLC0415  slow to import, and few plans use plugins
-    from importlib.metadata import entry_points  # noqa: PLC0415  slow to import, too
+    import logging  # noqa: PLC0415  imported here: slow to import, and few plans use plugins
+    from importlib.metadata import entry_points  # noqa: PLC0415  imported here: slow to import
 
     found = list(entry_points(group=group, name=name))
     if not found:
@@ -52,6 +52,6 @@ def load(group: str, name: str) -> Any:
     except (ImportError, AttributeError) as error:
         raise PluginFailed(group, name, packages, str(error)) from error
     log = logging.getLogger("pycram.plugins")
-    log.setLevel(logging.INFO)  # else the plan's log level could drop the line
+    log.setLevel(logging.INFO)  # otherwise the log level of the plan could drop the line
     log.info("loaded %s of %s (%s: %s)", name, packages[0], group, found[0].value)
     return loaded

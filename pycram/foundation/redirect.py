@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager, suppress
 
 @contextmanager
 def redirected(*descriptors: int, to: int) -> Iterator[None]:
-    """Redirect file descriptors of the whole process to another one during the ``with`` block."""
+    """Redirect file descriptors of the whole process during the ``with`` block."""
     sys.stdout.flush()
     sys.stderr.flush()
     with ExitStack() as restoring:
@@ -20,7 +20,7 @@ def redirected(*descriptors: int, to: int) -> Iterator[None]:
             restoring.callback(os.close, copy)
             restoring.callback(os.dup2, copy, descriptor)
         with suppress(TypeError):  # Windows needs the name of its C library
-            restoring.callback(ctypes.CDLL(None).fflush, None)  # C buffers its output to a pipe or a file
+            restoring.callback(ctypes.CDLL(None).fflush, None)  # The C library buffers its output to a pipe or a file
         for descriptor in descriptors:
             os.dup2(to, descriptor)
         yield
@@ -28,7 +28,7 @@ def redirected(*descriptors: int, to: int) -> Iterator[None]:
 
 @contextmanager
 def silenced(*descriptors: int) -> Iterator[None]:
-    """Drop output of native code (greetings, progress) during the ``with`` block."""
+    """Drop output of native code, such as greetings, during the ``with`` block."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         with redirected(*descriptors, to=nowhere):

@@ -1,7 +1,7 @@
 """Refusals: calls that PyCRAM rejects are recorded with their error, even if the plan catches the error.
 
-A refusal is recorded once, as the call that the plan made. If PyCRAM calls are nested, the outermost is recorded. A
-call by a plan's handler, resolver or query has a separate record.
+A refusal is recorded once: as the call that the plan made. If calls of PyCRAM are nested, only the outermost is
+recorded. If a plan's handler, resolver or query makes a call, the call has a separate record.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]],
     """Decorate a function so that its refusals are recorded; calls with wrong arguments are refusals, too.
 
     Args:
-        subject: Name of the argument ``self`` in records ("object", "world", ...); by default "self".
+        subject: Name of the argument ``self`` in records, such as "object" or "world"; by default "self".
         name: Name of the function in records; by default its name in the code.
     """
 
@@ -46,7 +46,7 @@ def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]],
             try:
                 return function(*args, **kwargs)
             except (UsageError, TypeError) as error:
-                # without a next frame, Python raised the error at the call, before the first statement
+                # without a next frame, Python raised the error at the call itself, before the first statement
                 at_call = error.__traceback__ is not None and error.__traceback__.tb_next is None
                 asked_wrongly = isinstance(error, UsageError) or at_call
                 if asked_wrongly and not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  like inspect.currentframe()
@@ -58,7 +58,7 @@ def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]],
     return decorate
 
 
-_ASK: Final = refusing()(refusing).__code__  # all decorated functions share this code
+_ASK: Final = refusing()(refusing).__code__  # all decorated functions have this same code
 
 
 def refusing_methods(subject: str) -> Callable[[Class], Class]:
@@ -83,7 +83,7 @@ def refused(error: Error, name: str, arguments: Mapping[str, object]) -> Error:
     if journal.recording():
         record = records.Refusal(name=name, arguments=records.arguments(arguments), failure=records.failure(error))
         world, sim_step = _where(arguments.values())
-        with suppress(OSError):  # a failing disk must not hide the error; the next record raises the disk's error
+        with suppress(OSError):  # an error of the disk must not hide this error; the next record raises it
             span.emit(record, world=world, sim_step=sim_step)
         mark_recorded(error)
     return error
@@ -100,7 +100,7 @@ def is_recorded(error: BaseException) -> bool:
 
 
 def _is_part(frame: FrameType | None) -> bool:
-    """Return whether a decorated function made this call, and no code of the plan is between the two calls."""
+    """Return whether a decorated function made this call, without code of the plan between both calls."""
     while frame is not None and not is_plan(frame):
         if frame.f_code is _ASK:
             return True
@@ -121,11 +121,11 @@ def _arguments(
 
 
 def _where(arguments: Iterable[object]) -> tuple[str, int]:
-    """Return the world's name and simulated steps: the first argument's world, else the current world."""
+    """Return the name and the simulated steps of the first argument's world, else of the current world."""
     for argument in arguments:
         envelope = getattr(type(argument), "_envelope", None)  # type(): a future imitates its result's class
         if envelope is not None:
-            with suppress(AttributeError):  # the constructor of the argument is still running
+            with suppress(AttributeError):  # the argument's constructor hasn't finished
                 name, sim_step = envelope(argument)
                 return str(name), int(sim_step)
     return journal.current_world()

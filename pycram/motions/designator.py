@@ -44,7 +44,7 @@ Function = TypeVar("Function", bound="Callable[..., object]")
 
 
 class Resolvers(Generic[Function]):
-    """Functions that users register; they are called in order until one answers. Iteration uses a copy of the list."""
+    """Functions of users, called in order until one answers. Iteration uses a copy of the list."""
 
     def __init__(self, owner: str) -> None:
         self.owner = owner  # the objects that the functions resolve, for messages
@@ -336,7 +336,7 @@ class Designator(ABC):
         return SolutionSlots(found) if type(found) is dict else found
 
     def resources(self) -> Resources | None:
-        """Return the known needs of the robot; None for the whole robot. The method must not wait or fail."""
+        """Return the needed parts of the robot; None for all. The method must not wait or fail."""
         return None
 
     def resolution(self, index: int | None = None) -> Resolution:

@@ -177,7 +177,7 @@ class ContinuousExecution(Execution):
         return _following(robot, partial(planning.base_motion, robot, position, orientation))
 
     def move(self, robot: Object, positions: Mapping[str, float]) -> Step:
-        """Move the joints around obstacles. Without a path, move one arm after another, or draw each hand back first.
+        """Move the joints around obstacles. Without a path, move arms one by one, or draw each hand back first.
 
         After a cancelled placement, an object may be between the fingers. Path searches often miss the narrow way out
         of such a place. The last search has a larger budget: between open drawers, no other motion frees an arm.

@@ -186,7 +186,7 @@ TYPES: Final = {
 
 
 def resources_by_type(designator: ResolvedDesignator) -> Resources | None:
-    """Return the needs of a designator with one of the eleven types, without waiting for futures; else None."""
+    """Return the parts that a designator of the eleven types needs, without waiting for futures; else None."""
     given = SolutionSlots(
         (key, value) for key, value in designator.description if branch_of(value) is None and value is not None
     )
@@ -196,7 +196,7 @@ def resources_by_type(designator: ResolvedDesignator) -> Resources | None:
 
 
 def resources_of(solution: Solution) -> Resources | None:
-    """Return the needs of a solution by its ``cmd``; None if PyCRAM has no motion with that ``cmd``."""
+    """Return the parts that a solution needs, by its ``cmd``; None if no PyCRAM motion has that ``cmd``."""
     given = SolutionSlots((key, value) for key, value in solution.items() if value is not None)
     motion = next((motion for motion in TYPES.values() if motion.cmd == given.get("cmd")), None)
     return motion.resources(given) if motion else None

@@ -346,12 +346,12 @@ class ProcessModule(ABC):
     """Types of failures that the module may raise if motions take simulated time."""
 
     resolvers: ClassVar[Resolvers[Chooser]] = Resolvers("process modules")
-    """Functions that return a module for a designator, or None; they take precedence over registered modules."""
+    """Functions that return a module for a designator, or None; they precede registered modules."""
 
     _queue: ResourceQueue
 
     def __new__(cls, *_: object, **__: object) -> Self:
-        """Make a process module; not in ``__init__``, because subclasses may omit ``super().__init__()``."""
+        """Make a process module; not in ``__init__``, as subclasses may omit ``super().__init__()``."""
         made = super().__new__(cls)
         made._queue = ResourceQueue()
         return made

@@ -184,7 +184,7 @@ class Ticket:
             self.leave()
 
     def correct(self, resources: Resources | None) -> None:
-        """Change the resources of a granted ticket before anything has moved; if necessary, wait as in :meth:`turn`."""
+        """Change the resources of a granted ticket before anything moves; if necessary, wait as :meth:`turn` does."""
         given = self._queue.within(resources, self._motion)
         if given != self.resources:
             with self._queue.lock:

@@ -1,6 +1,6 @@
-"""Motions that take time: collision-free paths, and their fastest timing. Nothing here changes a world.
+"""Motions that take time: collision-free paths, and their fastest timing. No module here changes a world.
 
-:mod:`path` takes the straight line in a configuration :mod:`space`, or a path that :mod:`rrt_connect` finds.
+:mod:`path` takes the straight line in a configuration :mod:`space`, or the path that :mod:`rrt_connect` finds.
 :mod:`timing` makes the path as fast as the limits allow.
 """
 

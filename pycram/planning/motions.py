@@ -39,17 +39,18 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_JOINT_STEP: Final = 0.05  # motion in rad or m of a joint between checked configurations in a search
-_THERE: Final = 1e-3  # distance to the goal below which a joint doesn't move, in rad or m; motors aren't more accurate
+_JOINT_STEP: Final = 0.05  # distance in rad or m of a joint between checked configurations in a search
+_THERE: Final = 1e-3  # distance to the goal in rad or m below which a joint doesn't move; motors aren't more accurate
 _LINE_STEP: Final = 0.01  # motion in m of the tool between neighbouring postures
 _LINE_TURN: Final = 0.05  # turn in rad of the tool between neighbouring postures
-_JUMP: Final = 0.35  # motion in rad or m of a joint between neighbouring postures; a larger one changes the posture
-_ROOM: Final = 3.0  # margin in m around start and goal for a path
-_WIDER: Final = 9.0  # margin in m around start and goal for a second search, for example through the next door
-_METRES_A_TURN: Final = 0.5  # motion in m of a robot's outline during a turn of one radian
+_JUMP: Final = 0.35  # distance in rad or m of a joint between neighbouring postures; a larger one means another posture
+_ROOM: Final = 3.0  # margin in m of the searched space around start and goal
+_WIDER: Final = 9.0  # the same margin for a second search, for example through the next door
+_METRES_A_TURN: Final = 0.5  # distance in m that a robot's outline moves when the robot turns by one radian
 _BASE_STEP: Final = 0.06  # distance in m between checked poses in a search
 
-#: Failed searches by robot and situation. Plans try again after other motions, and the same search fails again.
+#: Failed searches by robot and situation. Plans often try again after other motions, and the same search would fail
+#: again.
 _failures: WeakKeyDictionary[Object, dict[bytes, NoPath]] = WeakKeyDictionary()
 
 
@@ -63,15 +64,16 @@ def joint_motion(
     seed: int | None = None,
     patience: int = 1,
 ) -> PlannedMotion:
-    """Return a motion of joints to a goal. The robot and held objects touch only what they touch at the start.
+    """Return a motion of joints to a goal. The robot and held objects touch only objects that they touch at the start.
 
     Joints without limits move to the nearest equivalent angle. The choice of the path is recorded.
 
     Args:
-        goal: joint positions in rad or m by name. Other joints don't move, and neither does an arm that is at its goal.
-        start: joint positions at the start that differ from the present positions.
+        goal: joint positions in rad or m by name. Other joints don't move; neither does an arm that is already at its
+            goal.
+        start: joint positions at the start, where they differ from the present positions.
         ignored: objects that aren't obstacles.
-        ignored_links: objects with links that aren't obstacles.
+        ignored_links: objects with the links that aren't obstacles.
         seed: seed of the search; None for the run's seed.
         patience: budget of the search, as a multiple of :data:`pycram.planning.path.MAX_CHECKS` checks.
 
@@ -114,7 +116,7 @@ def joint_motion(
 
 
 def _situation(robot: Object, *search: object) -> bytes:
-    """Return a hash of everything that decides the result of a search."""
+    """Return a hash of all values that affect the result of a search."""
     bodies = [
         (body.name, body.model.path, take_snapshot(body), body.attachments.values()) for body in robot.world.objects
     ]
@@ -150,7 +152,7 @@ class _Moved:
         moving = [group for group in groups if any(abs(wanted[name] - now[name]) > _THERE for name in group)]
         names = {name for group in moving or groups for name in group}
         followers = [name for name in wanted if name in mimics and mimics[name].leader in wanted]
-        # names of the searched joints; the other moving joints mimic them
+        # names of the joints that are searched; other moving joints mimic them
         self.searched = tuple(name for name in wanted if name in names and name not in followers)
         self._followers = [name for name in followers if mimics[name].leader in self.searched]
         self.joints = (*self.searched, *self._followers)  # names of all moving joints
@@ -197,7 +199,7 @@ def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]
     """Return the equivalent joint positions that are nearest to the present positions."""
     slides = [
         robot.urdf.joint(name).type == "prismatic" for name in wanted
-    ]  # prismatic joints have no equivalent positions
+    ]  # a prismatic joint has no equivalent position
     lower, upper = np.array([robot.joint_limits(name) for name in wanted]).reshape(-1, 2).T
     lower = np.where(slides, np.inf, lower)
     start, goal = np.array([now[name] for name in wanted]), np.array([*wanted.values()])
@@ -210,13 +212,13 @@ def through(body: Object, way_points: Sequence[Mapping[str, float]]) -> PlannedM
 
 
 def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> list[PlannedMotion]:
-    """Return the fastest motions of several bodies, such as an arm and a drawer; they reach way points together.
+    """Return the fastest motions of several bodies, such as an arm and a drawer; they reach their way points together.
 
     Collisions aren't checked. Corners between distant way points are rounded by up to 0.04 rad.
 
     Args:
         paths: for each body, way points from its present state to its goal: positions in rad or m by joint name. All
-            bodies have the same number of way points, and all way points of a body have the same joints.
+            bodies have the same number of way points; all way points of a body have the same joints.
 
     Raises:
         UnknownName: A body has no such joint.
@@ -242,12 +244,12 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
 
 
 def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) -> list[dict[str, float]]:
-    """Return postures that move an arm's tool on a straight line to a pose, while the tool turns uniformly.
+    """Return postures in which an arm's tool moves on a straight line to a pose, and turns uniformly.
 
     Collisions aren't checked.
 
     Args:
-        start: joint positions in rad or m by name at the start of the line; the returned postures contain all of them.
+        start: joint positions in rad or m by name at the start of the line; each returned posture has the same joints.
             Other joints keep their present positions.
         goal: position and orientation of the tool in the world.
 
@@ -279,9 +281,7 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
             chain, posture[None], goals, turns, np.zeros(1, dtype=np.intp), stop_early=True
         )
         change = found[0] - posture
-        moved = np.where(
-            chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi
-        )  # every joint moves by less than half a turn
+        moved = np.where(chain.bounded, change, (change + np.pi) % (2 * np.pi) - np.pi)  # no joint moves by half a turn
         left = float(np.linalg.norm(way)) * (1 - (number - 1) / count)
         if not reached[0]:
             raise Unreachable(arm.name, position, left, "the straight line ends there")
@@ -308,10 +308,10 @@ def base_motion(
     start: tuple[Sequence[float], Sequence[float]] | None = None,
     seed: int | None = None,
 ) -> PlannedMotion:
-    """Return a motion of a robot's base to a pose. The robot touches only what it touches at the start.
+    """Return a motion of a robot's base to a pose. The robot touches only objects that it touches at the start.
 
-    All links of the robot in its present posture are checked, and the held objects. Height and lean are constant, while
-    x, y and yaw change together. The choice of the path is recorded.
+    All links of the robot in its present posture are checked, and also held objects. Height and lean are constant,
+    while x, y and yaw change together. The choice of the path is recorded.
 
     Args:
         position: xyz of the goal, m.

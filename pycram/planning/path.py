@@ -29,9 +29,9 @@ STRAIGHT: Final = "straight line"
 RRT_CONNECT: Final = "RRT-Connect"
 MAX_CHECKS: Final = 20_000  # maximum number of checked configurations in all searches for a path
 
-_STEPS: Final = (1.0, 0.5, 0.25)  # steps of searches as shares of the space's step; small steps overlook less
+_STEPS: Final = (1.0, 0.5, 0.25)  # steps of searches as shares of the space's step; small ones miss fewer collisions
 _FINE: Final = 0.25  # step of the final check as a share of the space's step
-_RATE: Final = 240.0  # samples of a timed path per second for its check
+_RATE: Final = 240.0  # number of samples per second with which a timed path is checked
 _MAX_PAIRS: Final = 3  # maximum number of pairs of links in a failure
 
 
@@ -39,7 +39,7 @@ _MAX_PAIRS: Final = 3  # maximum number of pairs of links in a failure
 class Query:
     """A query for a path."""
 
-    mover: str  # name of the moving part, for messages
+    mover: str  # name of the moving part in messages
     names: tuple[str, ...]  # names of the coordinates
     space: Space  # space of the first search
     start: Array  # (d,) the first configuration
@@ -50,7 +50,7 @@ class Query:
     patience: int = 1  # budget as a multiple of MAX_CHECKS
 
     def drawn_seed(self, attempt: int) -> int:
-        """Return the seed of an attempt, from 1 to 2**31. It depends only on the run's seed and the query."""
+        """Return the seed of an attempt, from 1 to 2**31. The seed depends only on the run's seed and the query."""
         run = run_seed() if self.seed is None else self.seed
         text = f"path {run} {attempt} {self.names} {self.start.tolist()} {self.goal.tolist()}"
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:4], "big") % 2**31 + 1
@@ -73,12 +73,12 @@ class Path:
 
 
 def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPath | None = None) -> Path:
-    """Return a path that touches only what the robot touches at the ends.
+    """Return a path that touches only objects that the robot touches at the ends.
 
-    The first search has half of the budget, keeps a distance from obstacles and stays in the query's narrow space.
+    The first search has half of the budget, keeps a distance from obstacles, and stays in the query's narrower space.
 
     Args:
-        failure: failure of the same search before; the search isn't repeated.
+        failure: failure of the same search before, which isn't repeated.
 
     Raises:
         NoPath: The search found no path within the budget.
@@ -114,7 +114,7 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
 
 def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:
     """Return a free path (n, d), or None; append the nearest configuration of each search to ``reached``."""
-    from pycram.planning import rrt_connect  # noqa: PLC0415  loading OMPL takes as long as a whole plan without motions
+    from pycram.planning import rrt_connect  # noqa: PLC0415  loading OMPL takes as long as a whole instantaneous plan
 
     for share in _STEPS:
         found, nearest = rrt_connect.search(
@@ -136,7 +136,7 @@ def _searched(query: Query, clearance: Clearance, space: Space, budget: int, rea
 
 
 def _timed(query: Query, clearance: Clearance, path: Array, fine: float) -> Knots:
-    """Return the fastest knots of a path, rounded at corners that stay free of collisions."""
+    """Return the fastest knots of a path; corners are rounded if that causes no collision."""
     for spacing in timing.SPACINGS:
         knots = timing.timed(path, query.rates, spacing)
         if clearance.free(_looked_at(query, knots, fine)):
@@ -162,7 +162,7 @@ class PlannedMotion:
 
     @property
     def end(self) -> dict[str, float]:
-        """Final joint positions in rad or m by name; x, y and yaw of a base."""
+        """Final joint positions in rad or m by name; for a base, x, y and yaw."""
         return dict(zip(self.trajectory.coordinates, self.trajectory.positions[-1], strict=True))
 
 
@@ -185,6 +185,6 @@ def search_record(found: Path, checks: int, way_points: Array) -> records.PathSe
 
 
 def given(joints: Sequence[str], knots: Knots, way_points: Array) -> PlannedMotion:
-    """Return a trajectory along a given path, which wasn't searched."""
+    """Return a trajectory along a given path, without a search."""
     search = records.PathSearch(planner="given", way_points=way_points.ravel().tolist())
     return PlannedMotion(trajectory_of(joints, knots), search)

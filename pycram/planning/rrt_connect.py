@@ -1,6 +1,6 @@
 """RRT-Connect (Kuffner, LaValle, ICRA 2000) and shortcuts, with OMPL (Sucan, Moll, Kavraki, 2012).
 
-OMPL's objects draw their seeds from one sequence of the process. Each query restarts this sequence and creates new
+OMPL's objects take their seeds from one sequence of the process. Each query restarts the sequence and creates new
 objects, so earlier queries don't affect its result.
 """
 
@@ -22,12 +22,12 @@ with needed():
 if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
-_RANGE: Final = 1.0  # maximum weighted distance by which a tree grows in a step
-_SHORTCUTS: Final = 60  # maximum number of tries to shorten a path
-_EMPTY_SHORTCUTS: Final = 25  # shortening ends after this number of useless tries in a row
-_START_TREE: Final = 1  # OMPL's tag for vertices of the start tree
+_RANGE: Final = 1.0  # maximum weighted distance by which a tree grows in one step
+_SHORTCUTS: Final = 60  # maximum number of attempts to shorten a path
+_EMPTY_SHORTCUTS: Final = 25  # number of useless attempts in a row after which shortening ends
+_START_TREE: Final = 1  # OMPL's tag for vertices of the tree that begins at the start
 
-_one_query = threading.Lock()  # the process has one sequence of seeds
+_one_query = threading.Lock()  # the process has only one sequence of seeds
 
 
 class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
@@ -45,7 +45,7 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
         try:
             return self._check(_row(a, self._range), _row(b, self._range))
         except BaseException as error:  # noqa: BLE001  the error is raised again when OMPL has returned
-            # a traceback would keep OMPL's objects until the process exits, and OMPL would then print a warning
+            # a traceback would keep OMPL's objects until the process exits; OMPL would then print a warning
             self.error = error if isinstance(error, Exception) else error.with_traceback(None)
             return False
 
@@ -72,19 +72,19 @@ def search(
     seed: int,
     max_checks: int,
 ) -> tuple[Array | None, Array]:
-    """Return a free path (n, d), or None, and the reached configuration (d,) that is nearest to the goal.
+    """Return a free path (n, d), or None, and the reached configuration (d,) nearest to the goal.
 
     Args:
         start: (d,) first configuration.
         goal: (d,) last configuration.
         step: weighted change of any coordinate between checked configurations in the search.
-        fine: weighted change of any coordinate between checked configurations during shortening.
+        fine: weighted change of any coordinate between checked configurations while the path is shortened.
         seed: an integer from 1 to 2**31.
         max_checks: number of the clearance's checks after which the search ends.
     """
     with _one_query:
         level = util.getLogLevel()
-        util.setLogLevel(util.LogLevel.LOG_NONE)  # OMPL would print messages
+        util.setLogLevel(util.LogLevel.LOG_NONE)  # Otherwise OMPL prints messages
         try:
             util.RNG.setSeed(seed)
             found, nearest, error = _search(space, start, goal, clearance, step, fine, max_checks)
@@ -133,7 +133,7 @@ def _search(
     if edges.error is None and problem.hasExactSolution():
         path = problem.getSolutionPath()
         budget = clearance.checks + max_checks // 8
-        step = fine  # shortcuts pass obstacles closely
+        step = fine  # shortcuts pass obstacles at a small distance
         simplifier = geometric.PathSimplifier(information)
         simplifier.reduceVertices(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
         simplifier.partialShortcutPath(path, _SHORTCUTS, _EMPTY_SHORTCUTS)
@@ -145,7 +145,7 @@ def _search(
 
 
 def _nearest(information: Any, planner: Any, space: Space, goal: Array) -> Array:
-    """Return the configuration of the start tree that is nearest to the goal."""
+    """Return the configuration nearest to the goal in the tree that begins at the start."""
     data = base.PlannerData(information)
     planner.getPlannerData(data)
     vertices = map(data.getVertex, range(data.numVertices()))

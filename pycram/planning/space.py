@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 MARGIN: Final = 5e-3  # least distance in m between the robot and other objects
-_DEEPER: Final = 1e-3  # depth in m by which an overlap may exceed the overlap at the start or goal
+_DEEPER: Final = 1e-3  # depth in m by which an overlap may exceed that at the start or goal
 _SLACK: Final = 0.01  # additional allowed overlap in m of hulls of the robot's own links, if there is no other path
 _BATCH: Final = 64  # number of configurations that are checked together
 _FIRST_BATCH: Final = 16  # number of configurations on an edge that are checked first; they find most blocked edges
@@ -29,11 +29,11 @@ _FIRST_BATCH: Final = 16  # number of configurations on an edge that are checked
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """Coordinates of joints or of a base; an angle without limits is also a plain number."""
+    """Coordinates of joints or of a base; an angle without limits is a plain number, too."""
 
     lower: Array  # (d,) lower limits
     upper: Array  # (d,) upper limits
-    weights: Array  # (d,) weights in distances; the same weighted change of any coordinate moves the robot about as far
+    weights: Array  # (d,) weights in distances; equal weighted changes of coordinates move the robot about equally far
     step: float  # weighted change of any coordinate between checked configurations in a search
 
     def along(self, path: Array, step: float) -> Array:
@@ -42,13 +42,13 @@ class Space:
         return np.concatenate(parts)
 
     def distance(self, a: Array, b: Array) -> Array:
-        """Return weighted Euclidean distances (n,) between rows (n, d), and rows (n, d) or one row (d,)."""
+        """Return weighted Euclidean distances (n,) between rows (n, d) and other rows (n, d), or one row (d,)."""
         distances: Array = np.linalg.norm((a - b) * self.weights, axis=-1)
         return distances
 
 
 def between(a: Array, b: Array, step: float | Array) -> Array:
-    """Return configurations (n, d) from a to b, without a; no coordinate changes by more than ``step`` between two."""
+    """Return configurations (n, d) from a to b, without a; no coordinate changes by more than ``step`` at a time."""
     count = max(1, math.ceil(float((np.abs(b - a) / step).max(initial=0.0))))
     rows: Array = a + (b - a) * (np.arange(1, count + 1)[:, None] / count)
     rows[-1] = b
@@ -73,7 +73,7 @@ class Clearance:
     """Checks whether configurations are free of collisions, and counts these checks.
 
     A configuration is a row of joint positions, or a pose of a base. The robot keeps a distance from objects. If the
-    robot is nearer to an object at the start or at the goal, that distance is allowed on the whole path.
+    robot is nearer to an object at the start or at the goal, this smaller distance is allowed on the whole path.
 
     Args:
         predict: returns the checker's candidates for configurations (n, d).
@@ -86,17 +86,17 @@ class Clearance:
     ) -> None:
         self._checker = checker
         self._predict = predict
-        self._allowed: dict[Pair, float] = {}  # allowed overlap of each pair in m
+        self._allowed: dict[Pair, float] = {}  # allowed overlap in m of each pair
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
-        # Whether the robot keeps a distance from objects. Otherwise the robot may nearly touch objects, and hulls of
-        # its own links may overlap a little more, because hulls are larger than links.
+        # Whether the robot keeps a distance from objects. If it doesn't, it may nearly touch objects, and hulls of its
+        # own links may overlap a little more, because hulls are larger than links.
         self.strict = True
         self.checks = 0  # number of checked configurations
         # number of times that each pair of links was in the way
         self.blocking: Counter[Pair] = Counter()
         self._allow(start)
-        # pairs that overlap more at the goal than at the start; the deepest overlap is first
+        # pairs that overlap more at the goal than at the start, deepest first
         self.touched = self._allow(goal)
 
     def _allow(self, row: Array) -> list[CollisionPair]:
@@ -112,7 +112,7 @@ class Clearance:
         return sorted(touched, key=lambda pair: -pair.depth)
 
     def free(self, rows: Array) -> bool:
-        """Return whether configurations (n, d) are free; configurations spread over the rows are checked first."""
+        """Return whether configurations (n, d) are free; rows that are far from each other are checked first."""
         if not len(rows):
             return True
         spread = rows[_spread(len(rows))]
@@ -156,7 +156,7 @@ class Clearance:
     def _touched(self, candidate: PostureCandidate, pairs: Sequence[Pair]) -> Iterator[tuple[Pair, float]]:
         """Yield the first of some pairs that collides in a configuration, and its depth in m.
 
-        The depth is negative for a pair that is too near but doesn't touch.
+        The depth is negative for a pair that is too near, but doesn't touch.
         """
         for pair in sorted(pairs, key=lambda each: each != self._last):  # the last pair is often in the way again
             depth = self._checker.depth(candidate, pair)
@@ -175,7 +175,7 @@ class Clearance:
         return [(each, [*self._checker.pairs(each), *own]) for each, own in zip(candidates, owns, strict=True)]
 
     def _allowed_depth(self, pair: Pair) -> float:
-        """Return the overlap in m up to which a pair isn't in the way; negative for a necessary distance."""
+        """Return the overlap in m that is allowed for a pair; negative for a necessary distance."""
         usual = self._checker.least(pair)
         if pair[0] is pair[2]:
             usual += 0.0 if self.strict else _SLACK

@@ -1,7 +1,8 @@
 """Timing of paths: as fast as the limits of velocity and acceleration allow, with TOPP-RA in the package toppra.
 
 Source: Pham, Pham: A New Approach to Time-Optimal Path Parameterization Based on Reachability Analysis, IEEE T-RO 2018.
-A spline rounds the path at its way points. More way points keep the spline nearer to the path, but slow it at corners.
+A spline rounds the path at its way points. With more way points, the spline is nearer to the path, but slower at
+corners.
 """
 
 from __future__ import annotations
@@ -28,9 +29,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 SPACINGS: Final = (0.3, 0.1, 0.03)  # distances in rad or m of the spline's way points; small ones round corners less
-_RATE: Final = 30.0  # knots of a trajectory per second; it is cubic between knots
+_RATE: Final = 30.0  # number of a trajectory's knots per second; the trajectory is cubic between knots
 _STILL: Final = 1e-4  # length of a path in rad or m below which it takes one step
-_GRID: Final = 25  # points of toppra's grid between way points, if toppra's own grid fails
+_GRID: Final = 25  # number of points of toppra's grid between way points, if toppra's own grid fails
 _FINE: Final = np.linspace(0.0, 1.0, 9)  # number of moments between two knots at which velocities are checked
 _DEFAULTS: Final = MotionLimits()
 _OCTAGON: Final = math.cos(math.pi / 8)  # distance of an octagon's sides from the centre, as a share of its radius
@@ -43,8 +44,8 @@ class Rates:
     lower: Array  # (d,) lower limits of the coordinates
     upper: Array  # (d,) upper limits of the coordinates
     directions: Array  # (k, d) weights of the limited sums
-    velocities: Array  # (k,) rad/s or m/s
-    accelerations: Array  # (k,) rad/s^2 or m/s^2
+    velocities: Array  # (k,) limits of the sums' velocities, rad/s or m/s
+    accelerations: Array  # (k,) limits of the sums' accelerations, rad/s^2 or m/s^2
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +62,7 @@ def timed(path: Array, rates: Rates, spacing: float) -> Knots:
 
     Args:
         path: (n, d) configurations.
-        spacing: rad or m between way points of the spline that rounds the path's corners.
+        spacing: distance in rad or m between way points of the spline that rounds the path's corners.
     """
     kept = [path[0]]
     for row in path[1:]:
@@ -76,7 +77,7 @@ def timed(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def stopping(path: Array, rates: Rates) -> Knots:
-    """Return a path with times. The motion stops at each way point, so it doesn't round corners."""
+    """Return a path with times. The motion stops at each way point, so corners aren't rounded."""
     parts = [timed(np.array(ends), rates, math.inf) for ends in pairwise(path)]
     ends = np.cumsum([0.0, *(part.times[-1] for part in parts)])
     return Knots(
@@ -103,7 +104,7 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
     at = np.concatenate([[0.0], np.cumsum(lengths)])
     spline = toppra.SplineInterpolator(
         at, dense @ rates.directions.T, "natural"
-    )  # a spline of sums is a sum of splines
+    )  # a sum of splines is a spline of the sums
     constraints = [
         toppra.constraint.JointVelocityConstraint(rates.velocities),
         toppra.constraint.JointAccelerationConstraint(rates.accelerations),
@@ -124,8 +125,8 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def slowed(knots: Knots, rates: Rates) -> Knots:
-    """Return knots that keep the limits, also between knots; they are slower if toppra or the cubic exceeds a limit."""
-    inside = np.clip(knots.positions, rates.lower, rates.upper)  # the spline may exceed a limit at a turning point
+    """Return knots that keep the limits, even between knots; slower ones if toppra or the cubic exceeds a limit."""
+    inside = np.clip(knots.positions, rates.lower, rates.upper)  # at a turning point, the spline may exceed a limit
     knots = Knots(knots.times, inside, np.where(inside == knots.positions, knots.velocities, 0.0))
     spans = np.diff(knots.times)[:, None]
     rows, speeds = (values @ rates.directions.T for values in (knots.positions, knots.velocities))
@@ -161,7 +162,7 @@ def split(knots: Knots, widths: Sequence[int]) -> list[Knots]:
 
 
 class NoVelocityLimit(UserWarning):
-    """A warning: the URDF has no velocity limits for joints, so the robot's description or a default limits them."""
+    """A warning: a URDF has no velocity limits for some joints; the robot's description or a default limits them."""
 
 
 def joint_rates(body: Object, joints: Sequence[str]) -> Rates:
@@ -205,7 +206,7 @@ def base_rates(robot: Object) -> Rates:
 
 
 def stacked(parts: Sequence[Rates]) -> Rates:
-    """Return the limits of several bodies together; the columns of the bodies follow each other."""
+    """Return the limits of several bodies together; the columns of each body follow those of the body before."""
     rows, columns = (sum(part.directions.shape[axis] for part in parts) for axis in (0, 1))
     directions = np.zeros((rows, columns))
     row = column = 0

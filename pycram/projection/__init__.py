@@ -1,7 +1,7 @@
 """Projection: a forked copy of the process executes an action, and returns the outcome (thesis 6.3; CRAM).
 
-The copy continues from this moment with the plan, its worlds and its random numbers, so it computes the same bits as
-this process would. Other branches of the plan don't continue in the copy. This process waits for the outcome.
+The copy continues from this moment with the plan, its worlds and its random numbers, so it computes exactly the same as
+this process would. Other branches of the plan don't run in the copy. This process waits for the outcome.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ __all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "Projecti
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
 _MAX_MEMORY: Final = 10**12  # bytes
-_numbers: Final = threading.local()  # files that this thread has given to projections
+_numbers: Final = threading.local()  # files of recordings that this thread has given to projections
 _projected: ContextVar[bool] = ContextVar("pycram_projected", default=False)
 
 #: An action, or a tuple of an action and its arguments, as in ``(pick_up, milk, "left")``.
@@ -62,7 +62,7 @@ class NotProjectable(UsageError):
 
     def __init__(self, cause: str) -> None:
         super().__init__(f"an action can't be projected here: {cause}")
-        self.cause = cause  # why the process can't be copied, and what to do
+        self.cause = cause  # why the process can't be copied, and a remedy
 
 
 class ProjectionDied(PlanFailure):
@@ -91,15 +91,16 @@ class Outcome:
 
     action: str  # name of the action
     succeeded: bool
-    #: The action's return value, with objects of this process; None if the value can't be pickled.
+    #: The action's return value, in which objects belong to this process; None if the value can't be pickled.
     result: Result = None
-    #: The action's error; ProjectionDied after a crash or at a limit, ProjectedError if the error can't be pickled.
+    #: The action's error; ProjectionDied after a crash or at a limit, ProjectedError for an error that can't be
+    #: pickled.
     failure: BaseException | None = None
-    duration: float = 0.0  # seconds of simulated time in the current world
-    #: The current world's final state, for ``world.restore(outcome.state)``. It is None without a world, or if a body
-    #: followed a trajectory at the end.
+    duration: float = 0.0  # seconds of simulated time that passed in the current world
+    #: The current world's final state, for ``world.restore(outcome.state)``. The state is None without a world, or if a
+    #: body followed a trajectory at the end.
     state: SavedState | None = None
-    recording: Path | None = None  # None if nothing is recorded
+    recording: Path | None = None  # None if there is no recording
     unsent: str = ""  # text of a return value that can't be pickled
 
     def __bool__(self) -> bool:
@@ -118,7 +119,7 @@ class Outcome:
         return " ".join(f"{self.action} {ended}, after {self.duration:.3f} s of simulated time".split())
 
     def __record__(self) -> object:
-        """Return the outcome in the form in which the projection's task records its result."""
+        """Return the outcome in the form in which the projection's task is recorded."""
         return {
             "succeeded": self.succeeded,
             "result": self.result,
@@ -163,13 +164,13 @@ def project_all(
 
     Args:
         candidates: Actions; preferred actions come first.
-        until: With "first", the outcomes end with the first candidate in order that succeeds, and later candidates are
-            killed. With "all", all candidates run to their ends.
+        until: With "first", the outcomes end with the first candidate in order that succeeds; later candidates are
+            killed. With "all", all candidates run until they end.
         timeout: Seconds of wall-clock time for each candidate; None for no limit.
         memory: Megabytes of additional memory for each candidate; None for no limit.
 
     Raises:
-        BadArgument: A candidate isn't callable, or an argument is wrong. Other errors are those of :func:`project`.
+        BadArgument: A candidate isn't callable, or an argument is wrong. :func:`project` describes other errors.
     """
     if until not in ("first", "all"):
         raise BadArgument("until", until, '"first" or "all"')
@@ -205,7 +206,7 @@ def _project_all(
     if room is not None and not can_limit_memory():
         raise NotProjectable("this system can't limit the memory of a copy; leave out memory=")
     projections: dict[int, _Projection] = {}
-    outcomes: dict[int, Outcome] = {}  # outcomes of candidates that have ended
+    outcomes: dict[int, Outcome] = {}  # outcomes of the candidates that have ended
     recorded: list[Outcome] = []
     needed = len(actions)
     waiting = deque(range(needed))
@@ -221,14 +222,14 @@ def _project_all(
         with closing(pool.run(waiting, start)) as results:
             for number, result in results:
                 outcomes[number] = outcome = projections[number].outcome(result, limit)
-                if until == "first" and outcome.succeeded:  # outcomes of later candidates aren't returned
+                if until == "first" and outcome.succeeded:  # outcomes of candidates after this one aren't returned
                     needed = number + 1
                     waiting.clear()
                     for later in range(needed, len(actions)):
                         if pool.is_running(later):
                             pool.kill(later)
                             projections[later].tasks.close()
-                # Candidates are recorded in order, so the recording doesn't depend on the number of cores.
+                # Candidates are recorded in their order, so the recording doesn't depend on the number of cores.
                 while len(recorded) in outcomes and len(recorded) < needed:
                     following = len(recorded)
                     with projections[following].tasks:
@@ -240,7 +241,7 @@ def _project_all(
 
 
 class _Projection:
-    """An action that runs in a child; in this process it is a task."""
+    """An action that runs in a child process; in this process it is a task."""
 
     def __init__(self, action: Action, name: str, memory: int | None, tasks: ExitStack, *, begun: bool) -> None:
         self._action = action
@@ -259,7 +260,7 @@ class _Projection:
             self.begin()
 
     def start(self) -> Child:
-        with Uninterrupted():  # each child needs its own callback
+        with Uninterrupted():  # each child needs a callback of its own
             child = Child(partial(_answer, self._action, self._task, self._recording, self.begin, self._memory))
             self.tasks.callback(child.kill)
         return child
@@ -271,7 +272,7 @@ class _Projection:
             return self._died(ended.how)
         try:
             succeeded, result, failure, steps, state, unsent = _Unpickler(BytesIO(ended.answer)).load()
-        except Exception as error:  # noqa: BLE001  unpickling calls code of the plan's classes
+        except Exception as error:  # noqa: BLE001  unpickling may call code of the plan's classes
             return self._died(f"returned a value that this process can't load: {format_error(error)}")
         if isinstance(failure, MemoryError) and self._memory is not None:
             return self._died(f"needed more than {self._memory / 1e6:g} MB")
@@ -287,7 +288,7 @@ class _Projection:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
 
     def begin(self) -> None:
-        """Record the start of the task. It isn't the current task: several projections run in parallel."""
+        """Record the start of the task. It isn't the current task, as several projections run in parallel."""
         if not self._begun:
             self._begun = True
             self._task.start(self._task_began)
@@ -315,15 +316,15 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
     result: Result = None
     _projected.set(True)
     try:
-        begin()  # a parallel projection's start may not be recorded yet
+        begin()  # the start of a parallel projection may not be recorded yet
         with (
             task.entered(),
             nullcontext() if recording is None else record(recording, name=task.name, arguments=(), output=True),
         ):
-            if memory is not None:  # not earlier: Python waits forever for a thread that can't start
+            if memory is not None:  # imported now: Python waits forever for a thread that can't start
                 limit_memory(memory)
             result = run(action)
-    except BaseException as error:  # noqa: BLE001  sent to the parent
+    except BaseException as error:  # noqa: BLE001  the data that is sent to the parent
         failure = error.with_traceback(None)
     world = current_world()
     steps = world.sim_step if world is not None else 0
@@ -343,7 +344,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
 def _pickled(answer: object) -> bytes:
     file = BytesIO()
     _Pickler(file).dump(answer)
-    _Unpickler(BytesIO(file.getvalue())).load()  # errors of unpickling are raised here, not in the parent
+    _Unpickler(BytesIO(file.getvalue())).load()  # errors of unpickling must be raised here, not in the parent
     return file.getvalue()
 
 
@@ -357,7 +358,7 @@ class _Pickler(pickle.Pickler):
 
 
 class _Unpickler(pickle.Unpickler):
-    """Replaces names by this process's objects or worlds; a name stays if this process lacks its object."""
+    """Replaces names by objects or worlds of this process; a name without an object stays."""
 
     def persistent_load(self, names: tuple[str, ...]) -> object:
         world = next((each for each in open_worlds() if each.name == names[0]), None)

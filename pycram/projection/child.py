@@ -1,4 +1,4 @@
-"""Forked children: processes that continue the plan and send one answer; they end at the latest with their parent."""
+"""Forked children: processes that continue the plan and send one answer; they end no later than their parent."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ Job = TypeVar("Job")
 
 GRACE: Final = 5.0  # seconds between the interrupt of a run and its SIGKILL
 _PR_SET_PDEATHSIG: Final = 1
-_SIZE: Final = "/proc/self/statm"  # this file contains the size of the process in pages
-_BLOCK: Final = 1 << 20  # number of bytes of one read
+_SIZE: Final = "/proc/self/statm"  # the file with the size of the process in pages
+_BLOCK: Final = 1 << 20  # maximum number of bytes of one read
 _CRASHED: Final = 70  # exit code of a child with an error outside of the action
-_prctl: Any = None  # loaded before any fork: loading changes half a megabyte of memory in each child
-with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has it
+_prctl: Any = None  # loaded before any fork, because loading changes half a megabyte of memory in each child
+with contextlib.suppress(OSError, AttributeError, TypeError):  # only Linux has this library
     _prctl = ctypes.CDLL(None).prctl
 
 
@@ -43,10 +43,10 @@ class Child:
     def __init__(self, answer: Callable[[], bytes]) -> None:
         self.received = bytearray()  # the received part of the answer
         self.ended = False
-        self.status = 0  # the status from os.waitpid
+        self.status = 0  # the status that os.waitpid returned
         self.began = time.monotonic()
         self._reading, writing = os.pipe()
-        parent, dice = os.getpid(), random.getstate()  # a fork would reseed Python's random numbers
+        parent, dice = os.getpid(), random.getstate()  # forking would reseed Python's random numbers
         with contextlib.ExitStack() as undoing:
             undoing.callback(os.close, self._reading)
             undoing.callback(os.close, writing)
@@ -69,19 +69,19 @@ class Child:
             self._reap()
 
     def kill(self) -> None:
-        """Kill the process if it runs."""
+        """Kill the process if it still runs."""
         if not self.ended:
             os.kill(self.pid, signal.SIGKILL)
             self._reap()
 
     @property
     def how(self) -> str:
-        """How the process ended, as text."""
+        """The end of the process, as text."""
         code = os.waitstatus_to_exitcode(self.status)  # the exit code is negative after a signal
         return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def _reap(self) -> None:
-        # an interrupt here leaves the process for a later kill(), which reaps it
+        # after an interrupt here, a later kill() reaps the process
         _, self.status = os.waitpid(self.pid, 0)
         self.ended = True
         os.close(self._reading)
@@ -111,11 +111,11 @@ def obstacle() -> str:
 
 
 def has_children() -> bool:
-    """Return whether this process has child processes; a copy can't wait for them."""
+    """Return whether this process has child processes; a copy couldn't wait for them."""
     if not hasattr(os, "waitid"):
         return False
     try:
-        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # this call reaps no child
+        os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)  # this call doesn't reap a child
     except ChildProcessError:
         return False
     return True
@@ -148,13 +148,13 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         text = answer()
         while text:
             text = text[os.write(writing, text) :]
-    except BaseException:  # noqa: BLE001  errors of the action are in the answer
+    except BaseException:  # noqa: BLE001  errors of the action are part of the answer
         os._exit(_CRASHED)
     os._exit(0)
 
 
 def _leave(writing: int, parent: int) -> None:
-    """Prepare a process that the child's action has forked: it doesn't send the answer, and it ends with the child."""
+    """Prepare a process that the child's action has forked: it sends no answer, and ends with the child."""
     if os.getppid() == parent:  # processes that the child forks inherit the open file
         os.close(writing)
         die_with(parent)
@@ -177,7 +177,7 @@ def limit_memory(memory: int) -> None:
     """Limit the additional memory of this process to some bytes; larger requests raise MemoryError."""
     import resource  # noqa: PLC0415  this module exists only on systems that can fork
 
-    with open(_SIZE, encoding="ascii") as file:  # noqa: PTH123  the name of the limit is a string
+    with open(_SIZE, encoding="ascii") as file:  # noqa: PTH123  the limit is given by its name
         pages = int(file.read().split()[0])
     limit = pages * resource.getpagesize() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
@@ -203,13 +203,13 @@ class _Running:
         self._late = False
 
     def time_left(self) -> float:
-        """Return the seconds until the next signal, at most the period after which missed signals are checked."""
+        """Return the seconds until the next signal, at most the period after which missed signals are noticed."""
         if self._end is None:
             return MISSED_SIGNALS_EVERY
         return min(max(0.0, self._end - time.monotonic()), MISSED_SIGNALS_EVERY)
 
     def result(self) -> ChildResult | None:
-        """Send a due signal. Return the child's result, or None while it runs."""
+        """Send the signal that is due. Return the child's result, or None while it runs."""
         child = self.child
         if not child.ended and self._end is not None and time.monotonic() >= self._end:
             if self._late or not self._grace:
@@ -240,7 +240,7 @@ class ChildPool(Generic[Job]):
     def run(self, waiting: deque[Job], start: Callable[[Job], Child]) -> Generator[tuple[Job, ChildResult], None, None]:
         """Yield each job and its child's result when the child ends. Closing the generator kills the other children.
 
-        The caller may add jobs to ``waiting``, or remove jobs from it, between results. ``start`` starts a job's child.
+        Between results, the caller may add jobs to ``waiting`` or remove them. ``start`` starts a job's child.
         """
         running = self._running
         try:
@@ -264,14 +264,14 @@ class ChildPool(Generic[Job]):
         return job in self._running
 
     def kill(self, job: Job) -> None:
-        """Kill a job's child; its job isn't yielded."""
+        """Kill a job's child; the job isn't yielded."""
         self._running.pop(job).child.kill()
 
 
 def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
-    """Return the index of the first question that is true; None if none is, or if the process can't be copied now.
+    """Return the index of the first question that is answered by "yes"; None if there is none, or without copies.
 
-    A copy of this process answers each question, and may change its worlds. Nothing is recorded; an error counts as
+    A copy of this process answers each question, and may change its worlds. Nothing is recorded, and an error counts as
     "no".
     """
     if obstacle() or is_held():

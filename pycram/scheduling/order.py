@@ -83,7 +83,7 @@ export("pycram.failures", DeadlockedBranches)
 
 
 class Precedence(NamedTuple):
-    """A rule by which one branch runs before another branch that has the first rank, and stays ahead of it."""
+    """A rule: where a branch has the first rank, it makes another branch run before it, and stay ahead of it."""
 
     branch: str  # number of the branch that overtakes
     before: str  # number of the branch that is overtaken

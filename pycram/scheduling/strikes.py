@@ -1,4 +1,4 @@
-"""Strikes: ends of deadlines and of workers. The scheduler polls for them at checkpoints; see :mod:`.schedule`."""
+"""Strikes: a deadline or a worker ends. The scheduler polls for them at checkpoints; see :mod:`.schedule`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Sweeps: a plan runs many times, with different seeds and parameters, and each run is recorded into a folder.
+"""Sweeps: a plan runs many times, with different seeds and parameters, and records each run into a folder.
 
-Each run is a fork of a process that has loaded the modules and models of all runs. The run executes the whole plan with
-its own seed, so its recording can be verified and retraced. ``sweep.json`` in the folder describes the sweep.
+Each run is a fork of a process that has already loaded the modules and models of all runs. A run executes the whole
+plan with its own seed, so its recording can be verified and retraced. ``sweep.json`` in the folder describes the sweep.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ FORMAT: Final = 1  # version of the format of sweep.json
 SWEEP: Final = "sweep.json"
 _LOCK: Final = "sweep.lock"
 _PART: Final = re.compile(r"\.(\d{5,}.*\.mcap|models-.*\.mcap|sweep\.json)\.part")
-_MAY_CHANGE: Final = frozenset({"runs", "plan"})  # a restarted sweep may change these entries of sweep.json
+_MAY_CHANGE: Final = frozenset({"runs", "plan"})  # the entries of sweep.json that a restarted sweep may change
 _KEPT: Final = 100  # maximum number of failures and of remarks that a Sweep keeps
-_held: Final[set[Path]] = set()  # folders into which this process sweeps
+_held: Final[set[Path]] = set()  # folders into which this process is sweeping
 
 
 class SweepRefused(UsageError):
@@ -63,16 +63,16 @@ class Sweep:
 
     folder: str  # folder of the recordings
     runs: int  # requested number of runs
-    before: int = 0  # number of runs from earlier sweeps into this folder
+    before: int = 0  # number of runs that earlier sweeps made into this folder
     done: int = 0  # number of runs that this sweep made
     failed: int = 0  # number of runs of this sweep that failed
     failures: list[RunOutcome] = field(default_factory=list)  # the first failed runs
-    stopped: str = ""  # why the sweep stopped before its last run; "" if it didn't
+    stopped: str = ""  # why the sweep stopped before its last run; "" if it made all runs
     interrupted: bool = False  # whether Ctrl-C interrupted the sweep
     remarks: list[str] = field(default_factory=list)  # errors of hooks
 
     def take(self, outcome: RunOutcome) -> bool:
-        """Count a run, and return whether it was recorded. If it wasn't, the sweep stops."""
+        """Count a run; return whether it was recorded. Without a record, the sweep stops."""
         if outcome.unrecorded:
             self.stopped = f"run {outcome.number} couldn't be recorded: {outcome.unrecorded}"
             return False
@@ -86,14 +86,14 @@ class Sweep:
         return True
 
     def has_not_begun(self) -> bool:
-        """Return whether the first run failed before the plan did anything; then all other runs would fail, too."""
+        """Return whether the first run failed before the plan began to act; then all other runs would fail, too."""
         if self.before or self.done > 1 or not self.failures:
             return False
         first = self.failures[0]
         if first.started and not first.lost:
             return False
         self.stopped = f"the first run failed before the plan did anything: {first.failure}"
-        self.failures = [replace(first, name=f"{first.name}.failed")]  # the recording is renamed
+        self.failures = [replace(first, name=f"{first.name}.failed")]  # the recording gets another name
         return True
 
 
@@ -103,7 +103,7 @@ def sweep(
     folder: str | Path,
     *,
     seed: int = 0,
-    set: Mapping[str, Sequence[Any]] | None = None,  # noqa: A002  the name of the option on the command line
+    set: Mapping[str, Sequence[Any]] | None = None,  # noqa: A002  the option's name on the command line
     sample: Mapping[str, str] | None = None,
     cores: int = 0,
     limit: float = LIMIT,
@@ -117,22 +117,22 @@ def sweep(
 ) -> Sweep:
     """Run a plan many times, and record each run into a file of a folder.
 
-    The runs are forks of this process. If this process has worlds or threads, they are forks of another process.
+    Runs are forks of this process. If this process has worlds or threads, runs are forks of another process.
 
     Args:
         runs: Number of runs, which are numbered from 0.
-        folder: Folder for the recordings. If it has some runs of this sweep, only the missing runs are made. With
-            ``ray``, a folder that all nodes share, or any URL that fsspec supports.
+        folder: Folder for the recordings. If the folder already contains runs of this sweep, only the missing runs are
+            made. With ``ray``, the folder is shared by all nodes, or is any URL that fsspec supports.
         seed: Run N has the seed ``seed + N``, which also determines its drawn parameters.
         set: Values of parameters; the runs take all combinations in turn.
         sample: Distributions of parameters, such as ``"uniform(0,1)"``, ``normal``, ``integers`` or ``choice``.
         cores: Maximum number of parallel runs; 0 for one per core.
         limit: Time limit of each run in seconds of wall-clock time.
         memory: Limit of additional memory for each run in bytes; 0 for no limit.
-        motion: The execution environment if the plan names none.
+        motion: The execution environment if the plan doesn't name one.
         locals: Whether failures contain the local variables of the plan's functions.
         check: Properties (docs/reference/properties.md); a violation fails the run.
-        ray: The address of a Ray cluster, or "" for a cluster on this machine; None to use none.
+        ray: The address of a Ray cluster, or "" for a cluster on this machine; None for no cluster.
         progress: Called at the start and after each run.
 
     Raises:
@@ -196,7 +196,7 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
     progress(result, None)
     if not missing:
         return result
-    # a fork would have no threads of this process, but all of its worlds
+    # a fork would have none of this process's threads, but all of its worlds
     kind = Worker if forking.others() or open_worlds() else Local
     try:
         with closing(kind(spec, cores, models if models in there else None)) as process:
@@ -207,7 +207,7 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
                             return result
                         if result.has_not_begun():
                             kept = (folder / outcome.name).replace(folder / result.failures[0].name)
-                            (folder / SWEEP).unlink(missing_ok=True)  # the folder accepts the repaired plan
+                            (folder / SWEEP).unlink(missing_ok=True)  # the folder then accepts the repaired plan
                             result.stopped += f"; pycram-replay why {shlex.quote(str(kept))}"
                             return result
                         progress(result, outcome)
@@ -229,7 +229,7 @@ def locked(folder: Path) -> Iterator[None]:
     """
     held = folder.resolve()
     who = f"process {os.getpid()} on {platform.node()} (since {time.strftime('%Y-%m-%d %H:%M:%S')})"
-    if held in _held:  # opening and closing the file again would release the lock
+    if held in _held:  # if the file were opened and closed again, the lock would be released
         raise _in_use(folder, who.partition(" (")[0])
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -241,14 +241,14 @@ def locked(folder: Path) -> Iterator[None]:
             system.lock(lock, by_process=True)  # forks don't hold this lock, because they may outlive this process
         except BlockingIOError:
             raise _in_use(folder, file.read(200).strip() or "another process") from None
-        except OSError:  # a file system without locks
+        except OSError:  # the file system has no locks
             pass
         file.truncate(0)
         file.write(f"{who}\n")
         file.flush()
         _held.add(held)
         for part in folder.iterdir():
-            if _PART.fullmatch(part.name):  # left by a killed sweep
+            if _PART.fullmatch(part.name):  # a killed sweep has left this file
                 part.unlink(missing_ok=True)
         try:
             yield

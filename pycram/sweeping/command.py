@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 _SHOWN: Final = 5  # maximum number of printed failures
 _WIDTH: Final = 160  # maximum number of characters of a printed failure
-_NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers count as one cause
+_NUMBER: Final = re.compile(r"\d+(\.\d+)?")  # failures that differ only in numbers are counted as one
 
 
 def run(options: argparse.Namespace, arguments: Sequence[str], checks: Sequence[str] = ()) -> int:
@@ -68,7 +68,7 @@ class _Shown:
         self.seconds = 0.0
 
     def update(self, result: Sweep, outcome: RunOutcome | None) -> None:
-        """Update the bar; if stderr isn't a terminal, print a line every 10 s."""
+        """Update the progress bar; if stderr isn't a terminal, print a line every 10 s."""
         now = time.monotonic()
         self._began = now if outcome is None else self._began
         self.seconds = now - self._began
@@ -94,7 +94,7 @@ def _bar() -> Progress:
         TextColumn("{task.fields[rate]}, {task.fields[failed]} failed"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-        auto_refresh=False,  # refreshing needs a thread, which forks lack
+        auto_refresh=False,  # refreshing the bar needs a thread, which forks lack
     )
 
 
@@ -105,7 +105,7 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
     left = result.runs - result.before - result.done
     if left and not result.stopped:
         yield f"{left} runs are missing; the same command makes them"
-    failures = sorted(result.failures, key=lambda each: each.number)  # the sweep lists them as they ended
+    failures = sorted(result.failures, key=lambda each: each.number)  # in the order in which runs ended
     causes: dict[str, list[RunOutcome]] = {}
     for each in failures:
         causes.setdefault(_NUMBER.sub("#", each.failure), []).append(each)

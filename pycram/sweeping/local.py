@@ -1,8 +1,9 @@
 """Runs of a sweep on this machine: each run is a forked child of this process, or of a worker process.
 
 If the process of a run crashes, hangs or is killed, the run is retried once. If the retry also fails, the run's
-recording says why. :class:`Worker` starts another process if this process can't fork: it has worlds, or threads like
-Ray's and Jupyter's. It keeps loaded modules and models between batches, which it reads as lines of JSON.
+recording contains the reason. :class:`Worker` starts another process if this process can't fork because it has worlds,
+or threads like those of Ray and Jupyter. The worker process keeps loaded modules and models between batches, which it
+reads as lines of JSON.
 """
 
 from __future__ import annotations
@@ -51,18 +52,18 @@ from recorder.records.values import LEFT_OUT, is_secret
 from recorder.tracing.journal import NullSink, Sink
 
 HOOKS: Final = "pycram.runs"
-"""Group of entry points: functions that a run's process calls with the path of its recording.
+"""Group of entry points for hooks: functions that a run's process calls with the path of the recording.
 
-Hooks aren't called for a first run that fails before the plan did anything, because its recording is renamed.
+Hooks aren't called if the first run fails before the plan began to act, because the recording gets another name.
 """
 _ATTEMPTS: Final = 2
 _TIME_LIMIT: Final = "TimeLimit"
-_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # some systems don't allow these characters in names of files
-_MAX_LETTERS: Final = 120  # maximum length of the parameters in a file's name
+_UNSAFE: Final = re.compile(r"[^\w.+-]+", re.ASCII)  # some systems forbid these characters in names of files
+_MAX_LETTERS: Final = 120  # maximum length of the parameters in the name of a file
 
 
 class RunLost(PlanFailure):
-    """The process of a run ended before the plan, also in the retry."""
+    """The process of a run ended before the plan did, also in the retry."""
 
 
 export("pycram.sweeping", RunLost)
@@ -72,12 +73,12 @@ export("pycram.sweeping", RunLost)
 class SweepSpec:
     """A sweep: the settings that all runs share, and the settings that vary."""
 
-    shared: RunSpec  # its seed and parameters aren't used
+    shared: RunSpec  # the settings of a run; its seed and parameters aren't used
     folder: str  # absolute path of the folder for recordings
-    seed: int = 0  # determines the seeds and drawn parameters of the runs
+    seed: int = 0  # determines the seeds and the drawn parameters of runs
     listed: Mapping[str, list[Any]] = field(default_factory=dict)  # values by parameter
     sampled: Mapping[str, str] = field(default_factory=dict)  # distributions by parameter
-    limit: float = 300.0  # secondlimit in s of wall-clock time for a run
+    limit: float = 300.0  # limit in s of wall-clock time for a run
     memory: int = 0  # limit in bytes of additional memory for a run; 0 for no limit
 
     def run(self, number: int) -> RunSpec:
@@ -121,9 +122,9 @@ class RunOutcome:
     failure: str = ""  # the failure, as text
     seconds: float = 0.0
     started: bool = True  # whether the run had a task or a query
-    lost: bool = False  # whether the process ended before the plan
-    unrecorded: str = ""  # why the run couldn't be recorded; "" if it was
-    remark: str = ""  # error of a hook
+    lost: bool = False  # whether the process ended before the plan did
+    unrecorded: str = ""  # why the run couldn't be recorded; "" if it was recorded
+    remark: str = ""  # error that a hook raised
 
 
 # --- one run, in a child ----------------------------------------------------------------------------------------------
@@ -133,7 +134,7 @@ class _RunSink(McapSink):
     end: Run | None = None
     started = False
     late: Callable[[], str] = str
-    models: tuple[tuple[str, list[float], float], ...] = ()  # paths, colours and scales of loaded models
+    models: tuple[tuple[str, list[float], float], ...] = ()  # paths, colours and scales of the loaded models
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         self.started = self.started or isinstance(record, Task | Query)
@@ -156,8 +157,8 @@ def run_once(
     Args:
         attempt: Number of the attempt, from 1.
         began: Start of the run by the system's monotonic clock, in s.
-        lost: Why the run's process ended in each attempt. If it isn't empty, the plan doesn't run; the recording
-            has it.
+        lost: Why the run's process ended in each attempt. If ``lost`` isn't empty, the plan doesn't run, and the
+            recording contains ``lost``.
     """
     run, part, name = spec.run(number), spec.part(number), spec.name(number)
     if spec.memory and not lost:
@@ -170,7 +171,7 @@ def run_once(
         return f"the run was still running after {spec.limit:g} s" if over else ""
 
     def sink_of(start: Run) -> Sink:
-        if sinks:  # the plan itself starts a recording; all runs would write it to the same file
+        if sinks:  # if the plan itself starts a recording, all runs would write it to the same file
             return NullSink()
         start.sweep.number, start.sweep.seed, start.sweep.attempt = number, spec.seed, attempt
         try:
@@ -179,7 +180,7 @@ def run_once(
             refused.append(error.cause)
             raise
         sinks[0].late = late
-        sinks[0].path = Path(spec.folder) / name  # projections are recorded next to this file
+        sinks[0].path = Path(spec.folder) / name  # recordings of projections are written next to this file
         return sinks[0]
 
     with redirected(sink_of):
@@ -244,17 +245,17 @@ class _Job(NamedTuple):
 
     number: int
     attempt: int = 1
-    lost: str = ""  # why its process ended in each attempt; not "" for a lost run
+    lost: str = ""  # why the run's process ended in each attempt; not empty for a lost run
 
 
 class Local:
-    """Makes runs in forks of this process, at most ``cores`` in parallel; 0 for one per core.
+    """Makes runs in forks of this process, at most ``cores`` in parallel; 0 means one per core.
 
-    ``models`` is the name of the file of models that recordings share; None before a run has loaded models.
+    ``models`` names the file of models that all recordings share; None before a run has loaded models.
     """
 
     def __init__(self, spec: SweepSpec, cores: int = 0, models: str | None = None) -> None:
-        # the runs import these modules, too
+        # the runs also import these modules
         import numpy.random  # noqa: F401, PLC0415
 
         from pycram import action_designators, event, fluent, language, process_module  # noqa: F401, PLC0415
@@ -264,18 +265,18 @@ class Local:
         self._pool: ChildPool[_Job] = ChildPool(cores or usable_cores(), spec.limit, GRACE)
         self._models = SharedModels.of(Path(spec.folder) / models) if models else None
         self._warm = False  # whether this process has loaded the models of a run
-        store.folder()  # creates the folder that all runs share
+        store.folder()  # creates the folder that all runs use
         hooks()
         versions()
         look_up_revisions(spec.shared.plan)
 
     @property
     def models(self) -> dict[str, str] | None:
-        """Name and hash of the file of models; None without a file."""
+        """Name and hash of the file of models; None if there is no file."""
         return None if self._models is None else {"file": self._models.file, "sha256": self._models.sha256}
 
     def close(self) -> None:
-        """Do nothing; :class:`Worker` has a process to end."""
+        """Do nothing; only :class:`Worker` has a process to end."""
 
     def run(self, numbers: Iterable[int]) -> Generator[RunOutcome, None, None]:
         """Make runs, and yield each outcome when the run ends. Closing the generator kills the remaining runs."""
@@ -283,7 +284,7 @@ class Local:
         going = {job.number for job in waiting}
 
         def start(job: _Job) -> Child:
-            began = time.monotonic()  # measured before the child's time limit begins
+            began = time.monotonic()  # measured now, because the child's time limit begins later
             once = partial(run_once, self._spec, job.number, job.attempt, self._models, began)
             return run_from_start(partial(once, lost=job.lost))
 
@@ -297,11 +298,11 @@ class Local:
                         going.discard(job.number)
                         yield self._outcome(job, result)
         finally:
-            for number in going:  # these runs were killed
+            for number in going:  # the runs were killed
                 self._spec.part(number).unlink(missing_ok=True)
 
     def _again(self, job: _Job, result: ChildResult) -> _Job | None:
-        """Return the job that repeats or records a run whose process didn't end by itself; None for other runs."""
+        """Return the job that repeats or records a run whose process was killed; None for other runs."""
         if job.lost or (result.answer and not result.late):
             return None
         if job.attempt < _ATTEMPTS:
@@ -309,7 +310,7 @@ class Local:
             for left in (recording, *recording.parent.glob(f"{glob.escape(recording.stem)}.projection-*")):
                 left.unlink(missing_ok=True)
             return _Job(job.number, job.attempt + 1)
-        if result.answer:  # the plan was interrupted, and the recording says so
+        if result.answer:  # the plan was interrupted, as its recording shows
             return None
         how = f"its process {result.how}"
         cause = f"the run was still running after {self._spec.limit:g} s, and was killed" if result.late else how
@@ -321,13 +322,13 @@ class Local:
         return _Job(job.number, job.attempt, cause)
 
     def _outcome(self, job: _Job, result: ChildResult) -> RunOutcome:
-        if not result.answer:  # the child that records the loss has failed, too
+        if not result.answer:  # the child that records the lost run has failed, too
             how = f"its process {result.how}"
             return RunOutcome(job.number, self._spec.name(job.number), succeeded=False, unrecorded=how)
         answer = json.loads(result.answer)
         outcome = RunOutcome(**answer["outcome"])
         for path, color, scale in () if self._warm else answer["models"]:
-            with suppress(Exception):  # the next run reports the error
+            with suppress(Exception):  # the next run reports this error
                 load.load(path, color or None, scale=scale)
             self._warm = True
         if self._models is None and not outcome.unrecorded:
@@ -340,21 +341,21 @@ class WorkerLost(RuntimeError):
 
 
 class Worker:
-    """Makes runs like :class:`Local`, but in forks of another process."""
+    """Makes runs as :class:`Local` does, but in forks of another process."""
 
     def __init__(self, spec: SweepSpec, cores: int = 0, shared: str | None = None) -> None:
         self.spec = spec  # the sweep of the next batch
         self.shared = shared  # name of the file of models for the next batch
         self.models: dict[str, str] | None = None  # name and hash of the file of models after the last batch
         self._cores = cores
-        self._process = subprocess.Popen(  # noqa: S603  the interpreter of this process
+        self._process = subprocess.Popen(  # noqa: S603  the interpreter that runs this process
             [sys.executable, "-P", "-c", f"from {__name__} import main; main()", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=os.environ | {"PYTHONHASHSEED": str(spec.seed)},
             text=True,
             encoding="utf-8",
-            start_new_session=True,  # Ctrl-C reaches only this process, which then kills the worker
+            start_new_session=True,  # Ctrl-C reaches only this process, which kills the worker afterwards
         )
 
     def close(self) -> None:
@@ -390,7 +391,7 @@ class Worker:
         finally:
             if left:
                 self.close()
-            for number in left:  # these runs were killed
+            for number in left:  # the runs were killed
                 self.spec.part(number).unlink(missing_ok=True)
 
 
@@ -398,7 +399,7 @@ def main() -> None:
     """Make the runs of batches until stdin ends."""
     die_with(int(sys.argv[1]))
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # libraries may print to stdout
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # libraries may also print to stdout
     local: Local | None = None
     of: object = None
     for line in sys.stdin:

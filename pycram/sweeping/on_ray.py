@@ -1,7 +1,8 @@
 """Sweeps on a Ray cluster: Ray tasks make batches of runs, and recordings go to a folder that all nodes can write to.
 
-Ray repeats the batches of a lost node, but existing recordings aren't made twice. Each Ray process keeps a loaded
-:class:`~pycram.sweeping.local.Worker`. PyCRAM and the plan must have the same paths on all nodes.
+Ray repeats the batches of a lost node, but doesn't make runs again that have a recording. Each Ray process keeps a
+:class:`~pycram.sweeping.local.Worker` that has loaded all modules. PyCRAM and the plan must have the same paths on all
+nodes.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ with needed():
     import fsspec
     import ray
 
-_BATCH: Final = 10  # number of runs of a task; starting a task costs some ms, and a lost node loses its batches
+_BATCH: Final = 10  # number of runs of a task; starting a task takes some ms, and a lost node loses its batches
 _CALLS: Final = 50  # number of batches after which a Ray process ends
 _AHEAD: Final = 3  # number of waiting batches per core
 
@@ -54,7 +55,7 @@ def sweep_on_ray(
         result = Sweep(url, runs, before=runs - len(missing))
         store.put(Path(here) / SWEEP)
         progress(result, None)
-        # the first run is alone in its batch, because it shows whether the plan can start
+        # the first run is a batch of its own, because it shows whether the plan can start
         starts = range(1, len(missing), _BATCH)
         batches = iter([missing[:1], *(missing[start : start + _BATCH] for start in starts)])
         try:
@@ -79,7 +80,7 @@ def sweep_on_ray(
 
 
 def _made(spec: SweepSpec, url: str, batches: Any, models: str | None, cores: int) -> Iterator[RunOutcome]:
-    """Submit some more batches than there are cores; yield the outcomes when they arrive."""
+    """Submit a few more batches than there are cores; yield the outcomes when they arrive."""
     task = ray.remote(num_cpus=1, max_calls=_CALLS, max_retries=-1)(_make)
     waiting = iter(batches)
     running: list[Any] = []
@@ -99,15 +100,15 @@ def _made(spec: SweepSpec, url: str, batches: Any, models: str | None, cores: in
 
 
 class _Store:
-    """The folder of a sweep by its URL; a plain path is a folder that all nodes share."""
+    """The folder of a sweep, given by a URL; a plain path is a folder that all nodes share."""
 
     def __init__(self, url: str) -> None:
         given = url if "://" in url else str(Path(url).absolute())
         try:
             self._files, self.root = fsspec.core.url_to_fs(given)
-        except (ImportError, ValueError) as error:  # fsspec doesn't know the protocol, or needs another package
+        except (ImportError, ValueError) as error:  # fsspec doesn't support the protocol, or needs another package
             raise SweepRefused(f"{url}: {error}; all nodes need it") from error
-        kinds = (self._files.protocol, *self._files.protocol)  # protocol is a string or a tuple
+        kinds = (self._files.protocol, *self._files.protocol)  # the protocol is a string or a tuple
         if "memory" in kinds:
             raise SweepRefused(f"{url}: this file system ends with its process; name a folder or another URL")
         self.is_local = "file" in kinds
@@ -118,7 +119,7 @@ class _Store:
         return {Path(each).name for each in self._files.ls(self.root, detail=False)}
 
     def has(self, name: str) -> bool:
-        """Return whether a file exists, without listing the folder, which may be large."""
+        """Return whether a file exists; the folder isn't listed, because it may be large."""
         self._files.invalidate_cache()
         found: bool = self._files.exists(f"{self.root}/{name}")
         return found
@@ -131,7 +132,7 @@ class _Store:
             self._files.makedirs(folder, exist_ok=True)
             part = f"{folder}/.{file.name}.part"
             self._files.put_file(str(file), part)
-            shutil.copystat(file, part)  # tables identify recordings by their times
+            shutil.copystat(file, part)  # tables identify recordings by their times of modification
             os.replace(part, target)  # noqa: PTH105  both are strings
         else:
             self._files.put_file(str(file), target)
@@ -141,7 +142,7 @@ class _Store:
             self._files.get_file(f"{self.root}/{name}", str(folder / name))
 
     def set_aside(self, name: str, kept: str) -> None:
-        """Rename the recording of a plan that can't start; the folder then accepts the repaired plan."""
+        """Rename the recording of a plan that can't start, so that the folder accepts the repaired plan."""
         self._files.mv(f"{self.root}/{name}", f"{self.root}/{kept}")
         self._files.rm(f"{self.root}/{SWEEP}")
 
@@ -171,7 +172,7 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
     if models is not None:
         store.fetch(models, folder)
     missing = [number for number in numbers if not store.has(spec.name(number))]
-    # a lost node made these runs, but their outcomes are lost
+    # a node made these runs, but was lost with their outcomes
     outcomes = [_known(store, spec, number, folder) for number in numbers if number not in missing]
     finished = False
     try:
@@ -179,13 +180,13 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
             if not outcome.unrecorded:
                 for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # also files next to it
                     within = made.parent.relative_to(folder).as_posix().removeprefix(".")
-                    if store.is_local or not within:  # elsewhere files get new times, which tables would not recognise
+                    if store.is_local or not within:  # copies have new times, which tables don't know
                         store.put(made, within)
                     made.unlink()
             outcomes.append(asdict(outcome))
         finished = True
     finally:
-        if not finished:  # the worker may still run this batch
+        if not finished:  # the worker may still be running this batch
             worker.close()
             _worker = None
     for made in folder.glob("models-*.mcap"):

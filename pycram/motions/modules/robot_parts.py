@@ -102,7 +102,7 @@ class MoveHead(SimulatedModule):
 def _aimed(
     robot: Object, joints: Sequence[str], camera: CameraDescription, looked_at: Mapping[str, Any], choice: Choice
 ) -> Mapping[str, float]:
-    """Return joint positions of the head with which the camera sees a target or an object; or raise LookingFailed."""
+    """Return joint positions of the head with which the camera sees a target or an object; else LookingFailed."""
     target = looked_at["target"] if "target" in looked_at else center(looked_at["object"])
     point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
     positions, seen = pan_tilt.aim_camera(robot.urdf, joints, camera, point, robot.get_joint_positions())
