@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import recorder  # noqa: F401  limits the threads of NumPy, so it must come before NumPy
+import recorder  # noqa: F401  limits the threads of NumPy, so it must be imported before NumPy
 
 if TYPE_CHECKING:
     from replay.errors import Damaged, LogClosed, NoSuchName, NoSuchStep, NotALog, NotRestored, ReplayError, Unreadable
@@ -42,7 +42,7 @@ def open_runs(path: "str | Path") -> "Runs":
 
     The extra ``runs`` must be installed.
     """
-    from recorder.packages import needed  # noqa: PLC0415  only folders need it
+    from recorder.packages import needed  # noqa: PLC0415  only folders need this import
 
     with needed("runs"):
         from replay.runs.folder import Runs  # noqa: PLC0415

@@ -1,9 +1,9 @@
 """Compare two states, or two recordings.
 
-Records are aligned by the path of their task and their index in the task, because the steps of parallel branches vary.
-Clocks, durations, ids and threads aren't compared. Worlds are paired by name. Unnamed worlds have numbers
-(``world_3``), which continue in the next run of a process; they are paired in the order of opening. Numbered fluents
-are paired by their offset from the first numbered fluent.
+Records are aligned by the path of their task and by their index in the task, because parallel branches change the
+steps. Clocks, durations, ids and threads aren't compared. Worlds are paired by name. Unnamed worlds have numbers
+(``world_3``) that continue in the next run of a process; such worlds are paired in the order of opening. Numbered
+fluents are paired by their offset from the first numbered fluent.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from replay.file.record_reader import RecordReader
 
-#: A body that moves by less than these m and rad isn't reported as moved: it settles in simulation.
+#: Distances in m and rad below which a body isn't reported as moved, because it settles in simulation.
 NOTABLE_METRES: Final = 1e-3
 NOTABLE_RADIANS: Final = math.radians(0.5)
 _MAX_LISTED: Final = 8  # at most this many joints or fields are listed
-_MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
-#: A missing record is searched for among this many records after the divergence, because the order may differ.
+_MIN_TURN: Final = math.radians(0.05)  # angle below which a turn isn't mentioned
+#: Maximum number of records after the divergence in which a missing record is searched, because the order may differ.
 _WINDOW: Final = 2000
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
@@ -52,7 +52,7 @@ _GIVEN: Final = (
 )  # fmt: skip
 _REQUESTS: Final = ("reference", "next_solution")
 
-_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and number of the record in the task
+_Key: TypeAlias = "tuple[int, int]"  # hash of a task's path, and number of the record within the task
 _Diverged: TypeAlias = "tuple[Record | None, Record | None, dict[str, tuple[Plain, Plain]]]"
 
 
@@ -64,10 +64,10 @@ class BodyChange:
     body: str
     before: Pose
     after: Pose
-    distance: float  # distance between the positions of the base in m
-    angle: float  # angle between the orientations of the base in rad
-    joints: Mapping[str, tuple[float, float]]  # joints with different positions, before and after
-    carrier: tuple[Attachment | None, Attachment | None]  # attachments to a carrier, before and after
+    distance: float  # distance between both positions of the base, m
+    angle: float  # angle between both orientations of the base, rad
+    joints: Mapping[str, tuple[float, float]]  # joints with different positions: before and after
+    carrier: tuple[Attachment | None, Attachment | None]  # carriers to which the body was attached before and after
     details: tuple[str, ...] = ()  # other fields that differ: color, type, fixed_base, models
 
     @property
@@ -82,7 +82,7 @@ class BodyChange:
 
     @property
     def carrier_changed(self) -> bool:
-        """Whether another body, or another link of the carrier, carries the body."""
+        """Whether the carrier, or its link that carries the body, has changed."""
         before, after = self.carrier
         return (before and (before.carrier, before.carrier_link)) != (after and (after.carrier, after.carrier_link))
 
@@ -96,11 +96,11 @@ class BodyChange:
 class Difference:
     """The difference between two states."""
 
-    opened: tuple[str, ...] = ()  # titles of worlds that are only open in the second state
-    closed: tuple[str, ...] = ()  # titles of worlds that are only open in the first state
+    opened: tuple[str, ...] = ()  # titles of worlds that are open only in the second state
+    closed: tuple[str, ...] = ()  # titles of worlds that are open only in the first state
     added: tuple[tuple[str, str], ...] = ()  # worlds and bodies that are only in the second state
     removed: tuple[tuple[str, str], ...] = ()  # worlds and bodies that are only in the first state
-    changed: tuple[BodyChange, ...] = ()  # bodies that differ in any bit
+    changed: tuple[BodyChange, ...] = ()  # bodies that differ, even if only in one bit
     #: Different values of worlds, before and after, by world and name: gravity, robot, realtime, seconds, and beliefs
     #: of robots (the position of an object, or None).
     facts: Mapping[tuple[str, str], tuple[object, object]] = field(default_factory=dict)
@@ -115,7 +115,7 @@ class Difference:
 
 
 def difference(before: State, after: State, names: Mapping[str, str] = MappingProxyType({})) -> Difference:
-    """Compare two states, which may be of two recordings.
+    """Compare two states, which may belong to two recordings.
 
     ``names`` maps names of worlds in the second state to names in the first state, if these differ.
     """
@@ -199,7 +199,7 @@ def _body_change_data(change: BodyChange) -> dict[str, object]:
 
 
 def difference_lines(delta: Difference, *, whole: bool = False) -> Iterator[str]:
-    """Yield a difference as text. With ``whole``, the text includes settling objects and every joint."""
+    """Yield the text of a difference. With ``whole``, the text includes settling objects and every joint."""
     yield from (f"{world} was opened" for world in delta.opened)
     yield from (f"{world} was closed" for world in delta.closed)
     yield from (f"{body} is new" for _, body in delta.added)
@@ -268,7 +268,7 @@ class Divergence:
     first: Record | None  # the record of the first run; None if only the second run has the record
     second: Record | None  # the record of the second run; None if only the first run has the record
     task: str  # path of the task; "" outside of tasks
-    fields: dict[str, tuple[Plain, Plain]]  # different values by path of the field
+    fields: dict[str, tuple[Plain, Plain]]  # different values, by path of the field
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,16 +348,16 @@ def _first_divergence(
 
 
 def _steps(diverged: _Diverged) -> list[int]:
-    """Return the sorted steps of two records. If there is one record, its step is both."""
+    """Return the sorted steps of two records. If only one record exists, both steps are its step."""
     steps = sorted(record.seq for record in diverged[:2] if record is not None)
     return [steps[0], steps[-1]]
 
 
 def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:
-    """Yield records with their keys. Memory only holds running tasks."""
-    paths: dict[int, int] = {}  # hashes of paths by id of the task
-    counts: dict[int, int] = {}  # number of records by path
-    parts: dict[int, dict[tuple[str, str], int]] = {}  # number of tasks by path of the parent task, kind and name
+    """Yield records with their keys. Memory contains only running tasks."""
+    paths: dict[int, int] = {}  # hashes of paths, by id of the task
+    counts: dict[int, int] = {}  # number of records, by path
+    parts: dict[int, dict[tuple[str, str], int]] = {}  # number of tasks, by path of the parent task, kind and name
     for record in log:
         names.note(run, record)
         if isinstance(record, Task) and record.phase == Task.STARTED:
@@ -367,7 +367,7 @@ def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_K
             siblings[name] = siblings.get(name, 0) + 1
             paths[record.task] = hash((outer, *name, siblings[name]))
         path = paths.get(record.task, 0)
-        if _explains_choice(record):  # separate numbers, because early recordings lack these records
+        if _explains_choice(record):  # counted separately, because early recordings lack these records
             path = _path_of_explanations(path)
         elif isinstance(record, Mutation | Fluent) and record.by_fork:  # records of the plan are numbered separately
             path = hash((path, "by the fork"))
@@ -397,14 +397,14 @@ def differing(
         return {"kind": (kind_of(first), kind_of(second))}
     a, b = _without_incidental_fields(first), _without_incidental_fields(second)
     if isinstance(a, Task) and isinstance(b, Task) and a.HasField("decision") != b.HasField("decision"):
-        a.ClearField("decision")  # early recordings lack the decision
+        a.ClearField("decision")  # early recordings lack the field ``decision``
         b.ClearField("decision")
     if isinstance(a, Query) and isinstance(b, Query) and a.HasField("chosen") != b.HasField("chosen"):
-        for query in (a, b):  # early recordings lack the candidates
+        for query in (a, b):  # early recordings lack the field ``candidates``
             query.ClearField("candidates")
             query.ClearField("chosen")
     if a == b and a.SerializeToString(deterministic=True) == b.SerializeToString(deterministic=True):
-        return {}  # the bytes distinguish -0.0 from 0.0
+        return {}  # bytes distinguish -0.0 from 0.0
     after = record_data(b)
     if names is not None and names.any:
         after = {key: names.data(value, key) for key, value in after.items()}
@@ -430,7 +430,7 @@ def _without_incidental_fields(record: Record) -> Record:
 
 
 def _without_recordings(result: Plain) -> Plain:
-    """Return the result of a task without file names of projections, which contain the name of the run."""
+    """Return the result of a task; file names of projections are removed, because they contain the name of the run."""
     if isinstance(result, list):
         return [_without_recordings(each) for each in result]
     if isinstance(result, dict):
@@ -464,7 +464,7 @@ class PairedNames:
 
     def __init__(self, first: RecordReader, second: RecordReader) -> None:
         opened = (list(dict.fromkeys(lifetime.world for lifetime in log.lifetimes)) for log in (first, second))
-        self.worlds = dict(_paired_worlds(*opened))  # names in the first run by name in the second run, if these differ
+        self.worlds = dict(_paired_worlds(*opened))  # names in the first run, by name in the second run if both differ
         self._offsets: list[int | None] = [None, None]  # number of the first numbered fluent of each run
 
     def note(self, run: int, record: Record) -> None:
@@ -477,7 +477,7 @@ class PairedNames:
 
     @property
     def any(self) -> bool:
-        """Whether a name differs so far."""
+        """Whether any name has differed so far."""
         return bool(self.worlds) or self._shift != 0
 
     @property
@@ -532,7 +532,7 @@ def _(compared: Comparison) -> dict[str, object]:
 
 
 def comparison_lines(compared: Comparison, *, whole: bool) -> Iterator[str]:
-    """Yield a comparison as text. With ``whole``, the text includes settling objects and every joint."""
+    """Yield the text of a comparison. With ``whole``, the text includes settling objects and every joint."""
     first, second = compared.outcomes
     if compared.divergence is None:
         yield f"the runs are equal: {compared.equal} records"

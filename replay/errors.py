@@ -44,10 +44,10 @@ NONSENSE: Final = (
     IndexError,
     ArithmeticError,
     AttributeError,
-    SyntaxError,  # models that aren't XML raise this error
+    SyntaxError,  # reading a model that isn't XML raises this error
     zlib.error,
 )
-"""Errors of records that no recorder has written."""
+"""Errors that records cause which no recorder has written."""
 
 
 def nonsense(path: str | Path, where: str, error: Exception) -> Damaged:
@@ -56,7 +56,7 @@ def nonsense(path: str | Path, where: str, error: Exception) -> Damaged:
 
 
 class MissingModels(Damaged):
-    """Models are missing, because the shared file of a sweep isn't in the recording's folder, or has changed."""
+    """Models are missing, because the shared file of a sweep has changed, or isn't in the recording's folder."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
         super().__init__(path, "its models", cause)

@@ -1,7 +1,8 @@
 """Recordings for Foxglove: an MCAP file by Foxglove's schemas, and a layout.
 
-After a jump in time, Foxglove reads the last message of each topic, so each body has a topic. It interpolates between
-poses, so the old pose is repeated before a change. Meshes become GLB; other formats don't say which axis points up.
+After a jump in time, Foxglove reads only the last message of each topic, so each body has its own topic. Foxglove
+interpolates between poses, so the old pose is repeated immediately before a change. Meshes are converted to GLB,
+because other formats don't define the axis that points up.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 _NS: Final = 1_000_000_000
-_CHUNK: Final = 1 << 20  # a chunk with more bytes is closed
+_CHUNK: Final = 1 << 20  # number of bytes above which a chunk is closed
 _FAILURES: Final = "/failures"
 _RED: Final = (0.9, 0.1, 0.1, 1.0)
-_ABOVE, _ABOVE_ROBOT = 0.15, 1.8  # height of a failure's label above its position, or above the robot, m
+_ABOVE, _ABOVE_ROBOT = 0.15, 1.8  # height in m of a failure's label above its position or above the robot
 _MAX_LETTERS: Final = 120  # longest label
 _MAX_CURVES: Final = 8
 
@@ -53,20 +54,20 @@ class FoxgloveTranslator:
         self._writer = McapWriter(file, f"pycram {versions()['pycram']}")
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}  # by topic
-        self._size = 0  # bytes in the chunk
+        self._size = 0  # number of bytes in the present chunk
         self.messages = 0
-        self._now = self._clock = 0  # time in the file, and time of the clock, ns since the Unix epoch
-        self._simulated: dict[str, int] = {}  # number of simulated steps by world
+        self._now = self._clock = 0  # time in the file, and time of the wall clock, in ns since the Unix epoch
+        self._simulated: dict[str, int] = {}  # number of simulated steps, by world
         self._frames = FrameTree()
         self._latest: dict[str, Any] = {}  # the latest transform of each frame
-        self._bodies: dict[str, dict[str, LoadBody]] = {}  # by world and name
+        self._bodies: dict[str, dict[str, LoadBody]] = {}  # bodies by world and name
         self._changes: Counter[str] = Counter()  # number of changes of each world
         self._moved: set[str] = set()  # frames that moved
         self._glb: dict[str, bytes] = {}  # converted meshes by name
         self._lanes = Lanes()
-        self._positions: dict[int, Vector | None] = {}  # positions that running tasks name
-        self._failure: tuple[str, str] | None = None  # the shown failure, which failed parent tasks repeat
-        self._properties: dict[str, int] = {}  # numbers of the watched properties
+        self._positions: dict[int, Vector | None] = {}  # positions that running tasks name in their parameters
+        self._failure: tuple[str, str] | None = None  # the shown failure, also of failed parent tasks
+        self._properties: dict[str, int] = {}  # number of each watched property
 
     def translate(self) -> dict[str, Any]:
         """Write all records, and return a layout for the file as JSON; raise Damaged if a record makes no sense."""
@@ -113,9 +114,9 @@ class FoxgloveTranslator:
             self._add("/log", line, record.seq, self._now)
 
     def _pass_time(self, record: Record) -> int:
-        """Set the time to that of a record, and return the time before.
+        """Set the time to the time of a record; return the time before.
 
-        Simulated time passes while a world is simulated, otherwise the time of the clock.
+        While a world is simulated, simulated time passes; otherwise the time of the wall clock.
         """
         before, passed, steps = self._now or record.wall_time_ns, record.wall_time_ns - self._clock, 0
         self._clock = record.wall_time_ns
@@ -146,7 +147,7 @@ class FoxgloveTranslator:
                 self._draw(bodies[record.set_color.body], record, record.set_color.color)
 
     def _hold(self, messages: Iterable[FrameTransforms], step: int, time_ns: int) -> None:
-        """Write the latest poses of the frames that messages change."""
+        """Write the latest poses of the frames that some messages change."""
         changing = {each.child_frame_id: each for message in messages for each in message.transforms}
         held = FrameTransforms()
         for name, after in changing.items():
@@ -164,7 +165,7 @@ class FoxgloveTranslator:
         self._add("/tf", message, step, time_ns)
 
     def _file(self, name: str) -> bytes:
-        """Return an attached file; no bytes if it is missing or damaged, which the recording notes."""
+        """Return the content of an attached file; b"" if it is missing or damaged, which the recording notes."""
         with contextlib.suppress(Damaged):
             return self._log.assets.get(name, b"")
         return b""
@@ -286,7 +287,7 @@ def _duration(steps: int) -> int:
 
 
 def _place(shape: Any, edges: str, pose: Pose, color: Sequence[float], size: Sequence[float] = ()) -> None:
-    """Set the pose, the colour and the size of a shape. ``edges`` is the name of the size."""
+    """Set the pose, the colour and the size of a shape. ``edges`` is the name of the field that contains the size."""
     at, turn = shape.pose.position, shape.pose.orientation
     (at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w) = pose
     shape.color.r, shape.color.g, shape.color.b, shape.color.a = color
@@ -296,7 +297,7 @@ def _place(shape: Any, edges: str, pose: Pose, color: Sequence[float], size: Seq
 
 
 def _glb(content: bytes, suffix: str) -> bytes:
-    """Convert a mesh whose z axis points up to GLB, whose y axis points up."""
+    """Convert a mesh, in which z points up, to GLB, in which y points up."""
     with needed("render"):
         import trimesh  # noqa: PLC0415  takes a second
     mesh: Any = trimesh.load(io.BytesIO(content), file_type=suffix, force="mesh", process=False)

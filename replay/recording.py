@@ -1,6 +1,6 @@
 """The facade of recordings.
 
-It turns names of steps into numbers, because functions in other packages take only numbers.
+It turns names of steps into numbers, because functions of other packages take only numbers.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from replay.restore.ask import Move, QueryAnswer
     from replay.restore.render import DrawnWorld
 
-_SMALL: Final = (320, 240)  # size of a picture in a notebook in pixels
+_SMALL: Final = (320, 240)  # size in pixels of a picture in a notebook
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class _Moment:
         return replace(state_at(self.log, step), source=_Moment(self.log, step, None))
 
     def png(self, world: str) -> bytes | None:
-        """Return a small PNG picture of a world; None if packages or models are missing."""
+        """Return a small PNG picture of a world; None if it can't be made."""
         try:
             from replay.restore.render import DrawnWorld  # noqa: PLC0415  as in render()
 
@@ -63,10 +63,10 @@ class _Moment:
 class Recording(RecordReader):
     """A recording, which ``replay.open(path)`` opens, for a single thread.
 
-    Steps are numbers, or the names of :meth:`step`.
+    A step is a number or a name (:meth:`step`).
 
     Raises:
-        NotALog: The file isn't a recording, or is completely unreadable.
+        NotALog: The file isn't a recording, or can't be read at all.
     """
 
     def _repr_html_(self) -> str:
@@ -94,8 +94,8 @@ class Recording(RecordReader):
         """Return the state after a step (:func:`replay.state.fold.state_at`).
 
         For a time within a simulation, such as "0.25s", return the state of the last sample, whose time is
-        ``state.sampled``. Pictures, questions and restored worlds do the same, but exactly restored worlds are
-        simulated up to the requested time.
+        ``state.sampled``. Pictures, questions and restored worlds do so, too, but exactly restored worlds are simulated
+        up to the requested time.
         """
         number, moment = self.step(step), moment_of(step)
         return replace(state_at(self, number, moment), source=_Moment(self, number, moment))
@@ -105,7 +105,7 @@ class Recording(RecordReader):
     ) -> RecordedBelief | None:
         """Return a robot's latest belief about an object or a type of object; None without a belief.
 
-        The default is any robot, in the last opened world.
+        By default: any robot, in the last opened world.
         """
         return next(iter(self.state_at(step).world(world).believed(what, robot)), None)
 
@@ -123,7 +123,7 @@ class Recording(RecordReader):
 
     def blame(self, target: str, step: int | str | None = None, world: str | None = None) -> Blame:
         """Return the last change of a body or joint (:func:`replay.history.blame.blame`)."""
-        from replay.explain import blame_report  # noqa: F401, PLC0415  shows changes in notebooks
+        from replay.explain import blame_report  # noqa: F401, PLC0415  imported here: shows changes in notebooks
         from replay.history.blame import blame  # noqa: PLC0415  as above
 
         return blame(self, target, None if step is None else self.step(step), world)
@@ -131,10 +131,10 @@ class Recording(RecordReader):
     def check(self, *properties: str | Property) -> list[CheckedProperty]:
         """Check properties, such as ``never contact(pr2, kitchen)`` (docs/reference/properties.md).
 
-        A result is true if the property holds. Only contacts need the executor.
+        A result is true if its property holds. Properties with contacts need the executor.
 
         Raises:
-            BadProperty: A text isn't in the language, or has an unknown name.
+            BadProperty: A text isn't in the language, or contains an unknown name.
         """
         from recorder.properties import parse  # noqa: PLC0415  slow to import
         from replay.explain.check import check  # noqa: PLC0415  as above
@@ -159,7 +159,7 @@ class Recording(RecordReader):
     ) -> Image.Image:
         """Return a picture (:meth:`replay.restore.render.DrawnWorld.picture`), which needs trimesh and pillow.
 
-        If no world is open, the picture shows the last step with an open world, ``picture.info["step"]``.
+        If no world is open, the picture shows the last step with an open world: ``picture.info["step"]``.
         """
         return self._drawn_world(step, world).picture(camera=camera, eye=eye, target=target, size=size)
 
@@ -172,9 +172,9 @@ class Recording(RecordReader):
         size: tuple[int, int] = (640, 480),
         world: str | None = None,
     ) -> Iterator[Image.Image]:
-        """Yield pictures of several steps, all from one viewpoint; each costs a fraction of a single picture.
+        """Yield pictures of several steps, all from one viewpoint; each takes much less time than a single picture.
 
-        See :meth:`render` for the arguments, and :func:`replay.restore.render.film`.
+        :meth:`render` and :func:`replay.restore.render.film` describe the arguments.
         """
         from replay.restore.render import film  # noqa: PLC0415
 
@@ -182,7 +182,7 @@ class Recording(RecordReader):
         yield from film(worlds, eye=eye, target=target, size=size) if worlds else ()
 
     def _drawn_world(self, step: int | str, world: str | None) -> DrawnWorld:
-        """Return a world to draw: after a step, else after the last step at which it was open."""
+        """Return a world to draw: after a step, or else after the last step at which the world was open."""
         from replay.restore.render import DrawnWorld  # noqa: PLC0415
 
         shown = last_open_step(self, self.step(step), world)
@@ -198,7 +198,7 @@ class Recording(RecordReader):
     ) -> QueryAnswer:
         """Ask a reasoning query at a past step (:func:`replay.restore.ask.ask`), which needs the executor.
 
-        If no world is open, the query is asked at the last step with an open world, ``answer.step``.
+        If no world is open, the query is asked at the last step with an open world: ``answer.step``.
         """
         from replay.restore.ask import ask  # noqa: PLC0415
 

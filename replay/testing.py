@@ -1,6 +1,6 @@
 """The pytest plugin: tests of plans, with their recordings (docs/guides/testing.md).
 
-Fixtures import the packages that run plans, because pytest loads this module in every session.
+Fixtures import the packages that run plans only on demand, because pytest loads this module in every session.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ if TYPE_CHECKING:
 
 __all__ = ["PlanRun", "PropertyFailed", "assert_holds", "seeds"]
 
-_KEPT: Final = "pycram recording"  # user property of a failed test: its recording and the step of the failure
+_KEPT: Final = "pycram recording"  # property of a failed test in reports: its recording, and the step of the failure
 _FOLDER: Final = "pycram-recordings"
 _files: Final = pytest.StashKey[list[Path]]()  # folder for the recordings of a failed test
 _kept_as: Final[dict[Path, Path]] = {}  # folder for the recordings of failed tests of this process
-_error: Final = pytest.StashKey[BaseException]()  # the error with which a test failed
+_error: Final = pytest.StashKey[BaseException]()  # the error by which a test failed
 
 
 class PropertyFailed(AssertionError):
@@ -40,7 +40,7 @@ class PropertyFailed(AssertionError):
 
     def __init__(self, text: str, step: str) -> None:
         super().__init__(text)
-        self.step = step  # step or time of the violation, in the form that verbs accept
+        self.step = step  # step or time of the violation, in a form that verbs accept
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +48,8 @@ class PlanRun:
     """A run of a plan as a program."""
 
     path: Path  # its recording
-    code: int  # exit code: 0 if the plan succeeded
-    output: str  # text on stdout and stderr
+    code: int  # exit code; 0 if the plan succeeded
+    output: str  # the text that the run wrote to stdout and stderr
 
     @property
     def succeeded(self) -> bool:
@@ -65,12 +65,12 @@ def assert_holds(recording: Recorded, *properties: str) -> None:
     """Check properties of a recording, such as ``always milk.z > 0.5`` (docs/reference/properties.md).
 
     Args:
-        recording: A file, an open or a running recording, or the result of ``run_plan``.
+        recording: A file, a recording that is open or still running, or the result of ``run_plan``.
 
     Raises:
-        PropertyFailed: A property is violated. The message has the first violation of each property, with its task and
-            line, and commands.
-        BadProperty: A text isn't in the language, or has an unknown name.
+        PropertyFailed: A property is violated. The message contains the first violation of each property, its task and
+            line, and commands for more.
+        BadProperty: A text isn't in the language, or contains an unknown name.
     """
     __tracebackhide__ = True
     import replay  # noqa: PLC0415  see above
@@ -87,13 +87,13 @@ def assert_holds(recording: Recorded, *properties: str) -> None:
 
 
 def seeds(count: int) -> pytest.MarkDecorator:
-    """Run a test with the seeds 0 to ``count`` - 1 as the argument ``seed``. Its fixtures also use the seed."""
+    """Run a test with the seeds 0 to ``count`` - 1 as the argument ``seed``. The test's fixtures use the same seed."""
     return pytest.mark.parametrize("seed", range(count))
 
 
 @pytest.fixture
 def pycram_record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Record the test. If the test fails, the recording is kept under the name of the test."""
+    """Record the test. If the test fails, its recording is kept under the name of the test."""
     import pycram  # noqa: PLC0415  see above
     import recorder  # noqa: PLC0415
 
@@ -109,7 +109,7 @@ def pycram_record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
         ) as recording:
             yield recording
             if _error in request.node.stash:
-                raise request.node.stash[_error]  # noqa: TRY301  as the end of the run
+                raise request.node.stash[_error]  # noqa: TRY301  as at the end of a run
     except BaseException as error:
         if error is not request.node.stash.get(_error, None):
             raise
@@ -119,7 +119,7 @@ def pycram_record(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempP
 
 @pytest.fixture
 def pycram_world(pycram_record: object) -> Iterator[BulletWorld]:  # noqa: ARG001  it records
-    """A new headless world, which is the current world, is recorded, and ends with the test."""
+    """A new world without a window; it is the current world, is recorded, and ends with the test."""
     from pycram.bullet_world import BulletWorld  # noqa: PLC0415  see above
 
     with BulletWorld() as world:
@@ -132,7 +132,7 @@ def run_plan(
 ) -> Iterator[Callable[..., PlanRun]]:
     """Run a plan in another process: ``run_plan("plan.py", seed=3, x=0.4)``.
 
-    The file is relative to the test's folder. The default of ``seed`` is the seed of the test, or 0. ``motion``,
+    The plan's file is relative to the test's folder. By default, ``seed`` is the seed of the test, or 0. ``motion``,
     ``check`` (a file of properties) and ``arguments`` are options of ``pycram run``. All other arguments are parameters
     of the plan.
     """
@@ -167,7 +167,7 @@ def run_plan(
 
 
 def _kept_file(request: pytest.FixtureRequest) -> Path:
-    """Return the path for the next recording of a test, if it fails."""
+    """Return the path to which the next recording of a test is moved if the test fails."""
     node, config = request.node, request.config
     files = node.stash.setdefault(_files, [])
     name = re.sub(r"[^\w.=-]+", "_", node.nodeid.replace("::", ".")).strip("_")
@@ -198,8 +198,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
-    """Remember whether a test failed, and list its recordings in the report."""
-    report: pytest.TestReport = yield  # type: ignore[assignment]  # a wrapper gets the report
+    """Store whether a test failed, and list its recordings in the report."""
+    report: pytest.TestReport = yield  # type: ignore[assignment]  # the wrapper needs the report
     if report.failed and _files in item.stash:
         error = call.excinfo.value if call.excinfo is not None else AssertionError(str(report.longrepr))
         item.stash.setdefault(_error, error)
@@ -209,7 +209,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """List the kept recordings, and open the first one on request."""
+    """List the kept recordings, and open the first one if the user asked for it."""
     reports = [*terminalreporter.getreports("failed"), *terminalreporter.getreports("error")]
     noted = (each for report in reports for each in getattr(report, "user_properties", ()))  # not of collections
     kept = dict(value for name, value in noted if name == _KEPT)

@@ -1,8 +1,9 @@
-"""Recordings in the Rerun viewer, which opens their translation, an ``.rrd`` file next to the recording.
+"""Recordings in the Rerun viewer; it opens a translated copy, an ``.rrd`` file next to the recording.
 
-The same code translates records while a plan runs (:mod:`recorder.viewer`). An ``.rrd`` file is a cache, but other
-users may be able to write in its folder. So the file is only used if this user made it from this recording with this
-software: a folder of the user has the hash of each ``.rrd`` file by the hash of its inputs.
+The same code translates records also while a plan runs (:mod:`recorder.viewer`). An ``.rrd`` file is a cache, but other
+users may be able to write in its folder. The file is therefore used only if this user made it from this recording with
+this
+software: a folder of the user contains the hash of each ``.rrd`` file, under the hash of its inputs.
 """
 
 from __future__ import annotations
@@ -36,18 +37,18 @@ from replay.errors import NONSENSE, Damaged, ReplayError, nonsense
 from replay.file.record_reader import RecordReader
 
 if TYPE_CHECKING:
-    Eye: TypeAlias = tuple[Vector, Vector] | None  # a viewpoint and the middle of its picture, m; None for an overview
+    Eye: TypeAlias = tuple[Vector, Vector] | None  # a viewpoint, and the middle of its picture, m; None for an overview
 
-_LOAD_TIMEOUT: Final = 20.0  # the viewer must load a file in this time, s
+_LOAD_TIMEOUT: Final = 20.0  # time in s within which the viewer must load a file
 _POLL_PERIOD: Final = 0.1  # seconds between checks
 
 
 def convert(
     logs: Sequence[RecordReader], path: Path, at: int | None = None, eyes: Sequence[Eye] = (), *, opens: bool = False
 ) -> None:
-    """Write recordings side by side into an ``.rrd`` file, which replaces an existing file at the end.
+    """Write recordings side by side into an ``.rrd`` file, which replaces an existing file when it is complete.
 
-    See :func:`translate` for the arguments.
+    :func:`translate` describes the arguments.
 
     Raises:
         ReplayError: The file can't be written.
@@ -72,7 +73,8 @@ def convert(
 def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:
     """Return the viewer's file of a recording, which is cached next to the recording as ``NAME.mcap.rrd``.
 
-    If the folder isn't writable, or step ``at`` has another world than the beginning, the file is temporary.
+    If the folder isn't writable, or if another world is open at step ``at`` than at the beginning, the file is
+    temporary.
 
     Raises:
         ReplayError: The file can't be written.
@@ -85,7 +87,7 @@ def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:
     beside = log.path.with_name(f"{log.path.name}.rrd")
     note = _note(log, eye)
     if note is not None:
-        with contextlib.suppress(OSError, ValueError):  # there is no file, or no note
+        with contextlib.suppress(OSError, ValueError):  # the file or its note is missing
             if note.read_text(encoding="ascii") == _hash(beside):
                 return beside
     if not os.access(log.path.parent, os.W_OK):
@@ -93,7 +95,7 @@ def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:
     problems = log.problems
     convert([log], beside, eyes=[eye])
     unchanged = log.path.stat().st_mtime_ns == log.written_ns  # a running plan still writes the recording
-    if note is not None and unchanged and log.problems == problems:  # every call must report damage
+    if note is not None and unchanged and log.problems == problems:  # every call must report the damage
         with contextlib.suppress(OSError):
             note.parent.mkdir(parents=True, exist_ok=True)
             note.write_text(_hash(beside), encoding="ascii")
@@ -101,7 +103,7 @@ def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:
 
 
 def _note(log: RecordReader, eye: Eye) -> Path | None:
-    """Return the file with the hash of a recording's ``.rrd`` file by this software; None without a cache folder."""
+    """Return the file with the hash of a recording's ``.rrd`` file for this software; None without a cache."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -135,7 +137,7 @@ def temporary_file(name: str) -> Path:
 
 
 def check(url: str | None) -> None:
-    """Check the address of a viewer; None means any viewer.
+    """Check the address of a viewer; None stands for any viewer.
 
     Raises:
         ReplayError: ``url`` isn't an address, or no viewer answers.
@@ -151,7 +153,7 @@ def check(url: str | None) -> None:
 
 
 def _go_to(client: ViewerClient, step: int) -> None:
-    """Set the viewer's time to a step. The viewer must already have data."""
+    """Set the viewer's time to a step. The viewer must have received data before."""
     pause, until = threading.Event(), time.monotonic() + _LOAD_TIMEOUT
     while True:
         try:
@@ -167,7 +169,7 @@ def _go_to(client: ViewerClient, step: int) -> None:
 def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, Callable[[int], None]]:
     """Open a recording at a step, and return the viewer's address and a function that shows a step.
 
-    If the viewer was closed, the function does nothing.
+    If the user has closed the viewer, nothing happens.
 
     Raises:
         ReplayError: no viewer answers at ``url``, or no viewer can be started.
@@ -185,7 +187,7 @@ def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, C
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """Open an ``.rrd`` file at a step in a viewer, and return the viewer's address.
 
-    The viewer is at ``url``, or else open on this machine, or else new. It stays open.
+    The viewer is the one at ``url``, or else an open one on this machine, or else a new one. It stays open.
 
     Raises:
         ReplayError: no viewer answers at ``url``, or no viewer can be started.
@@ -208,7 +210,7 @@ def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     return viewer
 
 
-_NO_ROOT: Final = ""  # root entity of a single recording
+_NO_ROOT: Final = ""  # root entity of a recording that is shown alone
 
 
 def translate(
@@ -219,16 +221,16 @@ def translate(
     *,
     opens: bool = False,
 ) -> None:
-    """Send recordings to a viewer, which shows them side by side, with the world of the step ``at`` in front.
+    """Send recordings to a viewer, which shows them side by side; the world of the step ``at`` is in front.
 
     Args:
         eyes: The first viewpoint of each recording; None for an overview.
-        opens: Whether the viewer opens at the step ``at``. It then shows a time line that ends at this step.
+        opens: Whether the viewer opens at the step ``at``. The viewer then shows a time line that ends at this step.
 
     Raises:
         Damaged: a record makes no sense.
     """
-    if len(logs) == 1:  # live views have the plan's name, too
+    if len(logs) == 1:  # live views also have the plan's name
         stream.send_recording_name(logs[0].metadata.get("plan", logs[0].path.name))
     else:
         stream.send_recording_name(" and ".join(log.path.name for log in logs))
@@ -247,19 +249,19 @@ def translate(
 
 
 def _partings(roots: Mapping[str, RecordReader]) -> dict[str, dict[int, list[str]]]:
-    """Return the steps at which the first recording and each other recording begin to differ, by root entity."""
+    """Return, by root entity, the step at which each recording and the first recording begin to differ."""
     partings: dict[str, dict[int, list[str]]] = {root: {} for root in roots}
     (one, first), *others = roots.items()
     for other, second in others:
         if (found := divergence(first, second)) is not None:
             sides = (one, first, found.first, other), (other, second, found.second, one)
-            for root, log, record, name in sides:  # a run that has ended differs from its end on
+            for root, log, record, name in sides:  # after a run has ended, it differs from a longer run
                 partings[root].setdefault(record.seq if record is not None else len(log) - 1, []).append(name)
     return partings
 
 
 def front_world(log: RecordReader, at: int | None = None) -> str:
-    """Return the world in front: the world of the last record up to a step, or else the first world with actions."""
+    """Return the world in front: that of the last record up to a step, or else the first world with actions."""
     if at is not None:
         world = next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "")
         if world:
@@ -268,7 +270,7 @@ def front_world(log: RecordReader, at: int | None = None) -> str:
 
 
 def _roots(logs: Sequence[RecordReader]) -> list[str]:
-    """Return the root entities of recordings side by side: the names of their files, if these differ."""
+    """Return the root entities of recordings side by side: the names of their files if these differ."""
     if len(logs) == 1:
         return [_NO_ROOT]
     names = [log.path.stem for log in logs]
@@ -282,16 +284,16 @@ def _lay_out(stream: rr.RecordingStream, layouts: Mapping[str, Layout], until: i
 
 def _translate(log: RecordReader, translator: Translator) -> None:
     for name in log.assets:
-        with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording notes damage
+        with _damage(log, f"the attached file {name}"), contextlib.suppress(Damaged):  # the recording notes the damage
             translator.attach(AssetFile(name.partition("/")[2], log.assets[name]))
     for record in log.records():
-        try:  # faster than a context manager for each record
+        try:  # this is faster than a context manager for each record
             translator.show(record)
         except NONSENSE as error:
             raise nonsense(log.path, f"step {record.seq}", error) from error
-    with _damage(log, "a record"):  # a damaged time may be too long
+    with _damage(log, "a record"):  # a damaged record may contain too long a time
         translator.finish()
-    for name in translator.scene.absent:  # filters of other tools may remove attachments
+    for name in translator.scene.absent:  # filters of other tools may have removed attachments
         log.assets.damaged.setdefault(name, "it isn't there")
 
 

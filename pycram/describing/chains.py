@@ -27,7 +27,7 @@ _CAMERA: Final = re.compile(r"camera|kinect|realsense|stereo|rgb", re.IGNORECASE
 _NO_PICTURE: Final = re.compile(r"depth|infra|laser|gazebo|screw|narrow|_ir_|forearm|hand|wrist|gripper", re.IGNORECASE)
 _NO_NAME: Final = re.compile(r"[^A-Za-z0-9]+")
 _UPRIGHT: Final = 0.9  # minimum |z| of a vertical axis
-_FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # replaced planar or floating joints (canonical_urdf.py)
+_FREE: Final = re.compile(r"(.+)_(x|y|z|yaw|pitch|roll)")  # replaced planar and floating joints (canonical_urdf.py)
 
 
 @dataclass(frozen=True, slots=True)

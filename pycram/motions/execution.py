@@ -406,7 +406,7 @@ def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Ste
         active = robot.world.trajectories.active
         while _is_crossed(robot, planned.trajectory):
             simulation.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
-            planned = plan()  # the path begins at the new posture
+            planned = plan()  # the path the path begins at the new posture
         _follow(robot.world, [(robot, planned)])
 
     return step

@@ -85,7 +85,7 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
     """
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
-    reached = [query.start]  # the start, then the nearest configuration of each search
+    reached = [query.start]  # the start, followed by the nearest configuration of each search
     most = query.patience * MAX_CHECKS
     rooms = (True, query.space, most // 2), (False, query.wider or query.space, most)
     for clearance.strict, space, budget in rooms:

@@ -158,7 +158,7 @@ class Clearance:
 
         The depth is negative for a pair that is too near, but doesn't touch.
         """
-        for pair in sorted(pairs, key=lambda each: each != self._last):  # the last pair is often in the way again
+        for pair in sorted(pairs, key=lambda each: each != self._last):  # the last colliding pair often collides again
             depth = self._checker.depth(candidate, pair)
             if depth > self._allowed_depth(pair):
                 self._last = pair

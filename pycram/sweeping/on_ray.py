@@ -178,7 +178,7 @@ def _make(spec_facts: dict[str, Any], url: str, numbers: list[int], models: str 
     try:
         for outcome in worker.run(missing):
             if not outcome.unrecorded:
-                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # also files next to it
+                for made in sorted(folder.rglob(f"{outcome.number:05}.*"), reverse=True):  # also its neighbouring files
                     within = made.parent.relative_to(folder).as_posix().removeprefix(".")
                     if store.is_local or not within:  # copies have new times, which tables don't know
                         store.put(made, within)

@@ -1,7 +1,7 @@
-"""The files of a recording: models, meshes, the plan's source. They are attached to the recording or in a shared file.
+"""The files of a recording: models, meshes, the plan's source. Files are attached to it, or in a shared file.
 
-The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). Recordings may come from strangers. So a
-shared file must be in the recording's folder, be a regular file, and have the recorded hash.
+The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). Recordings may come from strangers. A
+shared file must therefore be a regular file in the recording's folder, and have the recorded hash.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ if TYPE_CHECKING:
 
 
 class Assets(Mapping[str, bytes]):
-    """Contents of files by name, ``<sha256>/<file name>``. Files are read on demand."""
+    """Contents of files by name, ``<sha256>/<file name>``. The files are read on demand."""
 
     def __init__(self, path: Path, index: Index) -> None:
         self._path = path
         self._index = index
         self._models: dict[str, Urdf] = {}
-        self.damaged: dict[str, str] = {}  # causes of known damage by name
-        # the file of models that the recording names; None if the recording is complete
+        self.damaged: dict[str, str] = {}  # causes of known damage, by name of the file
+        # the file of models that the recording names; None if the recording itself has all models
         self.shared = shared_by(path, index)
-        self._looked = False  # whether the shared file was needed
+        self._looked = False  # whether a call has needed the shared file
 
     def __getitem__(self, name: str) -> bytes:
         """Return the content of a file.
 
         Raises:
-            KeyError: There is no file with the name.
+            KeyError: There is no file with this name.
             Damaged: The content is damaged.
             MissingModels: The shared file can't be read.
         """
@@ -54,7 +54,7 @@ class Assets(Mapping[str, bytes]):
         return data
 
     def attachment(self, name: str) -> Attachment:
-        """Return a file with its time and media type. Errors are those of :meth:`__getitem__`."""
+        """Return a file with its time and media type. :meth:`__getitem__` describes the errors."""
         try:
             content = self._content(name)
             found: Attachment = Attachment.read(ReadDataStream(io.BytesIO(content)))
@@ -86,7 +86,7 @@ class Assets(Mapping[str, bytes]):
                 self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
-        """Return why shared files are missing; "" without missing files, and before the shared file is needed."""
+        """Return why shared files are missing; "" if none are, and before a call has needed the shared file."""
         self._looked = self._looked or look
         return self.shared.cause if self.shared is not None and self._looked else ""
 
@@ -113,7 +113,7 @@ class Assets(Mapping[str, bytes]):
 
         Raises:
             NoSuchName: The recording doesn't contain the model.
-            Damaged: its content is damaged.
+            Damaged: the model's content is damaged.
         """
         if name not in self._models:
             from recorder.urdf import Urdf  # noqa: PLC0415  loads numpy
@@ -125,13 +125,13 @@ class Assets(Mapping[str, bytes]):
         return self._models[name]
 
 
-_SHOWN: Final = 80  # messages show at most this many characters of an invalid name
-#: Opening a pipe with O_NONBLOCK doesn't wait.
+_SHOWN: Final = 80  # maximum length of an invalid name in messages
+#: With O_NONBLOCK, opening a pipe doesn't wait.
 _FLAGS: Final = os.O_RDONLY | system.OPENED | system.NO_LINK | getattr(os, "O_NONBLOCK", 0)
 
 
 class SharedFile:
-    """A file of models, which the metadata ``stated`` of a recording names. It is opened on demand."""
+    """A file of models that the metadata ``stated`` of a recording names. The file is opened on demand."""
 
     def __init__(self, recording: Path, stated: Mapping[str, str]) -> None:
         self._folder = Path(os.path.realpath(recording)).parent
@@ -139,7 +139,7 @@ class SharedFile:
         self._stated = stated.get("file", "")
         self.name = self._stated[:_SHOWN].encode("unicode_escape").decode()  # name of the file in messages
         self._index: Index | None = None
-        self._cause: str | None = None  # cause of an unreadable file; None before the first attempt
+        self._cause: str | None = None  # why the file can't be read; None before the first attempt
 
     @property
     def cause(self) -> str:
@@ -166,7 +166,7 @@ class SharedFile:
         return self._index.read(self._index.attachments[name])
 
     def close(self) -> None:
-        """Close the file. The next use opens it again."""
+        """Close the file. The next use opens the file again."""
         if self._index is not None:
             self._index.close()
         self._index = self._cause = None
@@ -189,6 +189,6 @@ class SharedFile:
 
 
 def shared_by(recording: Path, index: Index) -> SharedFile | None:
-    """Return the file of models that a recording names; None if the recording is complete."""
+    """Return the file of models that a recording names; None if the recording itself has all models."""
     stated = index.metadata.get(MODELS_METADATA)
     return None if stated is None else SharedFile(recording, stated)

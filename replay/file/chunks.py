@@ -1,9 +1,9 @@
 """The records in a recording's chunks: they are decompressed on demand, and found by binary search.
 
-Damaged parts are noted and left out. Files of other programs may have other chunks or none, and messages in any order.
-Such a file is read once, to find the position of each record. Then its records are yielded in the order of steps, in
-chunks like the recorder's chunks. A temporary file has the inflated contents, because inflating a large chunk for each
-record could take hours.
+Damaged parts are noted and left out. Files of other programs may have other chunks, or none, and messages in any order.
+Such a file is read once, to find the position of each record. Its records are then yielded in the order of steps, in
+chunks of the same size as the recorder's. Inflated contents are in a temporary file, because inflating a large chunk
+again for each record could take hours.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ Kinds: TypeAlias = type[Record] | tuple[type[Record], ...]
 KINDS: Final[Mapping[str, type[Record]]] = {topic.removeprefix("/"): kind for kind, topic in TOPICS.items()}
 MAX_STEP: Final = 1 << 40  # all steps are below this number. Larger numbers are damage.
 _CACHED: Final = 64  # largest number of cached chunks
-#: Largest number of cached bytes without the last chunk. Decoded chunks may take fifty times as much memory.
+#: Maximum number of cached bytes, not counting the last chunk. Decoded chunks may need fifty times as much memory.
 _CACHED_BYTES: Final = 2 << 20
-_MAX_DIGITS: Final = 9  # lifetimes of worlds have at most this many digits
+_MAX_DIGITS: Final = 9  # maximum number of digits in the lifetime of a world
 _PACKAGE: Final = f"{PACKAGE}."
 _OPCODE: Final = int(Opcode.MESSAGE)
-_MESSAGE: Final = struct.Struct("<BQH")  # the fields opcode, length, channel
-_CHANNEL: Final = struct.Struct("<HI")  # the first fields of a message: channel, sequence
-_FIELDS: Final = 22  # size of a message's fields in bytes
-_PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before the payload of a message
-_MESSAGES: Final = 100  # number of messages in a chunk of sorted messages
-_IN_MEMORY: Final = 16 << 20  # inflated chunks with at most this many bytes stay in memory
-_OFFSET: Final = 40  # number of low bits of a sort key, which are the message's offset; the high bits are the step
+_MESSAGE: Final = struct.Struct("<BQH")  # the fields opcode, length and channel of an MCAP message
+_CHANNEL: Final = struct.Struct("<HI")  # the first fields of an MCAP message: channel, sequence
+_FIELDS: Final = 22  # size in bytes of the fields of an MCAP message
+_PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before the payload of an MCAP message
+_MESSAGES: Final = 100  # number of messages in each chunk of sorted messages
+_IN_MEMORY: Final = 16 << 20  # number of bytes up to which an inflated chunk stays in memory
+_OFFSET: Final = 40  # number of low bits of a sort key: the message's offset; the high bits: the step
 
 
 @dataclass(slots=True)
@@ -60,9 +60,9 @@ class Chunks:
     def __init__(self, index: Index) -> None:
         self._index = index
         self._cache: OrderedDict[int, _Entries] = OrderedDict()
-        self._cached = 0  # number of bytes of the cached chunks
-        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of each chunk that was read
-        self.damaged: dict[int, str] = {}  # causes of known damage by number of the chunk
+        self._cached = 0  # number of bytes of all cached chunks
+        self._spans: dict[int, tuple[int, int]] = {}  # first and last step of each chunk that was already read
+        self.damaged: dict[int, str] = {}  # causes of known damage, by number of the chunk
         self._sorted = None if index.ours else SortedMessages(index, kinds_of(index))
         if self._sorted is not None and self._sorted.in_order:
             self._sorted.close()
@@ -76,7 +76,7 @@ class Chunks:
         return len(self._index.chunks)
 
     def close(self) -> None:
-        """Remove the temporary file, if any."""
+        """Remove the temporary file, if there is one."""
         if self._sorted is not None:
             self._sorted.close()
 
@@ -88,7 +88,7 @@ class Chunks:
         return self._sorted.contents(number), "", None
 
     def grow(self) -> bool:
-        """Read new chunks of a growing file, and return whether there were new chunks."""
+        """Read new chunks of a growing file; return whether there were any."""
         last = len(self) - 1
         if self._sorted is not None or not self._index.refresh():
             return False
@@ -115,7 +115,7 @@ class Chunks:
     def channels(self, number: int) -> list[tuple[type[Record], Owner | None]]:
         """Return the record type and the lifetime of each channel of a chunk.
 
-        Channels of several worlds have no lifetime.
+        Channels that several worlds share have no lifetime.
         """
         chunk = self._index.chunks[number]
         ids = self._kinds if chunk.channels is None else chunk.ids()
@@ -132,7 +132,7 @@ class Chunks:
     ) -> Iterator[Record]:
         """Yield the records of a chunk with given types, in a world, and with the text ``naming`` in a field.
 
-        Other records aren't decoded.
+        Records of other types aren't decoded.
         """
         types = kinds if isinstance(kinds, tuple) or kinds is None else (kinds,)
         if types is not None and not any(kind in types for kind, _ in self.channels(number)):
@@ -153,11 +153,11 @@ class Chunks:
                 yield record
 
     def misplaced(self, number: int, record: Record) -> None:
-        """Add the impossible step of a record to the known damage of its chunk."""
+        """Add a record's impossible step to the known damage of its chunk."""
         self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
 
     def share_worlds(self) -> bool:
-        """Return whether worlds share channels. Then only records name their world."""
+        """Return whether worlds share channels. Then only the records themselves name their world."""
         return any(self._owners[at] is None for at, kind in self._kinds.items() if kind in (Mutation, Keyframe))
 
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
@@ -173,7 +173,7 @@ class Chunks:
     # --- search for a step -------------------------------------------------------------------------------------------
 
     def span(self, number: int) -> tuple[int, int]:
-        """Return the first and last step of a chunk. An unreadable chunk has an empty span after the previous chunk."""
+        """Return the first and last step of a chunk. An unreadable chunk's span is empty, after the last chunk."""
         for at in range(number, -1, -1):
             if at not in self._spans:
                 first = next(self.records(at), None)
@@ -192,7 +192,7 @@ class Chunks:
     # --- decoding --------------------------------------------------------------------------------------------------
 
     def _load(self, number: int, text: bytes = b"") -> _Entries:
-        """Return the entries of a chunk, or no entries if the chunk doesn't contain ``text``."""
+        """Return the entries of a chunk; no entries if the chunk doesn't contain ``text``."""
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
@@ -253,7 +253,7 @@ class Chunks:
 
 
 def kinds_of(index: Index) -> dict[int, type[Record]]:
-    """Return the type of records by channel, without channels of other programs."""
+    """Return the type of records for each channel, except channels of other programs."""
     kinds, ours = {}, known_definitions()
     for number, channel in index.channels.items():
         kind = KINDS.get(channel.topic[1:]) if channel.topic.startswith("/") else None
@@ -261,12 +261,12 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
         if kind is not None and message == kind.DESCRIPTOR.full_name:
             kinds[number] = kind
         elif kind is None and message.startswith(_PACKAGE) and message.removeprefix(_PACKAGE) not in ours:
-            kinds[number] = Envelope  # a kind of record of a newer release
+            kinds[number] = Envelope  # a newer release has this kind of record
     return kinds
 
 
 def _owner(metadata: Mapping[str, str]) -> Owner | None:
-    """Return the world and lifetime of a channel; None for a channel of several lifetimes."""
+    """Return the world and lifetime of a channel; None if several lifetimes share it."""
     lifetime = metadata.get("life", "")
     known = "world" in metadata and lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
     return (metadata["world"], int(lifetime)) if known else None
@@ -276,22 +276,23 @@ def _owner(metadata: Mapping[str, str]) -> Owner | None:
 
 
 class SortedMessages:
-    """The messages of a file in the order of steps, with chunks like the recorder's chunks."""
+    """The messages of a file in the order of steps, in chunks like those of the recorder."""
 
     def __init__(self, index: Index, kinds: Mapping[int, type[Record]]) -> None:
         from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import
 
         self._file = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
         self.damage: list[str] = []
-        self.in_order = not index.loose  # whether the file already has its records in chunks and in order
-        # offsets of messages in the temporary file; the high bits are the step. There may be millions of messages.
+        self.in_order = not index.loose  # whether the file already has all records in chunks and in order
+        # offsets of messages in the temporary file, in the low bits; the high bits contain the step. A file may have
+        # millions of messages.
         self._keys: list[int] = []
         last = at = 0
         for where, message in _messages(index, self.damage):
             try:
-                # messages for other tools have the number of the record
+                # messages for other tools have the same number as their record
                 channel, step = _CHANNEL.unpack_from(message, HEADER)
-                if channel in kinds:  # some programs change the numbers of messages, but not of records
+                if channel in kinds:  # some programs change the numbers of messages; numbers in records stay
                     step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
                     self.in_order = self.in_order and last <= step
                     last = step
@@ -318,7 +319,7 @@ class SortedMessages:
 
 
 def _messages(index: Index, damage: list[str]) -> Iterator[tuple[str, bytes]]:
-    """Yield each message of a file, and its place in words."""
+    """Yield each message of a file, and its place in the file as text."""
     for number in range(len(index.chunks)):
         try:
             contents = index.contents(number)[0]

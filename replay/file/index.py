@@ -1,7 +1,8 @@
 """The index of a recording's file: its chunks, channels, attached files and metadata.
 
-A closed file has its index at the end. Other files (damaged, growing, or of a killed process) are scanned, header by
-header. After damage, the scan continues at the next intact chunk. No record is decoded.
+A closed file has its index at the end. Other files (damaged, still growing, or left by a killed process) are scanned:
+only headers of records are read. After a damaged part, the scan continues at the next intact chunk. No record is
+decoded.
 """
 
 from __future__ import annotations
@@ -38,15 +39,15 @@ from replay.file.mcap_format import (
     indexed_chunk,
 )
 
-_BLOCK: Final = 1 << 20  # number of bytes of a read
-_MAX_LENGTH: Final = 1 << 32  # a record with more bytes is damaged
-#: A part of the head of each compressed chunk, which finds the next chunk after damage.
+_BLOCK: Final = 1 << 20  # maximum number of bytes of one read
+_MAX_LENGTH: Final = 1 << 32  # number of bytes above which a record counts as damaged
+#: A part of the head of each compressed chunk, by which the next chunk is found after damage.
 _MARK: Final = re.compile(b"\x04\0\0\0zstd|\x03\0\0\0lz4")
 _TOO_MUCH: Final = f"the chunks inflate to more than {MAX_RATIO} times the file"
 
 
 class _Budget:
-    """A limit for the bytes of all chunks, because a hostile index may name a chunk very often."""
+    """A limit for the bytes of all chunks together, because a malicious index may name a chunk many times."""
 
     def __init__(self) -> None:
         self._taken = 0
@@ -70,19 +71,19 @@ class Index:
         self._decompressor = Decompressor()
         self.closed = False  # whether the recorder closed the file
         self.whole = False  # whether the summary is intact
-        self.damage: list[str] = []  # damaged parts, in words
-        self.chunks: list[ChunkExtent] = []  # the chunks in the file's order
+        self.damage: list[str] = []  # damaged parts, as text
+        self.chunks: list[ChunkExtent] = []  # the chunks, in the order of the file
         self.channels: dict[int, Channel] = {}  # channels by id
-        self.schemas: dict[int, str] = {}  # names of message types by id
-        self.definitions: dict[str, bytes] = {}  # serialized definitions of message types by name
-        self.loose: list[Extent] = []  # messages outside of chunks, which some programs write
-        self.attachments: dict[str, Extent] = {}  # extents of attached files by name
-        self.metadata: dict[str, dict[str, str]] = {}  # values by name of the metadata and key
-        self.counts: defaultdict[int, int] = defaultdict(int)  # number of messages in whole chunks by channel
-        self.incomplete_bytes = 0  # size of an incomplete record at the end, bytes
-        self.data_end = 0  # offset of the record that ends the data; 0 without this record
-        self._claimed = 0  # bytes of files and metadata, according to the summary
-        self._stored = _Budget()  # budget for the file's own bytes
+        self.schemas: dict[int, str] = {}  # names of message types, by id
+        self.definitions: dict[str, bytes] = {}  # serialized definitions of message types, by name
+        self.loose: list[Extent] = []  # messages outside of chunks; some programs write such messages
+        self.attachments: dict[str, Extent] = {}  # positions and lengths of attached files, by name
+        self.metadata: dict[str, dict[str, str]] = {}  # values in the metadata, by name of the metadata and key
+        self.counts: defaultdict[int, int] = defaultdict(int)  # number of messages in whole chunks, by channel
+        self.incomplete_bytes = 0  # size in bytes of an incomplete record at the end of the file
+        self.data_end = 0  # offset of the record that ends the data; 0 if it is missing
+        self._claimed = 0  # number of bytes of files and metadata, according to the summary
+        self._stored = _Budget()  # budget of bytes that are read from the file
         self._inflated = _Budget()
         self._scan = FileScan(file, self)
         self._file.seek(0)
@@ -108,7 +109,7 @@ class Index:
 
     @property
     def ours(self) -> bool:
-        """Whether PyCRAM wrote the file. Such files have all checksums, and steps in order."""
+        """Whether PyCRAM wrote the file. Files of PyCRAM have all checksums, and steps in order."""
         return not self.library or self.library.startswith("pycram")
 
     def check_open(self) -> None:
@@ -117,11 +118,11 @@ class Index:
             raise LogClosed(self._file.name)
 
     def read(self, extent: Extent | ChunkExtent) -> bytes:
-        """Return the content of a record. The content is shorter if the file ends within the record.
+        """Return the content of a record. The content is shorter than stated if the file ends within the record.
 
         Raises:
             LogClosed: The file was closed.
-            EOFError: The extent isn't within the file.
+            EOFError: The record isn't completely within the file.
         """
         self.check_open()
         offset, length = extent.offset, extent.length
@@ -131,9 +132,9 @@ class Index:
         return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
-        """Return a chunk's decompressed messages, its difference from the index, and the index's number of messages.
+        """Return a chunk's decompressed messages, its difference from the index, and their number in the index.
 
-        The index corrects an error in the chunk's head. The number is None if it is unknown.
+        If the chunk's head has an error, the index corrects it. The number is None if the index doesn't contain it.
 
         Raises:
             CHUNK_DAMAGE: The chunk is damaged.
@@ -157,14 +158,14 @@ class Index:
 
     def _decompressed(self, number: int, chunk: memoryview) -> bytes:
         size = CHUNK_HEAD.unpack_from(chunk)[2]
-        if size <= MAX_INFLATED:  # larger chunks are rejected before they are inflated
+        if size <= MAX_INFLATED:  # a chunk with more bytes is rejected before it is inflated
             self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), _TOO_MUCH)
         return self._decompressor.contents(chunk)
 
     def check(self) -> None:
-        """Compare the checksum of all bytes with the stored checksum, and add a difference to ``damage``.
+        """Compare the checksum of all bytes with the stored checksum; add a difference to ``damage``.
 
-        The checksum also covers parts that aren't read.
+        The checksum also covers parts of the file that no reader needs.
         """
         if not self.data_end:
             return
@@ -179,9 +180,9 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the stored checksum"]
 
     def refresh(self) -> bool:
-        """Scan the new part of a growing file, and return whether there was a new part.
+        """Scan the new part of a growing file; return whether there was one.
 
-        Closed files have no new part.
+        Closed files never have a new part.
         """
         return not self.closed and self._scan.resume()
 
@@ -204,14 +205,14 @@ class Index:
             raise EOFError
         footer = Footer.read(ReadDataStream(io.BytesIO(end[HEADER:FOOTER])))
         if not 0 < footer.summary_start < size:
-            raise EOFError  # a closed file without an index
+            raise EOFError  # the file was closed, but has no index
         self._file.seek(footer.summary_start)
         summary = self._file.read(size - len(MAGIC) - 4 - footer.summary_start)
         if zlib.crc32(summary) != footer.summary_crc and (footer.summary_crc or self.ours):
             raise EOFError
         self._read_summary_records(summary[: len(summary) - FOOTER + 4])
         if (not self.chunks and self.counts) or not self.channels:
-            raise EOFError  # a file without an index of chunks
+            raise EOFError  # the index of the file doesn't list chunks
         self.data_end = footer.summary_start - DATA_END
         self.closed = self.whole = True
 
@@ -240,7 +241,7 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
-        """Reject a summary that repeats files or metadata: their bytes exceed the bytes of the file."""
+        """Reject a summary that repeats files or metadata, so that their bytes exceed the bytes of the file."""
         self._claimed += length
         if self._claimed > self.size:
             raise EOFError
@@ -273,7 +274,7 @@ class Index:
 
 
 class FileScan:
-    """A scan of a file into an index, which resumes when the file has grown."""
+    """A scan of a file that makes an index; the scan resumes when the file has grown."""
 
     def __init__(self, file: BinaryIO, index: Index) -> None:
         self._file = file
@@ -281,7 +282,7 @@ class FileScan:
         self._next = len(MAGIC)
 
     def resume(self) -> bool:
-        """Continue the scan, and return whether there was a new part."""
+        """Continue the scan; return whether there was a new part."""
         index = self._index
         before = self._next
         size = index.size = self._file.seek(0, io.SEEK_END)
@@ -299,7 +300,7 @@ class FileScan:
                 break
             beyond = extent.stop > size
             if beyond and not self._is_damaged(opcode, extent, size):
-                break  # the record is incomplete
+                break  # the record is still incomplete
             if not beyond and self._read(opcode, extent):
                 at = extent.stop
                 continue
@@ -313,7 +314,7 @@ class FileScan:
         return at > before
 
     def _is_summary_intact(self, data_end: int, size: int) -> bool:
-        """Return whether the summary is intact. A missing summary is intact, too."""
+        """Return whether the summary is intact. A missing summary also counts as intact."""
         behind = data_end + DATA_END
         self._file.seek(behind)
         end = self._file.read(size - behind)
@@ -342,7 +343,7 @@ class FileScan:
                 self._index.define(definition)
 
     def _is_damaged(self, opcode: int, extent: Extent, size: int) -> bool:
-        """Return whether a record beyond the end of the file is damaged; otherwise it is cut off."""
+        """Return whether a record that ends beyond the file is damaged; otherwise the file was cut off."""
         if not Opcode.HEADER <= opcode <= Opcode.DATA_END or extent.length > _MAX_LENGTH:
             return True
         if opcode == Opcode.CHUNK and extent.offset + CHUNK_HEAD.size + 32 <= size:
@@ -359,7 +360,7 @@ class FileScan:
         return bool(name <= 16 and extent.length == at + 8 + int.from_bytes(head[at : at + 8], "little"))
 
     def _read(self, opcode: int, extent: Extent) -> bool:
-        """Read a whole record into the index, and return whether the record is intact."""
+        """Read a whole record into the index; return whether the record is intact."""
         try:
             if opcode == Opcode.CHUNK:
                 if extent.length < CHUNK_HEAD.size + 8 or not self._is_chunk(extent):
@@ -399,7 +400,7 @@ class FileScan:
         return True
 
     def _count_messages(self, number: int) -> None:
-        """Count the messages of a chunk, and read the channels that the chunk defines."""
+        """Count the messages of a chunk, and read the definitions of channels in it."""
         index, counted = self._index, Counter[int]()
         try:
             contents = index.contents(number)[0]
@@ -408,7 +409,7 @@ class FileScan:
                     counted[int.from_bytes(contents[start : min(start + 2, stop)], "little")] += 1
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     index.define(_parsed(opcode, contents[start:stop]))
-        except CHUNK_DAMAGE:  # readers of the chunk report the damage
+        except CHUNK_DAMAGE:  # readers of this chunk will report the damage
             return
         for channel, count in counted.items():
             index.counts[channel] += count
@@ -416,7 +417,7 @@ class FileScan:
         index.chunks[number] = index.chunks[number]._replace(channels=channels)
 
     def _next_chunk(self, start: int, size: int) -> int | None:
-        """Return the offset of the first intact chunk at or after a byte; None without such a chunk."""
+        """Return the offset of the first intact chunk at or after a byte; None if there is none."""
         at = start
         while at < size:
             self._file.seek(at)
@@ -432,7 +433,7 @@ class FileScan:
         return None
 
     def _head(self, offset: int) -> tuple[int, Extent]:
-        """Return the opcode of the record at an offset, and the extent of its content."""
+        """Return the opcode of the record at an offset, and the position of its content."""
         self._file.seek(offset)
         opcode, length = LENGTH.unpack(self._file.read(HEADER))
         return opcode, Extent(offset + HEADER, length)

@@ -1,7 +1,7 @@
 """The lifetimes of worlds: after a world has ended, another world can have the same name.
 
-Each lifetime has channels, so the index has the chunks of each lifetime. If worlds share channels, or the file is from
-an early release, the changes are read.
+Each lifetime has its own channels, so the index shows which chunks belong to it. If worlds share channels, or if an
+early release wrote the file, the changes themselves are read.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from recorder.records import Keyframe, Mutation, Query, Record
 if TYPE_CHECKING:
     from replay.file.chunks import Chunks
 
-Owner: TypeAlias = "tuple[str, int]"  # name of a world, and number of the lifetime, from 1
-#: Numbers of chunks with changes, of chunks with keyframes, and of chunks with looks.
+Owner: TypeAlias = "tuple[str, int]"  # name of a world, and number of its lifetime from 1
+#: Numbers of chunks with changes, with keyframes and with looks.
 _Lists: TypeAlias = "tuple[list[int], list[int], list[int]]"
-_Mark: TypeAlias = "tuple[type[Record], Owner]"  # type and world of records in a chunk
+_Mark: TypeAlias = "tuple[type[Record], Owner]"  # type and world of the records in a chunk
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +28,8 @@ class Lifetime:
 
     world: str
     number: int  # number among the worlds with this name, from 1
-    start: int  # step of the opening; 0 for the first world with this name
-    stop: int | None  # step of the opening of the next world with this name; None for the last world
+    start: int  # step of the world's opening; 0 for the first world with this name
+    stop: int | None  # step at which the next world with this name was opened; None for the last world
     changes: Sequence[int]  # numbers of the chunks with mutations or keyframes
     keyframes: Sequence[int]  # numbers of the chunks with keyframes
     looks: Sequence[int]  # numbers of the chunks with queries that updated beliefs
@@ -40,7 +40,7 @@ class Lifetime:
         return title(self.world, self.number)
 
     def has(self, step: int) -> bool:
-        """Return whether the name means this world at a step."""
+        """Return whether a world's name means this world at a step."""
         return self.start <= step and (self.stop is None or step < self.stop)
 
 
@@ -67,10 +67,10 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
 def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
     chunks_of: dict[Owner, _Lists] = {}
     shared = chunks.share_worlds()
-    last_number: dict[str, int] = {}  # number of the latest lifetime by name of the world
-    lists_by_channels: dict[bytes, list[list[int]]] = {}  # lists that get the number of a chunk, by ids of channels
+    last_number: dict[str, int] = {}  # number of the latest lifetime, by name of the world
+    lists_by_channels: dict[bytes, list[list[int]]] = {}  # lists that get a chunk's number, by channels
     for number, channels in enumerate(chunks.channel_maps()):
-        # the low bytes of all ids, then the high bytes
+        # first the low bytes of all ids, then the high bytes
         ids = b"" if channels is None else channels[::10] + channels[1::10]
         lists = lists_by_channels.get(ids)
         if lists is None:
@@ -86,11 +86,11 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
                 lists_by_channels[ids] = lists
         for numbers in lists:
             numbers.append(number)
-    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # changes of other worlds are lost
+    return {owner: lists for owner, lists in chunks_of.items() if lists[0]}  # changes of other worlds would be lost
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
-    """Return the lifetime of a record: the lifetime of the channel, or else the number of openings."""
+    """Return the lifetime of a record: that of the channel, or else the number of openings so far."""
     lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
     if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1
@@ -124,8 +124,8 @@ def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[
 
 
 def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
-    """Return the first steps of lifetimes. Unneeded steps are 0, because reading takes time."""
-    beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # lifetimes that begin in each chunk
+    """Return the first steps of lifetimes. Steps that no caller needs are 0, because reading them takes time."""
+    beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # the lifetimes that begin in each chunk
     for owner, (changes, *_) in chunks_of.items():
         beginning[changes[0]].append(owner)
     starts = dict.fromkeys(chunks_of, 0)
@@ -136,7 +136,7 @@ def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
 
 
 def _first_steps(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:
-    """Yield the first steps of the lifetimes that begin in a chunk, up to a damaged part."""
+    """Yield the first steps of the lifetimes that begin in a chunk, until a damaged part."""
     waiting = sorted(owners)
     for record in chunks.records(number, (Mutation, Keyframe)):
         owner = next((each for each in waiting if each[0] == record.world), None)

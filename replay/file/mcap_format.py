@@ -1,7 +1,7 @@
 """The MCAP format: framing, positions of chunks, decompression, and decoding of payloads.
 
-A payload with very many parts is rejected: an empty part takes two bytes in a file, and a hundred in memory. Parts of
-small payloads aren't counted.
+A payload with very many parts is rejected: an empty part takes two bytes in a file, and a hundred bytes in memory. The
+parts of small payloads aren't counted.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 from recorder.records import Record
 
-MAGIC: Final = b"\x89MCAP0\r\n"  # the first and the last bytes of a file
+MAGIC: Final = b"\x89MCAP0\r\n"  # the first bytes of a file, which are also its last
 HEADER: Final = 9  # bytes of opcode and length before each MCAP record
 LENGTH: Final = struct.Struct("<BQ")  # the fields opcode and length
-DATA_END: Final = HEADER + 4  # size of the record that ends the data, bytes
-FOOTER: Final = HEADER + 20  # size of the last record, bytes
+DATA_END: Final = HEADER + 4  # size in bytes of the record that ends the data
+FOOTER: Final = HEADER + 20  # size in bytes of a file's last record
 CHANNEL_OFFSET: Final = struct.Struct("<HQ")
-CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # fields: start, end, offset, length, and size of the following map
-#: Fields: size of the message indexes, and length of the compression's name, in bytes.
+CHUNK_INDEX: Final = struct.Struct("<QQQQI")  # start, end, offset, length, size of the next map
+#: Further fields: size of the message indexes, and length of the compression's name, in bytes.
 _INDEX_LENGTH: Final = struct.Struct("<QI")
 _CHUNK: Final = int(Opcode.CHUNK)
 _MESSAGE_INDEX: Final = HEADER + 6  # size of a channel's message index before the entries, bytes
@@ -35,55 +35,56 @@ CHUNK_HEAD: Final = struct.Struct("<QQQII")  # fields: start, end, size, CRC, an
 MAX_INFLATED: Final = 64 << 20  # larger chunks (bytes) are rejected, because recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
-#: Errors of a damaged chunk, with errors of Zstandard and LZ4 (RuntimeError).
+#: Errors that reading a damaged chunk raises, including those of Zstandard and LZ4 (RuntimeError).
 CHUNK_DAMAGE: Final = (*DAMAGE, ZstdError, RuntimeError)
 
 
 class Extent(NamedTuple):
-    """The extent of an MCAP record's content: its length, and its offset in the file."""
+    """The position of an MCAP record's content: its length, and its offset in the file."""
 
     offset: int
     length: int
 
     @property
     def stop(self) -> int:
-        """The offset after the content."""
+        """The offset of the byte after the content."""
         return self.offset + self.length
 
 
 class StatedHead(NamedTuple):
-    """A chunk according to the index at the end of a file."""
+    """A chunk as the index at the end of a file describes it."""
 
-    head: bytes  # bytes from the opcode to the CRC
-    tail: bytes  # bytes from the CRC to the data
+    head: bytes  # number of bytes from the opcode to the CRC
+    tail: bytes  # number of bytes from the CRC to the data
     messages: int | None
 
 
 class ChunkExtent(NamedTuple):
-    """The extent of a chunk's content, and the channels of its messages.
+    """The position of a chunk's content, and the channels of its messages.
 
-    ``channels`` has 10 bytes for each channel, as in MCAP's chunk index. It is None if the channels are unknown.
+    ``channels`` contains 10 bytes for each channel, as MCAP's chunk index does. The field ``channels`` is None if the
+    channels aren't known.
     """
 
     offset: int
     length: int
     channels: bytes | None = None
-    stated: StatedHead | None = None  # None without an index
+    stated: StatedHead | None = None  # None if there is no index
 
     def ids(self) -> Iterator[int]:
-        """Return the ids of the channels of the chunk's messages."""
+        """Return the ids of the channels that a chunk's messages have."""
         channels = self.channels or b""
         whole = channels[: len(channels) - len(channels) % CHANNEL_OFFSET.size]
         return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(whole))
 
 
 def indexed_chunk(summary: bytes, at: int) -> ChunkExtent:
-    """Return the chunk of the entry at an offset of a summary; raise struct.error for an entry that is cut off."""
+    """Return the chunk that an entry of a summary describes; raise struct.error if the entry is cut off."""
     _, _, offset, length, size = CHUNK_INDEX.unpack_from(summary, at)
     first = at + CHUNK_INDEX.size
     sizes = first + size
     indexes, name = _INDEX_LENGTH.unpack_from(summary, sizes)
-    end = sizes + _INDEX_LENGTH.size + name + 8  # the uncompressed size follows
+    end = sizes + _INDEX_LENGTH.size + name + 8  # the next field is the uncompressed size
     head = LENGTH.pack(_CHUNK, length - HEADER) + summary[at : at + 16] + summary[end : end + 8]
     entries = indexes - _MESSAGE_INDEX * (size // CHANNEL_OFFSET.size)
     stated = StatedHead(head, summary[sizes + 8 : end], entries // _ENTRY if indexes else None)
@@ -91,7 +92,7 @@ def indexed_chunk(summary: bytes, at: int) -> ChunkExtent:
 
 
 def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield the opcode of each MCAP record, and the start and end of its content.
+    """Yield for each MCAP record the opcode, and the start and end of the content.
 
     Raises:
         struct.error: The last record is cut off within its opcode and length.
@@ -105,15 +106,15 @@ def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
 
 
 def describe(error: Exception) -> str:
-    """Return the message of an error, or the name of its type without a message."""
+    """Return the message of an error; if it has no message, the name of its type."""
     return str(error) or type(error).__name__
 
 
 class Decompressor:
     """A decompressor of chunks; not thread-safe.
 
-    A chunk never takes more memory than the header states, and the stated size is limited. Otherwise, a few kB could
-    inflate to GB.
+    A chunk never takes more memory than its header states, and the stated size is limited. Otherwise, a chunk of a few
+    kB could inflate to GB.
     """
 
     def __init__(self) -> None:
@@ -165,8 +166,8 @@ def decode(kind: type[Record], payload: bytes) -> Record:
 
 
 @cache
-def _within(descriptor: Any) -> dict[int, Any]:  # protobuf's two runtimes have two types of descriptors
-    """Return the message types of a message's fields by field number."""
+def _within(descriptor: Any) -> dict[int, Any]:  # both runtimes of protobuf have their own type of descriptors
+    """Return the types of those fields of a message that are messages, by field number."""
     return {field.number: field.message_type for field in descriptor.fields if field.message_type is not None}
 
 
@@ -175,7 +176,7 @@ def _weigh(descriptor: Any, data: bytes, at: int, end: int) -> int:
 
     Raises:
         DecodeError: There are too many parts, or the message is invalid.
-        IndexError: The message is cut off.
+        IndexError: The message is incomplete.
     """
     within, weight = _within(descriptor), 0
     while at < end:
@@ -200,7 +201,7 @@ def _weigh(descriptor: Any, data: bytes, at: int, end: int) -> int:
 
 
 def _varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return the number at an offset, and the offset after it."""
+    """Return the number at an offset, and the offset of the byte after it."""
     value = data[at]
     at += 1
     if value < 1 << 7:

@@ -1,7 +1,7 @@
-"""A recording: its records by step. The process of the recording may have been killed, or may still write the file.
+"""A recording: its records by step. The process that recorded may have been killed, or may still be writing the file.
 
-A question reads only a few chunks, even of a long recording. Unknown fields of newer releases are ignored. For unknown
-kinds of records, only the envelope is read.
+A call needs only a few chunks, even of a long recording. Unknown fields of newer releases are ignored. Of unknown kinds
+of records, only the envelope is read.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ __all__ = ["KINDS", "RecordReader"]
 
 R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output, Check)
 
-_MIN_MAGIC: Final = len(MAGIC) - 2  # at least this many of the first bytes must be correct
+_MIN_MAGIC: Final = len(MAGIC) - 2  # minimum number of correct bytes among the first bytes of a file
 _NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # with this flag, opening a pipe doesn't wait for a writer
-_MAX_NAMES: Final = 4  # messages have at most this many names
-_FIRST: Final = [0, 1, 0]  # recordings of the first release are never newer than this release
-_MAX_DIGITS: Final = 9  # valid numbers have at most this many digits
+_MAX_NAMES: Final = 4  # maximum number of names in messages
+_FIRST: Final = [0, 1, 0]  # a recording of the first release is never newer
+_MAX_DIGITS: Final = 9  # maximum number of digits of a valid number
 _RELEASE: Final = re.compile(r"(\d{1,9})\.(\d{1,9})(?:\.(\d{1,9}))?")
 
 
@@ -66,16 +66,16 @@ class RecordReader:
         self._file = open_file(self.path)
         with contextlib.ExitStack() as undoing:
             undoing.callback(self._file.close)
-            # time of the last write before the opening, ns since the Unix epoch
+            # time of the last write before this object opened the file, ns since the Unix epoch
             self.written_ns = os.fstat(self._file.fileno()).st_mtime_ns
             self._index = Index(self._file)
             check_ours(self.path, self._index)
             self._chunks = Chunks(self._index)
             self._steps = self._count()
             undoing.pop_all()
-        self.assets = Assets(self.path, self._index)  # the attached files by ``<sha256>/<file name>``
-        self.lost_before = lost_before(self._index)  # steps that were lost before a repair
-        # the lost steps, and the numbers of damaged chunks and of steps at the time of the search
+        self.assets = Assets(self.path, self._index)  # the attached files, by ``<sha256>/<file name>``
+        self.lost_before = lost_before(self._index)  # steps that were already lost before a repair
+        # the lost steps; the number of damaged chunks and of steps when they were searched
         self._gaps: list[range] = []
         self._gaps_of = (-1, -1)
 
@@ -97,7 +97,7 @@ class RecordReader:
         self._index.close()
 
     def after_fork(self) -> None:
-        """Reopen the file in a forked child. Otherwise the child would share the parent's file position."""
+        """Open the file again in a forked child. A child must not share the parent's file position."""
         self.assets.close()
         descriptor = self._file.fileno()
         own = os.open(self.path, os.O_RDONLY | system.OPENED)
@@ -118,7 +118,7 @@ class RecordReader:
 
     @property
     def closed(self) -> bool:
-        """Whether the recorder closed the file, which then no longer grows."""
+        """Whether the recorder has closed the file; it then no longer grows."""
         return self._index.closed
 
     @property
@@ -130,19 +130,19 @@ class RecordReader:
 
     @property
     def complete(self) -> bool:
-        """Whether the recorder closed the file, and no damage is known."""
+        """Whether the recorder has closed the file, and no damage is known."""
         return not self.problems
 
     @property
     def problems(self) -> str:
-        """All known losses and damage in words; "" without losses and damage."""
+        """All known losses and damage, as text; "" if there are none."""
         return "; ".join(filter(None, (self.incomplete, self.damage)))
 
     @property
     def incomplete(self) -> str:
-        """Why the recording is incomplete: it wasn't closed, or lost records before a repair.
+        """Why the recording is incomplete: it wasn't closed, or has lost records before a repair.
 
-        "" for complete recordings.
+        "" for a complete recording.
         """
         if self.closed:
             lost = ", ".join(map(range_text, self.lost_before))
@@ -154,7 +154,7 @@ class RecordReader:
 
     @property
     def damage(self) -> str:
-        """All known damage in words; "" without damage."""
+        """All known damage, as text; "" if there is none."""
         problems = ["the index at its end is damaged"] if self.closed and not self._index.whole else []
         problems += self._index.damage
         problems += [f"chunk {number} is damaged ({cause})" for number, cause in sorted(self._chunks.damaged.items())]
@@ -172,7 +172,7 @@ class RecordReader:
 
     @property
     def format(self) -> int:
-        """The format number of the recording (:mod:`recorder.records`), or 0 for an unknown format."""
+        """The format number of the recording (:mod:`recorder.records`), or 0 if it is unknown."""
         return format_of(self._index)
 
     @cached_property
@@ -181,7 +181,7 @@ class RecordReader:
         return lifetimes_of(self._chunks)
 
     def counts(self) -> dict[str, int]:
-        """Return the number of records of each kind in the index. No record is decoded."""
+        """Return the number of records of each kind, according to the index. No record is decoded."""
         counts: dict[str, int] = {}
         for channel, kind in kinds_of(self._index).items():
             count = self._index.counts.get(channel, 0)
@@ -220,10 +220,10 @@ class RecordReader:
     def records(self, kind: Any = None, start: int = 0, stop: int | None = None) -> Iterator[Any]:
         """Stream the records of types from ``start`` to ``stop`` (excluded). Records of other types aren't decoded.
 
-        A type may also be a name, such as "query".
+        A type may also be given as a name, such as "query".
 
         Raises:
-            NoSuchName: There is no such type.
+            NoSuchName: There is no type of records with this name.
         """
         if isinstance(kind, str):
             if kind not in KINDS:
@@ -258,7 +258,7 @@ class RecordReader:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """Return the world with a name at a step; None without such a world."""
+        """Return the world with a name at a step; None if there is none."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
     @overload
@@ -284,7 +284,7 @@ class RecordReader:
         return last
 
     def final_step(self) -> int:
-        """Return the last step before the worlds were closed at the end."""
+        """Return the last step before the worlds were closed at the end of the run."""
         closing = self._steps
         for record in self.backwards(-1, (Mutation, Keyframe)):
             if not closes_world(record):
@@ -295,26 +295,26 @@ class RecordReader:
     # --- completeness ----------------------------------------------------------------------------------------------
 
     def check_file(self) -> str:
-        """Read everything once, and return :attr:`problems`."""
+        """Read the whole file once, and return :attr:`problems`."""
         last = -1
         for number in range(len(self._chunks)):
-            for record in self._chunks.records(number):  # readers of records note all damage
+            for record in self._chunks.records(number):  # readers of records add all damage to problems
                 if not last < record.seq < self._steps:
                     self._chunks.misplaced(number, record)
                 last = record.seq
         for name in self.assets:
-            with contextlib.suppress(Damaged):  # assets.damaged notes the damage
+            with contextlib.suppress(Damaged):  # assets.damaged contains the damage
                 _ = self.assets[name]
         if not self.damage:
             self._index.check()
         return self.problems
 
     def lost(self) -> list[range]:
-        """Return the ranges of missing steps before the last step. Only damaged recordings are read."""
+        """Return the ranges of missing steps before the last step. Other recordings than damaged ones aren't read."""
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
-        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # every state needs the gaps
+        if self._gaps_of != (len(self._chunks.damaged), self._steps):  # every state needs these gaps
             self._gaps.clear()
             expected = 0
             for record in self.records():
@@ -333,7 +333,7 @@ class RecordReader:
         """Write a copy of the recording and its models.
 
         Raises:
-            MissingModels: The models are missing.
+            MissingModels: The recording's models are missing.
             ReplayError: The recording isn't sound.
         """
         if cause := self.assets.missing(look=True):
@@ -345,14 +345,14 @@ class RecordReader:
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
-        """Return all ranges of missing steps, also after the last record and from before a repair."""
+        """Return all ranges of missing steps, including those after the last record and before a repair."""
         gaps = self.lost()
         after = self._lost - sum(map(len, gaps))
         gaps += [range(self._steps, self._steps + after)] if after > 0 else []
         return list(dict.fromkeys([*gaps, *self.lost_before]))
 
     def refresh(self) -> bool:
-        """Read the new records of a growing file, and return whether there were new records."""
+        """Read the new records of a growing file; return whether there were any."""
         if not self._chunks.grow():
             return False
         self.__dict__.pop("lifetimes", None)
@@ -370,7 +370,7 @@ class RecordReader:
 
 
 def open_file(path: Path) -> BinaryIO:
-    """Open an MCAP file. A few of its first bytes may be damaged.
+    """Open an MCAP file. A few of the file's first bytes may be damaged.
 
     Raises:
         NotALog: The file doesn't exist, or isn't an MCAP file.
@@ -400,7 +400,7 @@ def _check_start(path: Path, file: BinaryIO) -> None:
 
 
 def check_ours(path: Path, index: Index) -> None:
-    """Raise an error if a file has no channel of a recording.
+    """Raise an error if none of a file's channels belongs to a recording.
 
     Raises:
         NotALog: The file belongs to another program.
@@ -421,12 +421,12 @@ def check_ours(path: Path, index: Index) -> None:
 
 
 def is_locked(file: BinaryIO) -> bool:
-    """Return whether a recorder holds the lock of the file."""
+    """Return whether a recorder holds a lock of the file."""
     try:
         system.lock(file.fileno(), shared=True)
     except BlockingIOError:
         return True
-    except OSError:  # the system or the file system has no locks
+    except OSError:  # the system or the file system doesn't support locks
         return False
     system.unlock(file.fileno())
     return False
@@ -438,7 +438,7 @@ class Newer:
 
     release: str  # version of the release
     format: int  # format number (:mod:`recorder.records`)
-    fields: tuple[str, ...]  # unknown fields and enum values of known messages, such as ``Mutation.force``
+    fields: tuple[str, ...]  # unknown fields and enum values in known messages, such as ``Mutation.force``
     kinds: tuple[str, ...]  # unknown kinds of records
 
     def __str__(self) -> str:
@@ -482,7 +482,7 @@ def newer_of(index: Index) -> Newer | None:
 
 
 def _is_later(release: str) -> bool:
-    """Return whether a release is known to be later than this release."""
+    """Return whether a release is known to be later than this one."""
     other = _RELEASE.match(release)
     if other is None or _numbers(other) <= _FIRST:
         return False

@@ -25,22 +25,22 @@ from replay.file.index import Index
 from replay.file.mcap_format import CHUNK_DAMAGE, decode, describe, framed
 
 _METADATA: Final = "pycram.repair"
-_MESSAGE: Final = struct.Struct("<HIQQ")  # fields: channel, sequence, log time, publish time
-_MOST_MESSAGES: Final = 10_000  # chunks of the copy have at most this many messages
+_MESSAGE: Final = struct.Struct("<HIQQ")  # fields of a message: channel, sequence, log time, publish time
+_MOST_MESSAGES: Final = 10_000  # maximum number of messages in a chunk of the copy
 _RANGES: Final = re.compile(r"\d{1,18}(-\d{1,18})?(, \d{1,18}(-\d{1,18})?)*")
-_MAX_TEXT: Final = 1 << 16  # the list of lost steps has at most this many characters
+_MAX_TEXT: Final = 1 << 16  # maximum number of characters of the list of lost steps
 
 
 @dataclass(frozen=True, slots=True)
 class Losses:
     """The losses of a repaired copy."""
 
-    problems: str  # problems of the original in words
+    problems: str  # problems of the original, as text
     steps: tuple[range, ...]  # known ranges of lost steps
     records: int  # number of kept records
-    chunks: Mapping[int, str]  # causes of damage of lost chunks by number in the original
+    chunks: Mapping[int, str]  # why chunks are lost, by their number in the original
     messages: int  # number of unreadable messages in other chunks
-    files: Mapping[str, str]  # causes of damage of lost attached files by name
+    files: Mapping[str, str]  # why attached files are lost, by name
 
 
 def write_sound(
@@ -48,7 +48,7 @@ def write_sound(
 ) -> Losses:
     """Write a sound copy of the readable part into an empty file, with shared models.
 
-    The copy lists the problems and missing steps of the original. If the problems are None, the recording is only
+    The copy lists the problems and missing steps of the original. If ``problems`` is None, the recording is only
     packed.
     """
     from recorder.packages import versions  # noqa: PLC0415
@@ -65,7 +65,7 @@ def write_sound(
     for name in assets:
         try:
             kept = assets.attachment(name)
-        except Damaged:  # assets.damaged notes the damage
+        except Damaged:  # assets.damaged contains the damage
             continue
         writer.add_attachment(kept.log_time, name, kept.media_type, kept.data)
     kinds = kinds_of(index)
@@ -92,7 +92,7 @@ def write_sound(
 
 
 def _define(writer: McapWriter, index: Index) -> dict[int, int]:
-    """Define the channels with known message types, and return their new ids by old id."""
+    """Define the channels whose message types are known; return their new ids by their old ids."""
     schemas: dict[str, int] = {}
     ids = {}
     for number, channel in index.channels.items():
@@ -125,7 +125,7 @@ def _is_sound(message: tuple[int, int, int, bytes], kinds: Mapping[int, type[Rec
 
 
 def lost_before(index: Index) -> tuple[range, ...]:
-    """Return the ranges of steps that a recording lost before it was repaired."""
+    """Return the ranges of steps that a recording had lost before it was repaired."""
     text = index.metadata.get(_METADATA, {}).get("lost", "")[:_MAX_TEXT]
     if not text.isascii() or not _RANGES.fullmatch(text):
         return ()
@@ -134,5 +134,5 @@ def lost_before(index: Index) -> tuple[range, ...]:
 
 
 def range_text(steps: range) -> str:
-    """Return steps in words, such as "3-7"."""
+    """Return a text for steps, such as "3-7"."""
     return str(steps.start) if len(steps) == 1 else f"{steps.start}-{steps.stop - 1}"

@@ -1,7 +1,7 @@
 """Find the last change of a body or a joint, with its tasks and lines of the plan.
 
-A carried body moves with its carrier. Then the change is a record of the carrier, and the record of the attachment is
-returned, too.
+A carried body moves with its carrier. In this case the change is a record of the carrier, and the record of the
+attachment is also returned.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from recorder.geometry import Pose
     from replay.file.record_reader import RecordReader
 
-#: An object with smaller changes in simulation settles: m or rad for positions, rad for turns.
+#: Changes in simulation (m or rad for positions, rad for turns) below which an object only settles.
 SETTLING: Final = 5e-3, math.radians(5)
-#: Smaller changes (m, rad) are rounding: an object in a resting hand moves so little when the head turns.
+#: Changes (m, rad) that count as rounding: an object in a resting hand moves that little when the head turns.
 _ROUNDING: Final = 1e-6, 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Carried:
-    """An attachment that moved a body."""
+    """An attachment through which a body was moved."""
 
     held: Attachment  # the attachment before the move
     step: int | None  # step of the record that attached the body; None if the recording began later
@@ -42,22 +42,23 @@ class Blame:
     """The last change of a body or joint."""
 
     world: str
-    other_worlds: tuple[str, ...]  # other open worlds with a body of this name
-    default_world: str  # world that was opened last, if the body is in another world; otherwise ""
+    other_worlds: tuple[str, ...]  # other open worlds that have a body with this name
+    default_world: str  # the world that was opened last, if the body is in another world; otherwise ""
     body: str
     joint: str  # name of the joint; "" for the body's pose
     #: How the body changed: "command" (on this body), "load", "carried" (by a holder), "along" (with the body below or
-    #: around), "hand" (dragged in the window), "driven" (on a trajectory), "physics", "reset", "restored" (a saved
-    #: state), "removed", or "before" (before the recording)
+    #: around it), "hand" (dragged in the window), "driven" (on a trajectory), "physics", "reset", "restored" (a saved
+    #: state), "removed", or "before" (the recording began)
     how: str
-    before: Pose | float | None  # value before the change; None without a body
-    after: Pose | float | None  # value after the change; None without a body
-    distance: float  # size of the move in m, or of a revolute joint in rad
-    angle: float  # angle of the turn in rad; 0 for joints
-    record: Mutation | Keyframe  # the record of the change; a keyframe if the recording contains no change
-    causes: CausingTasks  # causes of the record
-    carried: tuple[Carried, ...]  # attachments from the body to the commanded body, the attachment of the body first
-    #: The previous change before a removal, or before a change in simulation. Objects that settle don't count.
+    before: Pose | float | None  # value before the change; None if the body didn't exist
+    after: Pose | float | None  # value after the change; None if the body no longer exists
+    distance: float  # length of the motion in m, or angle of a revolute joint in rad
+    angle: float  # angle of the body's turn in rad; 0 for joints
+    record: Mutation | Keyframe  # the record of the change; a keyframe if no change is on record
+    causes: CausingTasks  # causes of that record
+    carried: tuple[Carried, ...]  # attachments from the body up to the commanded body, that of the body first
+    #: The previous change before a removal, or before a change in simulation. Changes of objects that only settle don't
+    #: count.
     earlier: Blame | None = None
 
     def __repr__(self) -> str:
@@ -71,12 +72,12 @@ class Blame:
 def blame(log: RecordReader, target: str, at: int | None = None, world: str | None = None) -> Blame:
     """Return the last change of a body or a joint (``BODY.JOINT``) up to a step.
 
-    The default step is the last step before worlds were closed. The default world is the last opened world with the
-    body.
+    By default, the step is the last one before worlds were closed. By default, the world is the last opened world with
+    the body.
 
     Raises:
         NoSuchStep: There is no such step.
-        NoSuchName: The body or joint didn't exist up to the step.
+        NoSuchName: The body or joint doesn't exist at the step or before.
     """
     step = log.final_step() if at is None else at
     state = state_at(log, step)
@@ -109,14 +110,14 @@ def _default_world(state: State, world: str, requested: str | None) -> str:
 
 
 def _removal(log: RecordReader, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
-    """Return the record that removed a body, or the body of a joint, from an open world.
+    """Return the record by which a body, or a joint's body, was removed from an open world.
 
     Raises:
-        NoSuchName: There is no such record. The error has a hint if a closed world had the body.
+        NoSuchName: There is no such record. If a closed world had the body, the error contains a hint.
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
-    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # without open worlds, the error has a hint
+    some_closed = bool(opened) and len(log.lifetimes) > len(opened)  # if no world is open, the error contains a hint
     removals: list[Mutation] = []
     closed: NoSuchName | None = None
     for body in _possible_bodies(target) if candidates or some_closed else ():
@@ -137,7 +138,7 @@ def _removal(log: RecordReader, state: State, target: str, world: str | None, er
 
 
 def _possible_bodies(target: str) -> list[str]:
-    """Return the possible names of the body, longest first. Names may contain dots."""
+    """Return the possible names of the body, longest first. The names of bodies may contain dots."""
     return [target, *(target[:at] for at in range(len(target) - 1, 0, -1) if target[at] == ".")]
 
 
@@ -164,14 +165,14 @@ class _Subject(NamedTuple):
 
 
 class _Search:
-    """A backward search through the changes of a world."""
+    """A search backwards through the changes of a world."""
 
     def __init__(self, log: RecordReader, subject: _Subject) -> None:
         self._log, self._subject = log, subject
         self._world, self._body, self._joint = subject.world, subject.body, subject.joint
 
     def run(self, step: int) -> Blame:
-        """Return the last change. A change by physics has the previous change."""
+        """Return the last change. The result for a change by physics also contains the previous change."""
         records = self._changes(step)
         for last in records:
             change = self._explained(last)
@@ -183,7 +184,7 @@ class _Search:
         raise Damaged(self._log.path, f"the last change of {self._body}", "its record was lost")
 
     def _before(self, last: Mutation | Keyframe, older: Iterator[Mutation | Keyframe]) -> Mutation | Keyframe:
-        """Return the last earlier record with more change than a settling object. No state is folded."""
+        """Return the last earlier record whose change is larger than that of a settling object. No state is folded."""
         newer: dict[str, Mutation | Keyframe] = {}
         values: dict[str, Sequence[float]] = {}
         record = last
@@ -205,7 +206,7 @@ class _Search:
         return math.dist(before, after) >= limits[0]
 
     def _parts(self, record: Mutation | Keyframe) -> dict[str, Sequence[float]]:
-        """Return the values of the body in a record: position and orientation, or the value of the joint."""
+        """Return the body's values in a record: position and orientation, or the position of a joint."""
         states = record.effect.bodies if isinstance(record, Mutation) else record.bodies
         state = next((state for state in states if state.body == self._body), None)
         if state is None:
@@ -217,17 +218,17 @@ class _Search:
         return {part: list(values) for part, values in pose.items() if values}
 
     def _changes(self, step: int) -> Iterator[Mutation | Keyframe]:
-        """Yield the records that changed the body, from the last record back to the loading or the first keyframe."""
+        """Yield the records that changed the body, from the last one back to its loading or to the first keyframe."""
         lifetime = self._log.lifetime_at(self._world, step)
         if lifetime is None:
             return
         start = lifetime.start
         for record in self._log.backwards(step, Mutation, naming=self._body):
-            if not lifetime.has(record.seq):  # earlier records are about another world
+            if not lifetime.has(record.seq):  # earlier records belong to another world
                 break
             if record.world != self._world:
                 continue
-            if self._body in record.effect.removed:  # the body's next loading is lost
+            if self._body in record.effect.removed:  # the record of the body's next loading is lost
                 start = record.seq
                 break
             if self._is_loading(record):
@@ -282,7 +283,7 @@ def is_physics(record: Mutation | Keyframe) -> bool:
 
 
 def commanded(record: Mutation | Keyframe) -> str:
-    """Return the body of a record's command; "" if the command has no body."""
+    """Return the body of a record's command; "" if it has none."""
     command = record.WhichOneof("command") if isinstance(record, Mutation) else None
     return str(getattr(getattr(record, command), "body", "")) if command else ""
 
@@ -303,9 +304,9 @@ def _in_simulation(record: Mutation, world: World, body: str, joint: str) -> str
 
 
 def _how(record: Mutation, world: World, body: str, joint: str) -> tuple[str, list[Attachment]]:
-    """Return how a command moved a body or joint, and the attachments that carried the body.
+    """Return how a command moved a body or joint, and by which attachments.
 
-    ``world`` is the state before.
+    ``world`` is the world's state before the command.
     """
     if is_physics(record):
         return _in_simulation(record, world, body, joint), []

@@ -1,7 +1,7 @@
-"""Which lines of a plan may have made the values of a line, by the source alone.
+"""The lines of a plan that may have made the values of a line, found in the source alone.
 
-Names are followed to their assignments, calls to the returns of the plan's functions, attributes and containers to the
-lines that store in them. Nothing is run.
+Names are followed to their assignments, calls to the return statements of the plan's functions, attributes and
+containers to the lines that store values in them. Nothing is run.
 """
 
 from __future__ import annotations
@@ -16,31 +16,31 @@ from recorder.plan_lines import syntax_nodes
 
 _FUNCTIONS: Final = (ast.FunctionDef, ast.AsyncFunctionDef)
 _CHANGING: Final = ("add", "append", "clear", "extend", "insert", "pop", "popleft", "remove", "set_value", "update")
-_STEP: Final = 0.75  # rank of a line after the line that it flows into
-_PASSED: Final = 2.0  # added to the rank of a line without numbers of its own
-_LOADING: Final = 3.0  # added to the rank of a line that loads an object
-_BEFORE: Final = 2  # largest number of statements before a line that counts
-_LAST: Final = 100.0  # added to the rank of the line that failed
-_MOST: Final = 100  # largest number of lines that are followed
-_TRIVIAL: Final = (0, 1)  # numbers that nobody mistypes
+_STEP: Final = 0.75  # increase of the rank from a line to a line whose values flow into it
+_PASSED: Final = 2.0  # increase of the rank of a line without numbers of its own
+_LOADING: Final = 3.0  # increase of the rank of a line that loads an object
+_BEFORE: Final = 2  # maximum number of statements before a line that are considered
+_LAST: Final = 100.0  # increase of the rank of the line that failed
+_MOST: Final = 100  # maximum number of lines that are followed
+_TRIVIAL: Final = (0, 1)  # numbers that are hardly ever mistyped
 
 
 class Flow:
     """The flow of values between the statements of a file."""
 
     def __init__(self, text: str) -> None:
-        self._statements: list[tuple[ast.stmt, str]] = []  # with the name of their function; outer statements first
-        self._made: dict[tuple[str, str], set[int]] = defaultdict(set)  # lines by function and name
+        self._statements: list[tuple[ast.stmt, str]] = []  # statements by function; outer ones first
+        self._made: dict[tuple[str, str], set[int]] = defaultdict(set)  # lines that set a name, by function and name
         self._returns: dict[str, set[int]] = defaultdict(set)
-        self._conditions: dict[int, set[int]] = defaultdict(set)  # the lines of conditions, by the line of a statement
-        self._before: dict[int, list[int]] = {}  # the lines of the statements just before, by the line of a statement
+        self._conditions: dict[int, set[int]] = defaultdict(set)  # lines of conditions, by line of statement
+        self._before: dict[int, list[int]] = {}  # for each statement's line, the lines of the statements just before it
         for node in syntax_nodes(text)[:1]:
             self._visit(node, "", ())
 
     def _visit(self, node: ast.AST, function: str, conditions: tuple[int, ...]) -> None:
         if isinstance(node, _FUNCTIONS):
             function = node.name
-            # callers make the parameters
+            # the calls of a function make the values of its parameters
             self._made |= {(function, each.arg): set() for each in ast.walk(node.args) if isinstance(each, ast.arg)}
             for given in (*node.args.defaults, *filter(None, node.args.kw_defaults)):
                 self._returns[function].add(given.lineno)
@@ -61,7 +61,7 @@ class Flow:
             self._visit(each, function, conditions)
 
     def lines(self, starts: Mapping[int, float], failed: int = 0) -> list[int]:
-        """Return the lines whose values flow into some lines, the likeliest first.
+        """Return the lines whose values flow into some lines, the most probable first.
 
         Args:
             starts: lines with their ranks.
@@ -98,14 +98,14 @@ class Flow:
 
 
 def _own(statement: ast.stmt) -> Iterator[ast.AST]:
-    """Yield the nodes of a statement without the statements in it."""
+    """Yield the nodes of a statement, but not the statements in it."""
     for each in ast.iter_child_nodes(statement):
         if not isinstance(each, ast.stmt):
             yield from (node for node in ast.walk(each) if not isinstance(node, ast.stmt))
 
 
 def _weight(statement: ast.stmt) -> float:
-    """Return how unlikely the mistake is in a statement: it only passes values on, or loads an object."""
+    """Return how improbable a mistake in a statement is: it only passes values on, or loads an object."""
     constants = [node.value for node in _own(statement) if isinstance(node, ast.Constant)]
     numbers = [each for each in constants if isinstance(each, int | float)]
     computes = any(isinstance(node, ast.BinOp | ast.Compare) for node in _own(statement))
@@ -115,7 +115,7 @@ def _weight(statement: ast.stmt) -> float:
 
 
 def _stored(statement: ast.stmt) -> Iterator[str]:
-    """Yield the names that a statement makes or changes; ``.x`` is an attribute, ``x[]`` the items of x."""
+    """Yield the names that a statement makes or changes; ``.x`` stands for an attribute, ``x[]`` for the items of x."""
     for node in _own(statement):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _CHANGING:
             yield f"{_named(node.func.value)}[]"

@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 class Line:
     """A line of the plan."""
 
-    file: str  # path when the plan ran
+    file: str  # path of the file when the plan ran
     number: int  # from 1
-    function: str = ""  # name of the function; "" without an attached source
-    text: str = ""  # text of the line; "" without an attached source
+    function: str = ""  # name of the function; "" if the source isn't attached
+    text: str = ""  # text of the line; "" if the source isn't attached
 
     def __str__(self) -> str:
         return notebook.place(name_of(self.file), self.number)
 
 
 class PlanSource:
-    """The attached source files of a recording, without files with ambiguous names."""
+    """The attached source files of a recording; files with ambiguous names are left out."""
 
     def __init__(self, log: RecordReader) -> None:
         self._assets = log.assets
@@ -41,7 +41,7 @@ class PlanSource:
         self._texts: dict[str, str] = {}
 
     def line(self, file: str, number: int) -> Line | None:
-        """Return the line with a number of a file; None for number 0. ``file`` is the path when the plan ran."""
+        """Return the line of a file with a number; None for number 0. ``file`` is the file's path when the plan ran."""
         if not file or number < 1:
             return None
         text = self.text(file)
@@ -53,7 +53,7 @@ class PlanSource:
         return Line(file, number, names[-1] if names else "<module>", lines[number - 1].strip())
 
     def call_stack(self, record: Record) -> tuple[Line, ...]:
-        """Return the plan's lines that led to a record, outermost first; no lines if they are unknown."""
+        """Return the plan's lines that led to a record, outermost first; () if unknown."""
         if isinstance(record, Run | Keyframe | Envelope):
             return ()
         line = self.line(record.source_file, record.source_line)
@@ -77,7 +77,7 @@ class PlanSource:
 
     @property
     def files(self) -> dict[str, str]:
-        """The names of attachments by the names of files."""
+        """Names of attachments, by names of files."""
         return dict(self._keys)
 
     def has(self, file: str) -> bool:
@@ -86,12 +86,12 @@ class PlanSource:
 
 
 def name_of(path: str) -> str:
-    """Return the last part of a path of any operating system."""
+    """Return the last part of a path, for any operating system."""
     return PurePosixPath(path.replace("\\", "/")).name
 
 
 def is_file(path: str, name: str) -> bool:
-    """Return whether a path ends with a name, which may contain folders."""
+    """Return whether a path ends with a name; the name may contain folders."""
     searched = PurePosixPath(name.replace("\\", "/")).parts
     return bool(searched) and PurePosixPath(path.replace("\\", "/")).parts[-len(searched) :] == searched
 
@@ -102,14 +102,14 @@ _NEXT: Final = re.compile(
 )
 _START: Final = re.compile(r"^\s*(?:\+ )?(?:Exception Group )?Traceback \(most recent call last\):\s*$")
 _TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<message>.*))?$", re.DOTALL)
-#: The folder of PyCRAM, from the modules that plans call.
+#: The folder of PyCRAM, found from the modules that plans call.
 _ROOT: Final = re.compile(
     r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
     r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
     r"|recorder[/\\]span|pycram[/\\](?:process_module|designator|blocks|fluent|objects|bullet_world"
     r"|bullet_world_reasoning|funnel))\.py$"  # names of these modules in release 0.1.0
 )
-#: Files that aren't part of a plan.
+#: Files that don't belong to a plan.
 _FOREIGN: Final = re.compile(r"^<|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]")
 
 
@@ -124,7 +124,7 @@ class ParsedException:
 
 
 def parse_traceback(traceback: str, source: PlanSource) -> list[ParsedException]:
-    """Return the exceptions in a traceback, causes first."""
+    """Return the exceptions in a traceback, the causes first."""
     frames = [frame for text in traceback.splitlines() if (frame := _FRAME.match(text))]
     roots = tuple({root["root"] for frame in frames if (root := _ROOT.match(frame["file"]))})
     parts = (part.strip("\n") for part in _NEXT.split(traceback))

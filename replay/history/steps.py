@@ -21,8 +21,8 @@ def step_of(log: RecordReader, name: int | str) -> int:
     """Return the number of a step.
 
     A name is a number, ``last``, ``failure`` (the step that ``why`` explains), a simulated time such as ``12.5s``, or a
-    task (:func:`task_step`). Negative numbers count from the end. A time is the last step before the first world passes
-    that time.
+    task (:func:`task_step`). Negative numbers count from the end. A time means the last step before the first world has
+    passed it.
 
     Raises:
         NoSuchStep: There is no such step.
@@ -65,9 +65,9 @@ def moment_of(name: int | str) -> float | None:
 def task_step(log: RecordReader, text: str) -> int:
     """Return the step of ``task:PATH@start`` or ``task:PATH@end``: the start or the end of a task.
 
-    A path is the id of the task, or names of outer tasks and the task, such as ``par/moving``. Outer names are
+    PATH is the id of the task, or names of outer tasks and the task, such as ``par/moving``. Names of outer tasks are
     optional. If several tasks match, ``task:pick-up#2@end`` is the end of the second task, and ``#-1`` means the last
-    task. The default is the first task.
+    task. By default, the first matching task is used.
 
     Raises:
         NoSuchStep: There is no such task, or the task hasn't ended.
@@ -90,7 +90,7 @@ def task_step(log: RecordReader, text: str) -> int:
 
 
 def _executions(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
-    """Return the start and end of at most ``number`` tasks that match a path."""
+    """Return the start and end steps of the first ``number`` tasks that match a path."""
     searched = tuple(path.strip("/").casefold().split("/"))
     paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by id of the running task
     executions: list[list[int | None]] = []
@@ -121,7 +121,7 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
         end = log.end_of(lifetime)
         if end is not None and end.sim_step > limit:
             return max(0, _passing(log, lifetime, limit) - 1)
-        # the last step with the open world, because a closed world is empty
+        # the last step at which the world is open, because a closed world is empty
         if end is not None and end.sim_step == limit:
             return end.seq - 1 if closes_world(end) else (lifetime.stop or len(log)) - 1
         ends[lifetime.title] = end.sim_step / STEPS_PER_SECOND if end is not None else 0.0
@@ -132,7 +132,7 @@ def _at_time(log: RecordReader, seconds: float, text: str) -> int:
 
 
 def _passing(log: RecordReader, lifetime: Lifetime, limit: float) -> int:
-    """Return the first step at which the clock of a world is past a limit."""
+    """Return the first step at which the clock of a world has passed a time."""
 
     def passes(at: int) -> int | None:
         for record in log.records_of(lifetime, (Mutation, Keyframe), [lifetime.changes[at]]):
@@ -140,6 +140,6 @@ def _passing(log: RecordReader, lifetime: Lifetime, limit: float) -> int:
                 return record.seq
         return None
 
-    # the clock never decreases, so a binary search finds the first chunk past the limit
+    # the clock never goes back, so a binary search finds the first chunk after that time
     first = bisect_left(range(len(lifetime.changes) - 1), True, key=lambda at: passes(at) is not None)
     return passes(first) or 0

@@ -12,7 +12,7 @@ from replay.errors import Unreadable
 from replay.file.record_reader import RecordReader
 from replay.history.tasks import INTERRUPT, failed_threads
 
-#: Recordings up to this size in bytes are read completely. Only both ends of larger recordings are read.
+#: Size in bytes up to which a recording is read completely. Of larger recordings, only both ends are read.
 MAX_CHECKED: Final = 16 << 20
 
 
@@ -33,16 +33,16 @@ class Summary:
     started: datetime  # wall-clock time of the first record, UTC
     seconds: float  # time from the first to the last record, s
     worlds: tuple[WorldTime, ...]  # the worlds in the order of their opening
-    outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" for a damaged end
+    outcome: str  # "succeeded", "failed", "interrupted", "running", "cut off", or "lost" if the end is damaged
     failure: str  # failure of the plan, such as "Type: message"; "" without a failure
-    #: Names and failures of the plan's threads that failed while the plan continued.
+    #: Names and failures of threads of the plan that failed while the plan continued.
     threads: tuple[tuple[str, str], ...]
     records: int  # number of steps
     counts: Mapping[str, int]  # number of records of each kind
     attachments: int
     size: int  # size of the file in bytes
-    problems: str  # missing or damaged parts in words; "" without such parts
-    checked: bool  # whether every part was read
+    problems: str  # missing or damaged parts, as text; "" if there are none
+    checked: bool  # whether the whole file was read
     metadata: Mapping[str, str]  # metadata of the run
     start: Run | None  # the first record, with the plan's arguments; None if the record is lost
 
@@ -60,8 +60,8 @@ def summary(log: RecordReader) -> Summary:
     unfinished = "running" if log.live else "lost" if is_lost else "cut off"
     failed = "interrupted" if end is not None and end.failure.type == INTERRUPT else "failed"
     outcome = unfinished if end is None else "succeeded" if end.succeeded else failed
-    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # correct even if the wall clock jumped
-    if not last.monotonic_ns:  # old recordings lack the steady clock
+    elapsed_ns = last.monotonic_ns - first.monotonic_ns  # this is correct even if the wall clock jumped
+    if not last.monotonic_ns:  # old recordings lack this steady clock
         elapsed_ns = last.wall_time_ns - first.wall_time_ns
     ends = [(lifetime, log.end_of(lifetime)) for lifetime in log.lifetimes]
     steps = [(lifetime, end.sim_step if end is not None else 0) for lifetime, end in ends]

@@ -2,7 +2,8 @@
 
 The root cause is the failure that explains the end of a plan: the task that raised the plan's exception or its nearest
 cause, or else the plan's own code; the point of an interrupt; or the exception of a failed thread. If the plan
-succeeded, it is the last failure without a recovery, or else the last failure. To limit memory, only some tasks are
+succeeded, the root cause is the last failure without a recovery, or else the last failure. To limit memory, only some
+tasks are
 kept: failures, motions, and the last task of each kind and name.
 """
 
@@ -29,18 +30,18 @@ _MAX_KEPT: Final = 5_000  # largest number of failures or motions; each takes ab
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Failed, unfinished and successful tasks, without successful parts of other tasks."""
+    """Failed, unfinished and successful tasks; successful parts of other tasks are left out."""
 
-    origins: tuple[Node, ...]  # last tasks in which failures began, in the order of their ends
+    origins: tuple[Node, ...]  # the last tasks in which failures began, in the order of their ends
     running: tuple[Node, ...]  # unfinished tasks, in the order of their starts
     successes: Mapping[tuple[str, str], Node]  # the last successful task of each kind and name
     motions: tuple[Node, ...] = ()  # the last finished motions, in the order of their ends
-    forgotten: int = 0  # number of dropped origins
-    first_motion: int | None = None  # step at which the first motion began; None without a motion
+    forgotten: int = 0  # number of failures that were dropped
+    first_motion: int | None = None  # step at which the first motion began; None if there was none
 
     @property
     def last_success(self) -> Node | None:
-        """The last successful motion, or without motions the last successful task."""
+        """The last successful motion; if there is none, the last successful task."""
         motions = [task for (kind, _), task in self.successes.items() if kind == "motion"]
         return max(motions or self.successes.values(), key=lambda task: task.last_step, default=None)
 
@@ -75,7 +76,7 @@ def failures(log: RecordReader, stop: int | None = None) -> Failures:
 
 
 def _keep(origins: deque[Node], task: Node) -> int:
-    """Add a task in which a failure began, and return the number of dropped tasks."""
+    """Add a task in which a failure began; return the number of tasks that were dropped."""
     origins.append(task)
     if len(origins) <= _MAX_KEPT:
         return 0
@@ -96,17 +97,17 @@ def failed_threads(log: RecordReader) -> tuple[Run, ...]:
 class RootCause:
     """The root cause of a failure."""
 
-    #: The step of the task's end. If the plan's own code failed, it is the last step before worlds were closed, or the
-    #: end of the thread.
+    #: The step of the task's end. If the plan's own code failed, the step is the last one before worlds were closed, or
+    #: the end of the thread.
     step: int
     task: Node | None  # the task in which the failure began; None for the plan's own code
-    failure: Failure | None = None  # failure of the plan or a thread; None if both succeeded
+    failure: Failure | None = None  # failure of the plan or of a thread; None if both succeeded
     thread: str = ""  # name of the failed thread; "" if the plan failed
-    exceptions: tuple[ParsedException, ...] = ()  # exceptions from the task to the plan's failure, causes first
+    exceptions: tuple[ParsedException, ...] = ()  # exceptions from the task's to the plan's, the causes first
 
 
 def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause | None:
-    """Return the root cause; None without failures."""
+    """Return the root cause; None if there are no failures."""
     failed = failed if failed is not None else failures(log)
     end = uncaught_failure(log)
     if end is None:
@@ -116,10 +117,10 @@ def root_cause(log: RecordReader, failed: Failures | None = None) -> RootCause |
     from replay.history.source import ParsedException, PlanSource, parse_traceback  # noqa: PLC0415  slow to import
 
     parsed = parse_traceback(end.failure.traceback, PlanSource(log))
-    last = parsed.pop() if parsed else ParsedException("", "", ())  # the record has the failure's message
+    last = parsed.pop() if parsed else ParsedException("", "", ())  # the record contains the failure's message
     exceptions = (*parsed, ParsedException(end.failure.type, end.failure.message, last.lines, last.own))
-    earlier = [task for task in failed.origins if task.last_step < end.seq]  # later failures may have the same error
-    if end.failure.type == INTERRUPT:  # earlier failures didn't end the plan
+    earlier = [task for task in failed.origins if task.last_step < end.seq]  # later tasks may fail with the same error
+    if end.failure.type == INTERRUPT:  # failures of earlier tasks didn't end the plan
         exceptions = exceptions[-1:]
         earlier = [task for task in earlier if task.error is not None and task.error[0] == INTERRUPT]
     origin = _origin(earlier, exceptions)
@@ -140,8 +141,8 @@ def uncaught_failure(log: RecordReader) -> Run | None:
 def _origin(origins: Sequence[Node], exceptions: Sequence[ParsedException]) -> tuple[Node, int] | None:
     """Return the task that raised the failure or its nearest cause, and the index of the exception.
 
-    Earlier exceptions were handled, even if Python's traceback contains them. If several tasks of a block failed,
-    return the task whose error became the error of the block.
+    The plan has handled earlier exceptions, even if Python's traceback contains them. If several tasks of a block
+    failed, return the task whose error became the error of the block.
     """
     for number in range(len(exceptions) - 1, -1, -1):
         error = exceptions[number].type, exceptions[number].message
@@ -170,7 +171,7 @@ class CausingTasks:
 
 
 def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
-    """Return the tasks around a record. The record of a task is inside the task."""
+    """Return the tasks around a record. The record of a task counts as inside the task."""
     from replay.history.source import PlanSource  # noqa: PLC0415  as above
 
     source = PlanSource(log)
@@ -197,8 +198,8 @@ def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterato
 
 
 def tree(log: RecordReader, stop: int | None = None) -> Tree:
-    """Return the task tree of a recording, by default at the end. Tasks that are nested too deep raise Damaged."""
-    from replay.state.integrity import TaskDepths  # noqa: PLC0415  a summary needs no tree
+    """Return the task tree of a recording, by default at the end. If tasks are nested too deep, Damaged is raised."""
+    from replay.state.integrity import TaskDepths  # noqa: PLC0415  a summary doesn't need the tree
 
     folded = Tree()
     depths = TaskDepths()
@@ -210,7 +211,7 @@ def tree(log: RecordReader, stop: int | None = None) -> Tree:
                 raise Damaged(log.path, f"step {record.seq}", too_deep)
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
-        cause = root_cause(log)  # the plan's failure explains more than failures of tasks
+        cause = root_cause(log)  # the plan's failure explains more than a task's failure
         folded.began = cause.task.id if cause is not None and cause.task is not None else 0
     failed = folded.failure_path()
     if failed:

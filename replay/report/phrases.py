@@ -32,9 +32,9 @@ from replay.state.state import Attachment, Sampled
 if TYPE_CHECKING:
     from replay.history.source import Line
 
-_WIDTH: Final = 100  # values have at most this many characters
-_MAX_NAMES: Final = 4  # at most this many names are listed
-_MAX_REASONS: Final = 3  # a line has at most this many reasons
+_WIDTH: Final = 100  # maximum number of characters of a value
+_MAX_NAMES: Final = 4  # maximum number of names in a list
+_MAX_REASONS: Final = 3  # maximum number of reasons in a line
 _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 
@@ -58,7 +58,7 @@ def value(recorded: Plain) -> str:
 
 
 def short(text: str) -> str:
-    """Return a text that is cut to the width of a line."""
+    """Return a text, cut to the width of a line."""
     return text if len(text) <= _WIDTH else text[: _WIDTH - 3] + "..."
 
 
@@ -74,7 +74,7 @@ def percent(share: float) -> str:
 
 
 def plural(count: int, what: str) -> str:
-    """Return a count with its noun."""
+    """Return a count with its noun in singular or plural."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
@@ -93,7 +93,7 @@ def number(amount: float) -> str:
 
 
 def apart(before: float, after: float) -> tuple[str, str]:
-    """Return two numbers with enough digits to distinguish them."""
+    """Return two numbers with enough digits to tell them apart."""
     if number(before) != number(after) or before == after:
         return number(before), number(after)
     texts = ((f"{before:.{digits}g}", f"{after:.{digits}g}") for digits in range(3, 17))
@@ -106,7 +106,7 @@ def vector(values: Sequence[float]) -> str:
 
 
 def vectors(before: Sequence[float], after: Sequence[float]) -> tuple[str, str]:
-    """Return two vectors with enough digits to distinguish them."""
+    """Return two vectors with enough digits to tell them apart."""
     pairs = [apart(a, b) for a, b in zip(before, after, strict=True)]
     return f"[{', '.join(a for a, _ in pairs)}]", f"[{', '.join(b for _, b in pairs)}]"
 
@@ -119,13 +119,13 @@ def length(metres: float) -> str:
 
 
 def degrees(angle: float) -> str:
-    """Return an angle (rad) in degrees."""
+    """Return an angle, given in rad, in degrees."""
     value = math.degrees(angle)
     return f"{value:.1f} degrees" if value >= 0.05 else f"{value:.1g} degrees"
 
 
 def turned(angle: float) -> str:
-    """Return a turn by an angle (rad)."""
+    """Return the text of a turn by an angle in rad."""
     return f"turned by {degrees(angle)}"
 
 
@@ -138,19 +138,19 @@ def seconds(duration_ns: int) -> str:
 
 
 def path(file: str) -> str:
-    """Return the path of a file. In the current folder, the path is relative."""
+    """Return the path of a file. A path in the current folder is relative."""
     with suppress(ValueError, OSError):
         return str(PurePath(file).relative_to(Path.cwd()))
     return file
 
 
 def place(line: Line) -> str:
-    """Return the place of a line of the plan: "file:line", or in a notebook "In [3], line 1"."""
+    """Return the place of a line of the plan: "file:line", or "In [3], line 1" in a notebook."""
     return notebook.place(path(line.file), line.number)
 
 
 def at(line: Line | None) -> str:
-    """Return ", at file:line" for the end of a clause; "" for an unknown line."""
+    """Return ", at file:line" for the end of a clause; "" if it is unknown."""
     return f", at {place(line)}" if line is not None else ""
 
 
@@ -161,7 +161,7 @@ def location(line: Line) -> str:
 
 
 def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield a call stack, innermost line first, without outer lines that another stack has printed."""
+    """Yield a call stack, innermost line first; outer lines that another stack has already printed are left out."""
     common = (takewhile(lambda pair: pair[0] == pair[1], zip(stack, earlier, strict=False)) for earlier in printed)
     shared = max((len(list(pairs)) for pairs in common), default=0)
     printed.append(stack)
@@ -180,11 +180,11 @@ def call(name: str, parameters: Mapping[str, Plain]) -> str:
 
 
 def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
-    """Return a task with its parameters, and its kind if the name doesn't imply it."""
+    """Return a task with its parameters; its kind is added if the name doesn't imply it."""
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":
-        from recorder.records.text import timeout_text  # noqa: PLC0415  few verbs need this module
+        from recorder.records.text import timeout_text  # noqa: PLC0415  imported here: few verbs need this module
 
         return timeout_text(name, parameters.get("clock"))
     called = name if kind == "process-module" else call(name, parameters)
@@ -197,12 +197,12 @@ def node(task_: Node) -> str:
 
 
 def error(task_: Node) -> str:
-    """Return the error of a task in a line, or the status of a task without an error."""
+    """Return the error of a task in one line; for a task without an error, its status."""
     return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
 
 
 def failure(failed: Failure) -> str:
-    """Return a failure in a line."""
+    """Return a failure in one line."""
     return one_line(format_failure(failed))
 
 
@@ -214,13 +214,13 @@ def refused(refusal: Refusal) -> str:
 def handler(started: Task) -> str:
     """Return the call of a handler, with the step of the event."""
     event = argument_values(started.parameters).get("event", "")
-    step = f" of step {started.cause}" if started.cause else ""  # the cause 0 is an event before the recording
+    step = f" of step {started.cause}" if started.cause else ""  # the cause 0 stands for an event before the recording
     return f"the handler {started.name} of event {event}{step}"
 
 
 # --- the world: changes, attachments, beliefs -------------------------------------------------------------------------
 
-#: Verbs for each kind of change (``how`` in :class:`replay.history.blame.Blame` and in causes of failures).
+#: Verbs for each kind of change (the field ``how`` of :class:`replay.history.blame.Blame`, and of causes of failures).
 _CHANGES: Final[Mapping[str, str]] = {
     "command": "was moved",
     "carried": "was carried",
@@ -239,7 +239,7 @@ _CHANGES: Final[Mapping[str, str]] = {
 
 
 def change(name: str, how: str, mover: str = "") -> str:
-    """Return the change of a body or joint. ``mover`` is the body that carried the body or moved it along."""
+    """Return the change of a body or joint. ``mover`` is the body that carried the changed body, or moved it along."""
     if how in ("gravity", "joints"):
         return "gravity was set" if how == "gravity" else f"joints of {name} moved"
     word = {"carried": "by", "along": "with"}.get(how) if mover else None
@@ -252,14 +252,14 @@ def carrier(held: Attachment) -> str:
 
 
 def learned(source: str, step: int) -> str:
-    """Return the source of a belief, such as "seen at step 40"."""
+    """Return the source of a belief as text, such as "seen at step 40"."""
     words = {"held": "in its hand since", "told": "read from the world's state at", "placed": "released there at"}
     word = words.get(source, f"{source} at")
     return f"{word} step {step}" if step >= 0 else f"{word.rpartition(' ')[0]} before the recording"
 
 
 def sampled(moment: Sampled, *, exact: bool = False) -> str:
-    """Return the time of a moment within a simulation, and how its state is known."""
+    """Return a moment within a simulation as text, and how its state is known."""
     stretch = f"step {moment.step} ({moment.world} simulated from {moment.start:.3f} s to {moment.end:.3f} s)"
     if exact:
         return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to that time"
@@ -272,7 +272,7 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
 
 
 def record_line(record: Record) -> str:
-    """Return a line for a record."""
+    """Return the line that describes a record."""
     if isinstance(record, Task) and record.phase == Task.STARTED:
         earlier = ", already running" if record.began_ns else ""
         return f"{record.kind} {call(record.name, argument_values(record.parameters))}{earlier}"
@@ -288,7 +288,7 @@ def record_line(record: Record) -> str:
 
 
 def question(query: Query) -> str:
-    """Return a query with its arguments."""
+    """Return a query with its arguments as text."""
     return call(query.name, argument_values(query.arguments))
 
 
@@ -310,7 +310,7 @@ def _answer(text: str) -> str:
 
 
 def reasons(query: Query) -> str:
-    """Return the evidence for an answer, and the reasons for rejected candidates."""
+    """Return the evidence for an answer as text, with the reasons for rejected candidates."""
     evidence = argument_values(query.evidence)
     found = []
     for key, item in evidence.items():
@@ -370,7 +370,7 @@ def _obstacles(bodies: Plain, _: _Evidence) -> str:
     known = [pair_text(pair) for pair in pairs if isinstance(pair, dict)]
     if len(known) == len(bodies):
         return names(known)
-    return f"the arm would touch {names(list(bodies))}"  # older recordings lack the links
+    return f"the arm would touch {names(list(bodies))}"  # older recordings lack these links
 
 
 def _links(links: Plain, _: _Evidence) -> str:
@@ -381,11 +381,11 @@ def _links(links: Plain, _: _Evidence) -> str:
 
 
 def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
-    """Return a phrase for an amount. ``text`` formats the product of the amount and the factor."""
+    """Return a phrase for an amount with a unit. ``text`` formats the amount after multiplication by the factor."""
     return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
 
 
-#: Phrases for parts of a query's evidence. Other values are printed with their names.
+#: Phrases for the parts of a query's evidence. Values without a phrase are printed with their names.
 _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
     "share": _share,
     "hidden_by": _hidden,
@@ -399,5 +399,5 @@ _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
         f"in {steps / STEPS_PER_SECOND:.2f} s of simulation" if isinstance(steps, int) else ""
     ),
 }
-#: Phrases of other parts include these parts of the evidence.
+#: Parts of the evidence that the phrases of other parts include.
 _INCLUDED: Final = frozenset({"hiding_links", "pixels_seen", "pixels_alone", "reached", "turn", "moved_after_steps"})

@@ -1,7 +1,8 @@
 """Questions for ``ask``: ``visible(milk, wide_stereo_optical_frame)``.
 
 A question is a call of a query with names, strings, numbers, lists and keyword arguments. Python parses the question,
-but never executes it. A name is an object, the robot or a frame. The text of a recorded query is also a question.
+but never executes it. A name is an object, the robot or a frame. The text of a recorded query can also be asked as a
+question.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from replay.errors import ReplayError
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """An identifier without quotes. Only the last part of a dotted name counts: ``BulletWorld.robot`` is the robot."""
+    """A name without quotes. Of a dotted name only the last part counts: ``BulletWorld.robot`` is the robot."""
 
     text: str
 
@@ -47,7 +48,7 @@ class QueryCall:
 
 
 class BadQuestion(ReplayError):
-    """A question is malformed, or the world of the step can't answer it."""
+    """A question has errors, or the world of the step can't answer it."""
 
     def __init__(self, question: str, cause: str) -> None:
         super().__init__(f"{question}: {cause}")
@@ -75,7 +76,7 @@ def _recorded(value: Plain) -> Term:
 def parse(text: str) -> QueryCall:
     """Parse a question such as ``visible(milk, [0.5, 0.6, 1.5], threshold=0.5)``; raise BadQuestion for other texts."""
     try:
-        with warnings.catch_warnings(action="ignore"):  # the parser warns about text that looks like mistaken code
+        with warnings.catch_warnings(action="ignore"):  # the parser warns about texts that look like mistakes in code
             call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cause = error.msg.partition(". ")[0] if isinstance(error, SyntaxError) else str(error)
@@ -100,7 +101,7 @@ def parse(text: str) -> QueryCall:
 
 
 class _NotATerm(Exception):
-    """An expression that a question can't contain."""
+    """A part of the question that isn't allowed."""
 
 
 def _term(node: ast.expr) -> Term:
@@ -130,12 +131,12 @@ def _identifier(node: ast.expr) -> str:
 
 
 def written(name: str) -> str:
-    """Return a name in the form of commands. Names that aren't identifiers have quotes as in Python."""
+    """Return a name in the form that commands accept. A name that isn't an identifier has quotes, as in Python."""
     return name if name.isidentifier() and not iskeyword(name) and name not in _LITERALS else repr(name)
 
 
 def unquoted(text: str) -> tuple[str, str]:
-    """Return the name in quotes at the start of a text, or "", and the remaining text."""
+    """Return the quoted name at the start of a text ("" if there is none), and the rest of the text."""
     found = _QUOTED.match(text)
     return ("", text) if found is None else (str(ast.literal_eval(found[0].strip())), text[found.end() :])
 

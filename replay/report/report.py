@@ -1,7 +1,7 @@
 """Render results as JSON data, and as sections of lines.
 
-Records, tasks, lines of the plan and dataclasses have the same form everywhere. A module registers a rule with
-:func:`data` for a class whose JSON keys differ from its fields. The keys are part of the verbs' interface.
+Records, tasks, lines of the plan and dataclasses have the same form in all results. A module registers a rule with
+:func:`data` for a class whose JSON keys differ from its fields. Users of verbs depend on these keys.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def data(value: object) -> object:
 
 
 def fields_data(value: object, **keys: str) -> dict[str, object]:
-    """Return the fields of a dataclass in order. ``keys`` are new names of fields."""
+    """Return the fields of a dataclass in order. ``keys`` contains new names of fields."""
     return {
         keys.get(each.name, each.name): data(getattr(value, each.name))
         for each in fields(value)  # type: ignore[arg-type]  # a dataclass
@@ -59,13 +59,13 @@ def _(line: Line) -> dict[str, object]:
 
 
 def call_stack(stack: Sequence[Line]) -> dict[str, object]:
-    """Return a call stack: the innermost line and the callers."""
+    """Return a call stack as data: the innermost line, and the callers."""
     lines = [data(line) for line in stack]
     return {"line": lines[-1] if lines else None, "callers": lines[:-1]}
 
 
 def section(title: str, body: Iterable[str]) -> Iterator[str]:
-    """Yield an empty line, a title and indented lines. Yield nothing without lines."""
+    """Yield an empty line, a title, and the indented lines. If there are no lines, yield nothing."""
     for number, line in enumerate(body):
         if not number:
             yield from ("", title)

@@ -1,7 +1,7 @@
-"""Fold records into states: each world is its last keyframe, changed by the effects up to a step.
+"""Fold records into states: each world is its last keyframe, changed by the effects of later records up to a step.
 
-Effects have the exact values of the engine. So states are exact, and the fold from the start equals the fold from each
-keyframe. No physics runs.
+Effects have the exact values of the engine. States are therefore exact, and a fold from the start gives the same state
+as a fold from any keyframe. No physics runs.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ CHANGES: Final = (Mutation, Keyframe, Query)
 
 
 def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
-    """Return the state after records. The first record of each world must be its opening or a keyframe.
+    """Return the state after some records. The first record of each world must be its opening or a keyframe.
 
-    The step of the state is at least the step of the last record.
+    The state's step is at least that of the last record.
     """
     worlds: dict[str, FoldedWorld] = {}
     for record in all_records:
@@ -38,8 +38,8 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
 def state_at(log: RecordReader, step: int, moment: float | None = None) -> State:
     """Return the state after a step of a recording.
 
-    If the next record is a simulation with the moment (simulated time in s), return the state of the last sample before
-    the moment.
+    If the next record is a simulation that contains the moment (simulated time in s), return the state of the last
+    sample before the moment.
 
     Raises:
         Damaged: A record is inconsistent.
@@ -47,7 +47,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
     worlds: dict[str, FoldedWorld] = {}
     first = step
     for lifetime in log.lifetimes:
-        if lifetime.has(step):  # the world is open, and its name isn't reused
+        if lifetime.has(step):  # the world is still open, and its name has not been used again
             first = min(first, _fold_lifetime(log, lifetime, step, worlds))
     lost = ", ".join(range_text(gap) for gap in log.lost() if first < gap.stop and gap.start <= step)
     uncertainty = f"the changes of steps {lost} are lost" if lost else ""
@@ -56,7 +56,7 @@ def state_at(log: RecordReader, step: int, moment: float | None = None) -> State
 
 
 def _apply_samples(log: RecordReader, step: int, worlds: dict[str, FoldedWorld], moment: float) -> Sampled | None:
-    """Bring a world to a moment within a simulation; return None if the record has no such moment."""
+    """Bring a world to a moment within a simulation; return None if the simulation doesn't contain the moment."""
     record = next(iter(log.records(Mutation, step, step + 1)), None)
     if record is None or not record.HasField("simulate") or record.world not in worlds:
         return None
@@ -73,7 +73,7 @@ def _apply_samples(log: RecordReader, step: int, worlds: dict[str, FoldedWorld],
 
 
 def _fold_lifetime(log: RecordReader, lifetime: Lifetime, step: int, worlds: dict[str, FoldedWorld]) -> int:
-    """Fold the records of a world from its last keyframe up to a step. Return the first read step."""
+    """Fold the records of a world from its last keyframe up to a step. Return the first step that was read."""
     end = log.chunk_of(step)
     base = _last_keyframe(log, lifetime, step)
     begin = lifetime.changes[0] if base is None else log.chunk_of(base.seq)
@@ -100,7 +100,7 @@ def _last_keyframe(log: RecordReader, lifetime: Lifetime, step: int) -> Keyframe
 
 
 def world_of(folded: FoldedWorld) -> World:
-    """Return the current state of a folded world."""
+    """Return the present state of a folded world."""
     bodies = {name: _body(body) for name, body in folded.bodies.items()}
     return World(
         folded.name,
@@ -133,7 +133,7 @@ def _body(body: FoldedBody) -> Body:
 
 
 def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
-    """Return a belief as data. The belief about a held object has the true pose."""
+    """Return a belief as data. A belief about a held object has the object's true pose."""
     body = bodies[belief.object]
     held = belief.source == Belief.HELD
     pose = body.pose if held else (vector(belief.position), quaternion(belief.orientation))
@@ -141,13 +141,13 @@ def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
-    """Return the last step up to ``step`` with an open world, or with an open world of the name."""
+    """Return the last step up to ``step`` at which a world is open, or the world with the name."""
     worlds = state_at(log, step).worlds
     if any(world.open for world in worlds.values() if name in (None, world.name)):
         return step
     lives = [lifetime for lifetime in log.lifetimes if name in (None, lifetime.world)]
     ends = {record.seq for record in map(log.end_of, lives) if record is not None and closes_world(record)}
     end = max((seq for seq in ends if seq <= step), default=step + 1)
-    while end - 1 in ends:  # the end of a plan closes all worlds one after another
+    while end - 1 in ends:  # at its end, a plan closes all worlds one after another
         end -= 1
     return end - 1

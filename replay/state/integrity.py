@@ -1,9 +1,9 @@
 """Verify a recording without an engine: its file is sound, and its records are consistent.
 
-Steps have no gap, and time never decreases. A cause is recorded before its effect. Every started task ends once, under
-the same name, and has a parent. A branch, or a task in its parent's thread, ends before its parent. Exactly the failed
-tasks and runs have a failure. Every keyframe equals the fold of the records before it. :mod:`replay.restore.verify`
-also executes the recorded changes again.
+No step is missing, and time never decreases. A cause is recorded before its effect. Every started task ends once, under
+the same name, and has a parent. A branch, or a task in its parent's thread, ends before the parent. Failed tasks and
+runs have a failure, and no others have. Every keyframe equals the state that the records before it give.
+:mod:`replay.restore.verify` also repeats the recorded changes in an engine.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class Deviation:
     """A value that differs from the recorded value."""
 
     field: str  # path of the value, such as ``effect.bodies[milk].position[0]``
-    recorded: Plain  # None if it is missing
-    found: Plain  # None if it is missing
+    recorded: Plain  # The recorded value; None if it is missing
+    found: Plain  # The other value; None if it is missing
 
     @property
     def size(self) -> float:
-        """The difference between numbers in their unit; infinite for other values."""
+        """The difference between two numbers, in their unit; infinite for other values."""
         if isinstance(self.recorded, int | float) and isinstance(self.found, int | float):
             size = abs(self.recorded - self.found)
             return math.inf if math.isnan(size) else size
@@ -43,7 +43,7 @@ class Deviation:
 
 
 def first_deviation(recorded: Plain, actual: Plain, field: str = "") -> Deviation | None:
-    """Return the first deviation between two values of JSON data; None for equal values."""
+    """Return the first deviation between two values of JSON data; None if they are equal."""
     return next(_deviations(recorded, actual, field), None)
 
 
@@ -72,27 +72,27 @@ def _short(value: Plain) -> str:
 class Problem:
     """An inconsistency."""
 
-    step: int | None  # None for a problem without a step
+    step: int | None  # Step of the problem; None if it has no step
     cause: str
-    deviation: Deviation | None = None  # the first wrong value
-    task: tuple[str, ...] = ()  # names of the tasks around the step, outermost first
+    deviation: Deviation | None = None  # the first value that is wrong
+    task: tuple[str, ...] = ()  # names of the tasks around that step, outermost first
 
 
 class Integrity:
-    """A checker of records in order. ``lost`` are the missing steps, after which the states of worlds are unknown."""
+    """Checks records in order. ``lost`` has the missing steps, after which worlds are unknown."""
 
     def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
         self._lost = tuple(lost)
         self.steps = self._next = 0
-        self.keyframes = 0  # number of keyframes that were compared with the fold
+        self.keyframes = 0  # number of keyframes that were compared with the state before
         self.tasks = TaskIntegrity(newer=newer)
-        self.resumed = False  # whether records were missing before the last record
+        self.resumed = False  # whether records before the last record are missing
         self._time = self._monotonic = 0
         self._events: set[int] = set()
         self._worlds: dict[str, FoldedWorld] = {}
 
     def world(self, name: str) -> World:
-        """Return the current state of a known world."""
+        """Return the present state of a world if it is known."""
         return world_of(self._worlds[name])
 
     def knows(self, world: str) -> bool:
@@ -100,7 +100,7 @@ class Integrity:
         return world in self._worlds
 
     def check(self, record: Record) -> Problem | None:
-        """Check the next record. Return its problem, or a problem of the previous records."""
+        """Check the next record. Return the record's problem, or a problem of the previous records."""
         step, expected = record.seq, self._next
         self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
         if self.resumed:
@@ -164,13 +164,13 @@ class Integrity:
 
 
 def _plain(world: World) -> Plain:
-    """Return a world as JSON data, with attachments by carrier and body, and the loading of each body."""
+    """Return a world as JSON data: attachments by carrier and body, and also the loading of each body."""
     data = world_data(world)
     held = data.pop("attachments")
     assert isinstance(held, list)  # noqa: S101  for mypy
     pairs: dict[str, Plain] = {f"{each['carrier']}, {each['body']}": each for each in held if isinstance(each, dict)}
     loaded: list[Plain] = [
-        # the color in a keyframe is the current color
+        # a keyframe contains the present color
         {key: value for key, value in message_data(body.loaded).items() if key != "color"}
         for body in world.bodies.values()
     ]
@@ -191,28 +191,28 @@ _STATUSES: Final[Mapping[Task.Phase, tuple[Task.Status, ...]]] = {
     Task.FINISHED: (Task.SUCCEEDED, Task.FAILED, Task.CANCELLED),
     Task.LEFT: (Task.CREATED, Task.RUNNING),
 }
-_SAME: Final = ("kind", "name", "attempt", "parent")  # these fields are equal in all records of a task
+_SAME: Final = ("kind", "name", "attempt", "parent")  # fields that are equal in all records of a task
 
 
 class TaskDepths:
-    """The depth of nested tasks."""
+    """Number of levels at which the task is nested."""
 
     def __init__(self) -> None:
         self._depths: dict[int, int] = {}
 
     def too_deep(self, record: Task) -> str:
-        """Check the next record of a task. Return an error if the task is nested too deep, otherwise ""."""
+        """Check the next record of a task. Return an error if the task is nested too deep; otherwise ""."""
         depth = self._depths[record.task] = self._depths.get(record.parent, 0) + 1
         return f"its task is nested more than {MAX_DEPTH} levels deep" if depth > MAX_DEPTH else ""
 
 
 class TaskIntegrity:
-    """A checker of the records of tasks and the run in order. With ``newer``, tasks may have unknown phases."""
+    """Checks the records of tasks and the run in order. With ``newer``, phases of tasks may be unknown."""
 
     def __init__(self, *, newer: bool = False) -> None:
         self._newer = newer
         self.tasks = 0  # number of tasks
-        self.partial = False  # whether missing records may have started or finished tasks
+        self.partial = False  # whether missing records may have started or ended tasks
         self._names: dict[int, tuple[str, int]] = {}
         self._phases: dict[int, Task.Phase] = {}
         self._running: dict[int, Task] = {}
@@ -234,7 +234,7 @@ class TaskIntegrity:
         return tuple(reversed(names))
 
     def knows(self, number: int) -> bool:
-        """Return whether a task has started, or may have started. 0 means no task."""
+        """Return whether a task has or may have started; 0 means no task, and counts as started."""
         return not number or number in self._names or self.partial
 
     def resume(self) -> None:
@@ -243,7 +243,7 @@ class TaskIntegrity:
         self._running.clear()
 
     def check(self, record: Task) -> str:
-        """Check the next record of a task. Return its error, or ""."""
+        """Check the next record of a task. Return the record's error, or ""."""
         number, before = record.task, self._phases.get(record.task)
         if self._newer and record.phase not in Task.Phase.values():
             return ""
@@ -267,7 +267,7 @@ class TaskIntegrity:
         return ""
 
     def _unlike(self, record: Task) -> str:
-        """Return a contradiction within a record, or to its task's start; "" without a contradiction."""
+        """Return a contradiction within a record, or between it and its task's start; "" if there is none."""
         subject = f"task {record.task}"
         if self._newer and record.status not in Task.Status.values():
             return ""
@@ -280,14 +280,14 @@ class TaskIntegrity:
         if began is None:
             return ""
         for field in _SAME:
-            # the parent of a running task may be missing in the recording
+            # the record of a running task's parent may be missing
             elsewhere = field == "parent" and (began.began_ns or record.phase == Task.LEFT)
             if getattr(began, field) != getattr(record, field) and not elsewhere:
                 return f"the {field} of {subject} differs from its start at step {began.seq}"
         return ""
 
     def check_run(self, record: Run) -> str:
-        """Check the next record of the run. Return its error, or ""."""
+        """Check the next record of the run. Return the record's error, or ""."""
         failed = record.phase == Run.THREAD_FAILED or (record.phase == Run.FINISHED and not record.succeeded)
         cause = _failure(failed=failed, recorded=record.HasField("failure"))
         if cause:
@@ -301,7 +301,7 @@ class TaskIntegrity:
             return ""
         self._threads[0] = record.thread or _MAIN_THREAD
         for number, began in self._running.items():
-            # tasks of daemon threads or workers may end after the outer task or the run
+            # tasks of daemon threads or workers may end later than the outer task or the run
             in_parent = began.kind == "branch" or began.thread == self._threads.get(began.parent)
             if began.parent not in self._running and in_parent:
                 return f"the run ends before task {number} ({began.name}), which started at step {began.seq}"
@@ -323,37 +323,37 @@ def _name(phase: Task.Phase) -> str:
 class Verification:
     """The result of verifying a recording."""
 
-    steps: int  # number of checked steps
+    steps: int  # number of steps that were checked
     tasks: int  # number of started tasks
     unfinished: int  # number of unfinished tasks at the end
-    keyframes: int  # number of keyframes that were compared with the fold
+    keyframes: int  # number of keyframes that were compared with the state before
     files: int  # number of attached files
     changes: int  # number of changes that were executed again
     worlds: int  # number of worlds in which changes were executed again
-    # The physics of these worlds (names) wasn't compared:
+    # Worlds, by name, in which physics couldn't be compared:
     late: tuple[str, ...] = ()  # worlds that were open before the recording
     dragged: tuple[str, ...] = ()  # worlds in which a body was dragged by hand
-    environment: tuple[str, ...] = ()  # differences of this environment from the recorded environment
-    largest: Deviation | None = None  # largest deviation that the environment or rounding may explain
+    environment: tuple[str, ...] = ()  # differences between this environment and the recorded environment
+    largest: Deviation | None = None  # largest deviation that can be explained by the environment or by rounding
     problem: Problem | None = None  # the first problem
-    damage: str = ""  # damaged or lost parts of the file; a missing end isn't damage
+    damage: str = ""  # damaged or lost parts of the file; a missing end doesn't count
     incomplete: str = ""  # why the recording is incomplete
     unknown: tuple[str, ...] = ()  # worlds with changes that only a newer release can repeat
     static: bool = False  # whether no change was executed again
 
     @property
     def sound(self) -> bool:
-        """Whether the existing records have no problem."""
+        """Whether no problem is known in the records that exist."""
         return self.problem is None and not self.damage
 
     @property
     def exact(self) -> bool:
-        """Whether all changes were executed again, with equal effects bit for bit."""
+        """Whether all changes were executed again, and their effects were equal bit for bit."""
         return self.sound and self.largest is None and not (self.static or self.late or self.dragged or self.unknown)
 
 
 def verify_static(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:
-    """Verify without an engine up to the first problem. ``progress`` is called with each step."""
+    """Verify a recording without an engine, until the first problem. ``progress`` is called with each step."""
     return Verifier(log).run(progress)
 
 
@@ -418,5 +418,5 @@ class Verifier:
         """Forget all worlds, because records are missing."""
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:  # noqa: ARG002  for subclasses
-        """Return the problem of a change or keyframe; None without an engine."""
+        """Return the problem of a change or keyframe; None if there is no engine."""
         return None

@@ -19,12 +19,12 @@ _ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thre
 
 
 def kind_of(record: Record) -> str:
-    """Return the kind of a record, such as "task" or "mutation": the name of the topic."""
+    """Return the kind of a record, which is the name of its topic, such as "task" or "mutation"."""
     return TOPICS.get(type(record), UNKNOWN).removeprefix("/")
 
 
 def record_data(record: Record) -> dict[str, Plain]:
-    """Return a whole record without unset fields."""
+    """Return a whole record as data; fields that aren't set are left out."""
     envelope: dict[str, Plain] = {
         "step": record.seq,
         "kind": kind_of(record),
@@ -39,7 +39,7 @@ def record_data(record: Record) -> dict[str, Plain]:
 
 
 def message_data(message: Message) -> dict[str, Plain]:
-    """Return a part of a record without unset fields."""
+    """Return a part of a record as data; fields that aren't set are left out."""
     return dict(_fields(message))
 
 
@@ -68,7 +68,7 @@ def _value(field: FieldDescriptor, value: object) -> Plain:
 
 
 def mentions(record: Record, name: str) -> bool:
-    """Return whether a record changes a body, or names it in an argument or answer; False for keyframes."""
+    """Return whether a record changes a body, or names it in an argument or answer; keyframes don't count."""
     if isinstance(record, Keyframe):
         return False
     if isinstance(record, Mutation):
@@ -88,7 +88,7 @@ def _has(value: Plain, name: str) -> bool:
 
 
 def state_data(state: State, body: str | None = None, world: str | None = None) -> dict[str, Plain]:
-    """Return a state, or the part of a state with a body or a world."""
+    """Return a state as data, or only a body or a world of it."""
     worlds: dict[str, Plain] = {
         each.name: world_data(each, body)
         for each in state.worlds.values()
@@ -99,7 +99,7 @@ def state_data(state: State, body: str | None = None, world: str | None = None) 
 
 
 def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
-    """Return a world, or only a body of the world and its attachments."""
+    """Return a world as data, or only one of its bodies with the body's attachments."""
     return {
         "open": world.open,
         "life": world.lifetime,

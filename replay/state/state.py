@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from recorder import html
 from recorder.records import STEPS_PER_SECOND, Following, LoadBody
-from recorder.records.fold import Attachment as Attachment  # noqa: PLC0414  a part of a state
+from recorder.records.fold import Attachment as Attachment  # noqa: PLC0414  none in optional parts of a state
 from replay.errors import NoSuchName
 from replay.file.assets import Assets
 from replay.file.lifetimes import title
@@ -23,14 +23,14 @@ class Body:
     """A body of a world."""
 
     name: str
-    type: str  # "robot", "environment", "milk", ...
-    loaded: LoadBody  # the record of the loading: models, initial pose, robot description
+    type: str  # type of the body, such as "robot", "environment" or "milk".
+    loaded: LoadBody  # the record of the loading: models, first pose, description of the robot
     position: Vector  # position of the base link in the world, m
     orientation: Quaternion  # orientation of the base link in the world, xyzw
-    velocity: tuple[float, ...] = (0.0,) * 6  # velocity of the base link: linear (m/s), then angular (rad/s)
-    joints: Mapping[str, float] = field(default_factory=dict)  # positions by name, rad or m
-    joint_velocities: Mapping[str, float] = field(default_factory=dict)  # velocities by name, rad/s or m/s
-    color: tuple[float, ...] = ()  # RGBA 0..1; empty for the colour of the model
+    velocity: tuple[float, ...] = (0.0,) * 6  # velocity of the base link: linear (m/s), followed by angular (rad/s)
+    joints: Mapping[str, float] = field(default_factory=dict)  # positions of joints by name, rad or m
+    joint_velocities: Mapping[str, float] = field(default_factory=dict)  # velocities of joints by name, rad/s or m/s
+    color: tuple[float, ...] = ()  # RGBA 0..1; empty if the model determines the colours
 
     def __repr__(self) -> str:
         return f"<Body {self.name} ({self.type}) at {html.vector(self.position)}>"
@@ -47,7 +47,7 @@ class Body:
 
     @property
     def models(self) -> tuple[str, ...]:
-        """Names of the body's attached files. The first file is the URDF."""
+        """Names of the files for the body that the recording contains. The first name is that of the URDF."""
         return tuple(f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in self.loaded.assets)
 
     def joint(self, name: str) -> float:
@@ -70,8 +70,8 @@ class RecordedBelief:
     position: Vector  # position of the object's base in the world, m; held objects have the true position
     orientation: Quaternion  # orientation of the object's base, xyzw
     source: str  # "seen", "told" (read from the world's state), "held", or "placed" (released by the robot)
-    sim_step: int  # number of simulated steps of 1/240 s when the robot learned the belief
-    step: int  # step of the record: a look, a grasp or a release; -1 before the recording
+    sim_step: int  # number of simulated steps of 1/240 s at which the robot learned the belief
+    step: int  # step of the look, grasp or release that set the belief; -1 before the recording
 
     @property
     def pose(self) -> Pose:
@@ -84,17 +84,17 @@ class World:
     """The state of a world."""
 
     name: str
-    open: bool = True  # a closed world is empty
-    mode: str = "DIRECT"  # "DIRECT" or "GUI" (with a window)
-    sim_step: int = 0  # simulated steps of 1/240 s
+    open: bool = True  # a world that was closed is empty
+    mode: str = "DIRECT"  # "DIRECT", or "GUI" with a window
+    sim_step: int = 0  # number of simulated steps of 1/240 s
     gravity: Vector = (0.0, 0.0, 0.0)  # m/s^2
-    realtime: bool = False  # whether the world is simulated in real time
-    robot: str = ""  # name of the robot
+    realtime: bool = False  # whether the world keeps pace with the wall clock
+    robot: str = ""  # name of the world's robot
     lifetime: int = 1  # number among the worlds with the same name, from 1
     bodies: Mapping[str, Body] = field(default_factory=dict)  # bodies by name, in the order of loading
     attachments: Mapping[tuple[str, str], Attachment] = field(default_factory=dict)  # attachments by carrier and body
-    following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow by number
-    #: Beliefs by names of robot and object, latest belief last.
+    following: Mapping[int, Following] = field(default_factory=dict)  # trajectories that bodies follow, by number
+    #: Beliefs by names of robot and object, the latest belief last.
     beliefs: Mapping[tuple[str, str], RecordedBelief] = field(default_factory=dict)
 
     def __repr__(self) -> str:
@@ -121,7 +121,7 @@ class World:
 
     @property
     def title(self) -> str:
-        """The world's name for users (:func:`replay.file.lifetimes.title`)."""
+        """The world's name for users, as :func:`replay.file.lifetimes.title` makes it."""
         return title(self.name, self.lifetime)
 
     @property
@@ -136,7 +136,7 @@ class World:
         return self.bodies[name]
 
     def carrier(self, body: str) -> Attachment | None:
-        """Return the attachment of a body to its carrier; None without a carrier."""
+        """Return the attachment of a body to its carrier; None if it has none."""
         return next((held for held in self.attachments.values() if held.body == body), None)
 
     def carried(self, carrier: str) -> list[Attachment]:
@@ -144,7 +144,7 @@ class World:
         return [held for held in self.attachments.values() if held.carrier == carrier]
 
     def believed(self, what: str | None = None, robot: str | None = None) -> list[RecordedBelief]:
-        """Return beliefs of robots, latest belief first.
+        """Return beliefs of robots, the latest belief first.
 
         Args:
             what: Name or type of objects; None for all objects.
@@ -166,17 +166,17 @@ class Sampled:
     world: str
     start: float  # simulated time of the world before the simulation, s
     end: float  # simulated time of the world after the simulation, s
-    asked: float  # the requested moment, s
-    #: Time of the last sample up to the moment, s, or ``start`` without a sample. Samples without visible motion are
-    #: left out.
+    asked: float  # the requested moment: simulated time, s
+    #: Time in s of the last sample up to the moment; ``start`` if there is none. The recorder leaves out samples
+    #: without visible motion.
     at: float
 
 
 class MomentSource(Protocol):
-    """The recording of a state."""
+    """The recording to which a state belongs."""
 
     def last_open(self, world: str | None) -> State:
-        """Return the state after the last step with an open world, up to the state's step."""
+        """Return the state after the last step with an open world, not later than this state's step."""
 
     def png(self, world: str) -> bytes | None:
         """Return a small PNG picture of a world, or None."""
@@ -187,10 +187,10 @@ class State:
     """All worlds after a step, or at a moment within the next simulation."""
 
     step: int
-    worlds: Mapping[str, World]  # worlds by name in the order of their opening
-    uncertainty: str = ""  # lost records that may have changed the state
-    assets: Assets | None = field(default=None, repr=False, compare=False)  # attached files of the recording
-    sampled: Sampled | None = None  # the moment within a simulation; None after a step
+    worlds: Mapping[str, World]  # worlds by name, in the order of their opening
+    uncertainty: str = ""  # text about lost records that may have changed the state
+    assets: Assets | None = field(default=None, repr=False, compare=False)  # the files that the recording contains
+    sampled: Sampled | None = None  # the moment within a simulation; None for a state after a step
     source: MomentSource | None = field(default=None, repr=False, compare=False)  # the open recording
 
     def __repr__(self) -> str:
@@ -212,7 +212,7 @@ class State:
     def world(self, name: str | None = None) -> World:
         """Return a world by name, by default the last opened world that is still open.
 
-        If all worlds have ended, the default is the last world after its last open step.
+        If all worlds have ended, the result is the last one, as it was after its last open step.
 
         Raises:
             NoSuchName: There is no such world.
@@ -229,9 +229,9 @@ class State:
         return self.worlds[name]
 
     def body(self, name: str, world: str | None = None) -> Body:
-        """Return a body by name. The default world is the last opened world with the body.
+        """Return a body by name. By default, the world is the last opened world with the body.
 
-        If all worlds have ended, return the body after the last step with an open world.
+        If all worlds have ended, return the body as it was after the last step with an open world.
 
         Raises:
             NoSuchName: There is no such body.
@@ -245,7 +245,7 @@ class State:
         raise self.no_body(name, worlds)
 
     def no_body(self, name: str, worlds: Iterable[World]) -> NoSuchName:
-        """Return the error for a body that is missing in the worlds."""
+        """Return the error for a body that none of the worlds contains."""
         opened = [world for world in worlds if world.open]
         known = [body for world in opened for body in world.bodies]
         elsewhere = [world.name for world in self.worlds.values() if world not in opened and name in world.bodies]
@@ -274,7 +274,7 @@ class State:
         """
         if not link:
             return body.pose
-        from recorder import geometry  # noqa: PLC0415  needs numpy, which most verbs don't
+        from recorder import geometry  # noqa: PLC0415  imported here: numpy, which most verbs don't need
         from recorder.urdf import UrdfError  # noqa: PLC0415
 
         model = self.urdf(body)
@@ -289,7 +289,7 @@ class State:
         Raises:
             NoSuchName: The recording lacks the model.
         """
-        from recorder import geometry  # noqa: PLC0415  needs numpy, which most verbs don't
+        from recorder import geometry  # noqa: PLC0415  imported here: numpy, which most verbs don't need
 
         poses = self.urdf(body).link_poses(body.joints).items()
         return {link: geometry.multiply(body.pose, pose) for link, pose in poses}
