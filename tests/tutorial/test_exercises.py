@@ -31,6 +31,7 @@ OTHER_MISTAKES: Final = [
     ("2_2", ', ("bowl", "right", [-0.8, 0.6, 0.89])', ",", "the robot never holds the bowl"),
     ("3_1", ', execution_environment("continuous")', "", "the robot"),
     ("3_2", "        perform(moving(", "        str(moving(", "while nobody simulates"),
+    ("3_2", "random.sample(PLACES, 3)", "PLACES[:2]", "the robot is never near the bowl at the cat's place [-0.8"),
     ("4_1", "near=milk", "away_from=milk", "milk and bowl are more than 40 cm apart"),
     ("4_2", 'target="island"', 'target="island", close=False', "the drawer is still open"),
     ("5_1", 'designator.reference()["depth"], 0', 'designator.reference()["depth"],', "the head isn't up again"),
