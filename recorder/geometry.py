@@ -27,8 +27,7 @@ PoseLike: TypeAlias = "tuple[Numbers, Numbers]"  # the type of arguments that ar
 
 Point: TypeAlias = tuple[float, float]  # a point of the plane
 
-Polygon: TypeAlias = "Sequence[Point]"
-"""The counterclockwise corners of a polygon. A polygon without area has fewer than three corners."""
+Polygon: TypeAlias = "Sequence[Point]"  # counterclockwise corners; fewer than three corners without area
 
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a frame in itself
 

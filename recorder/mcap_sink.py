@@ -38,8 +38,7 @@ from recorder.tracing.journal import unrecorded
 _MAX_RECORDS: Final = 50  # a chunk has at most this many records
 _MAX_BYTES: Final = 1 << 20  # largest number of bytes in a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
-#: Key of a channel: topic, world and the world's lifetime. A channel of all worlds has "" and 0.
-_Key: TypeAlias = tuple[str, str, int]
+_Key: TypeAlias = tuple[str, str, int]  # topic, world and its lifetime; "" and 0 for all worlds
 #: A buffered message: key of the channel, number and time of the record, bytes, and the record. The record is None if
 #: its log line was already made.
 _Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
@@ -259,8 +258,7 @@ class McapSink:
             self._wake.clear()
             if self._ended.wait(_FLUSH_PERIOD):
                 return
-            # a finalizer may print in this thread; recording that text would wait for this lock
-            with unrecorded(), self._lock:
+            with unrecorded(), self._lock:  # a finalizer may print in this thread, and would wait for this lock
                 if self._pending and self._failed is None and not self._closed:
                     with contextlib.suppress(RecordingError), self._guarded():  # the next write also raises this error
                         self._flush()
@@ -376,8 +374,7 @@ def _open(path: Path) -> io.FileIO:
         is_pipe = False
     if not is_pipe:
         return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | system.OPENED, 0o666), "r+")
-    # without O_NONBLOCK, this call would wait for a reader
-    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)
+    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)  # without O_NONBLOCK, it waits for a reader
     os.set_blocking(pipe, True)
     return io.FileIO(pipe, "w")
 

@@ -41,8 +41,7 @@ from mcap.records import (
 MAGIC: Final = b"\x89MCAP0\r\n"
 MAX_RATIO: Final = 32  # inflated chunks have at most this many times the size of the file. Usual ratios are 3 to 13.
 FREE: Final = 4 << 20  # chunks of any file may inflate to this number of bytes
-#: Fields of a message: opcode, length of the rest, channel, sequence, log time, publish time.
-_MESSAGE: Final = struct.Struct("<BQHIQQ")
+_MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of the rest, channel, sequence, log time, publish time
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
 _MESSAGE_HEAD: Final = 9  # bytes of the fields opcode and length
 _MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
@@ -63,13 +62,11 @@ class McapWriter:
         self._file = file
         self._at = 0
         self._crc = 0
-        # chunks are small: higher levels take longer and save nothing
-        self._compressor = zstandard.ZstdCompressor(level=1)
+        self._compressor = zstandard.ZstdCompressor(level=1)  # higher levels take longer and save nothing
         self._chunk: list[bytes] = []
         self._chunk_size = 0
         self._inflated = 0  # size of all chunks before compression, bytes
-        # log time and offset of each message, by channel
-        self._entries: defaultdict[int, list[int]] = defaultdict(list)
+        self._entries: defaultdict[int, list[int]] = defaultdict(list)  # log time and offset of each message by channel
         self._first_ns = self._last_ns = 0
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []

@@ -94,8 +94,7 @@ def record(
             later. The error is also raised if another program changes the file.
         Terminated: SIGTERM or SIGHUP has interrupted the plan, and the program doesn't handle the signal.
     """
-    # in a notebook, the arguments of the process are the kernel's arguments
-    own = [] if notebook.is_running() else sys.argv[1:]
+    own = [] if notebook.is_running() else sys.argv[1:]  # a notebook's arguments are the kernel's
     given = own if arguments is None else arguments
     _check(path, name=name, live=live, source=source, arguments=given)
     program = provenance.main_program() if source is None else Path(source)
@@ -125,8 +124,7 @@ def record(
                 if error is None:
                     raise
                 failed.__context__, error.__context__ = error.__context__, failed
-                # the plan's own error is raised, so the error of the recording is printed
-                if not isinstance(error, RecordingError):
+                if not isinstance(error, RecordingError):  # the plan's own error is raised instead
                     print(f"recorder: {failed}", file=sys.stderr)
 
         with ExitStack() as ending:

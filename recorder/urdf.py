@@ -364,8 +364,7 @@ def _three_numbers(robot: str, joint: str, what: str, text: str) -> Vector:
 Color: TypeAlias = "tuple[float, float, float, float]"  # RGBA 0..1
 
 GREY: Final[Color] = (0.8, 0.8, 0.8, 1.0)
-#: Names of sizes by kind; other kinds have radius and length.
-_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}
+_SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}  # other kinds have radius and length
 
 
 @dataclass(frozen=True, slots=True)

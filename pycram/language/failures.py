@@ -12,10 +12,8 @@ from recorder.records import format_error
 from recorder.records.tracebacks import format_traceback
 from recorder.tracing.call_stack import call_site
 
-#: Maximum number of nested failed blocks in a message, its data and a traceback; more would take minutes to write.
-MAX_LEVELS: Final = 8
-#: Maximum number of shown failures if blocks are nested deeper than ``MAX_LEVELS``; other failures are counted.
-MAX_LEAVES: Final = 8
+MAX_LEVELS: Final = 8  # maximum number of nested failed blocks in texts; more would take minutes to write
+MAX_LEAVES: Final = 8  # maximum number of shown failures if blocks are nested deeper; others are counted
 _MAX_FRAMES: Final = 1000  # maximum number of frames of each failure in a traceback of several failures
 
 

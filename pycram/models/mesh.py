@@ -244,8 +244,7 @@ def convert(file: Path) -> tuple[str, bytes]:
         return file.name, _with_normals(content)
     if kind == ".obj":
         _all_triangles(file, content)
-        # the URDF has the colours, because PyBullet supports one colour per mesh
-        lines = content.decode("utf-8", "replace").splitlines()
+        lines = content.decode("utf-8", "replace").splitlines()  # the URDF has the colours: PyBullet has one per mesh
         kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
         return file.name, ("\n".join(kept) + "\n").encode()
     return f"{file.stem}.stl", stl(parse(file).triangles)

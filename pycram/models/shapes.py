@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 Number = TypeVar("Number", np.float64, np.int64)
-Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"
-"""The lowest and the highest corner of a bounding box, m."""
+Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"  # lowest and highest corner of a box, m
 _SMALL: Final = 300  # maximum number of values in an array that counts as small
 _SECTIONS: Final = 32  # number of sides of approximated cylinders and spheres
 _NO_AREA: Final = 1e-12  # area in m^2; in a solid 1 m high, a smaller triangle has two corners on the axis
@@ -277,8 +276,7 @@ class Hull(NamedTuple):
     """A convex hull."""
 
     corners: Array  # (n, 3), m; a small set of corners also contains inner points
-    planes: Array
-    """(k, 4) outward unit normals, and offsets in m: inside, ``normal @ point + offset <= 0``. Planes may repeat."""
+    planes: Array  # (k, 4) outward unit normals and offsets in m: inside, ``normal @ point + offset <= 0``; may repeat
 
 
 def convex_hulls(every: Iterable[Array]) -> Sequence[Hull | None]:

@@ -16,8 +16,7 @@ from recorder.geometry import Vector
 from recorder.records import LoadBody, Loading as LoadingRecord
 from recorder.urdf import Urdf
 
-MOTOR_GAIN: Final = 0.1
-"""Share of a joint's error that a motor corrects in a step. This is PyBullet's default for other bodies."""
+MOTOR_GAIN: Final = 0.1  # share of a joint's error that a motor corrects in a step, as PyBullet does for other bodies
 #: Minimum forces (N m, N) with which motors hold joints. With less than 1e4 N, the torso of the PR2 sinks.
 _LEAST: Final = {"revolute": 500.0, "prismatic": 1e4}
 _GRAVITY: Final = 9.81  # gravity in m/s^2 from which the motor forces of robots are computed

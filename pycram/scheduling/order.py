@@ -24,8 +24,7 @@ from typing import Final, NamedTuple, Protocol
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
 
-#: If a branch takes this many turns in a row, for example because it polls, all other branches run next.
-MOST_IN_A_ROW: Final = 100
+MOST_IN_A_ROW: Final = 100  # after this many turns of a branch in a row, for example if it polls, all others run next
 ADDED: Final = "added"
 OUTSIDE: Final = "0"
 _PCT: Final = re.compile(r"pct:(\d+):([1-9]\d*):([1-9]\d*)")
@@ -108,8 +107,7 @@ class AppliedPrecedence(NamedTuple):
     precedence: Precedence
     first: BranchLine  # line of the branch that ran first
     second: BranchLine  # line of the other branch
-    #: Weaker precedences: they put the branch before only some of the branches that it overtook, near ranks first.
-    passed: list[Precedence]
+    passed: list[Precedence]  # weaker precedences, which put it before only some of the branches that it overtook
 
 
 class Runnable(Protocol):

@@ -29,8 +29,7 @@ if TYPE_CHECKING:
 _BEST, _WORST = Truth(math.inf, True), Truth(-math.inf, False)
 FOLLOWED: Final = (Task, Mutation, Keyframe)  # the kinds of records that a monitor follows
 _SETTLING: Final = 5e-3, math.radians(5)  # an object with smaller changes settles: m, rad
-NEVER_HELD: Final = "not until the end"
-"""The cause of a violation at the end of a run, because the condition never held."""
+NEVER_HELD: Final = "not until the end"  # cause at the end of a run, because the condition never held
 _ENDS: Final = (Task.FINISHED, Task.LEFT)
 
 

@@ -17,8 +17,7 @@ from recorder.records.motion import has_ended
 if TYPE_CHECKING:
     from recorder.geometry import Quaternion, Vector
 
-FAR: Final = 1e9
-"""Largest allowed number in a state (m, rad, m/s or rad/s): more than an object that has fallen for hours."""
+FAR: Final = 1e9  # largest number in a state (m, rad, m/s or rad/s), more than after hours of falling
 
 _NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # pose of a body without the record of its loading
 _AT_REST: Final = (0.0,) * 6

@@ -180,8 +180,7 @@ def changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, LoadBody]) 
     return [name for name in bodies if name in removed], added
 
 
-BASE_COORDINATES: Final = ("x", "y", "yaw")
-"""The coordinates of a base's trajectory in the world: x and y in m, and the heading in rad."""
+BASE_COORDINATES: Final = ("x", "y", "yaw")  # coordinates of a base's trajectory in the world, m and rad
 
 STOPPING_STEPS: Final = 36
 """A stopped trajectory slows down for this number of simulated steps (0.15 s).

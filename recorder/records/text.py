@@ -43,8 +43,7 @@ if TYPE_CHECKING:
     Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text and its level in the log
 
 _NS: Final = 1_000_000_000
-# module variables, because attributes of protobuf's classes are slow
-_ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT
+_ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # attributes of protobuf's classes are slow
 _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})

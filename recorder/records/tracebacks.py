@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 Other = TypeVar("Other")
 
 MAX_FRAMES: Final = 32  # the text of an error has at most this many frames, the innermost frames
-MAX_ERRORS: Final = 16
-"""A traceback's text has at most this many errors: the first and last errors of the chain. Tasks record the others."""
+MAX_ERRORS: Final = 16  # a traceback's text has at most this many errors, from both ends of the chain
 
 _FIRST: Final = 4  # a text has this many errors from the beginning of the chain, which has the root causes
 _MAX_EXPLORED: Final = 64  # an error with more related errors is printed without these
@@ -34,8 +33,7 @@ _CAUSE: Final = "\nThe above exception was the direct cause of the following exc
 TITLE: Final = "Traceback (most recent call last):\n"
 CONTEXT: Final = "\nDuring handling of the above exception, another exception occurred:\n\n"
 _PLACE: Final = attrgetter("co_filename", "co_name")
-#: Python adds details to the messages of these errors.
-_SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)
+_SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)  # Python adds details to their messages
 
 #: Formats tracebacks, also within messages, in the place of :func:`format_traceback`; None to print all frames.
 formatter: Final[ContextVar[Formatter | None]] = ContextVar("recorder_tracebacks", default=None)

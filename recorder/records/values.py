@@ -20,10 +20,8 @@ from recorder.records.log_pb2 import Argument, Failure
 from recorder.records.tracebacks import MAX_ERRORS, format_traceback, text_or
 
 MAX_NESTING: Final = 100  # readers return a value with more nested lists and dictionaries as text
-MAX_CHARACTERS: Final = 8 << 20
-"""A value with more characters of JSON isn't recorded, because readers reject a record of many MiB as damaged."""
-MAX_DIGITS: Final = 300
-"""Integers with more digits don't fit a float. Readers return a value with such an integer as text."""
+MAX_CHARACTERS: Final = 8 << 20  # longer JSON isn't recorded, because readers reject records of many MiB
+MAX_DIGITS: Final = 300  # integers with more digits don't fit a float; readers return such a value as text
 #: Matches strings and brackets. A string without an end extends to the end of the text.
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
@@ -33,8 +31,7 @@ Position: TypeAlias = tuple[float, float, float]
 
 
 def _plain(value: object) -> object:
-    # ``type()`` returns the real type; a lazy result has the ``__class__`` of its value
-    record = getattr(type(value), "__record__", None)
+    record = getattr(type(value), "__record__", None)  # ``type()`` returns the real type, also of a lazy result
     if record is not None:
         return _plain(record(value))
     for kinds, plain in _PLAIN:
@@ -119,8 +116,7 @@ def _refuse(text: str) -> float:
 
 
 _DECODER: Final = json.JSONDecoder(parse_constant=_refuse)
-#: A slow decoder that calls ``_integer`` for each integer.
-_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)
+_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)  # slow: it calls ``_integer`` each time
 _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 

@@ -6,8 +6,7 @@ from typing import TypeAlias
 
 from recorder.records import Task
 
-Lane: TypeAlias = tuple[int, int]
-"""A lane: the depth of its tasks from 1, and its number among the lanes of this depth from 0."""
+Lane: TypeAlias = tuple[int, int]  # depth of its tasks from 1, and number among the lanes of this depth from 0
 
 
 class Lanes:

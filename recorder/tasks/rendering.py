@@ -276,8 +276,7 @@ def svg(tree: Tree, depth: int | None = None, *, whole: bool = False) -> str:
 
 
 def _axis(seconds: float, height: int) -> Iterator[str]:
-    # possible units of the scale in s; 64 bits of nanoseconds are at most 9e9 s
-    units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)
+    units = (1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9)  # units of the scale in s; 64 bits of nanoseconds are at most 9e9 s
     steps = (size * unit for unit in units for size in (1, 2, 5, 10, 20, 50, 100, 200, 500))
     step = next(length for length in steps if seconds / length <= 6)
     yield f'<text x="12" y="24" fill="#555">task</text><text x="{_NAMES}" y="16" fill="#555">time by the clock</text>'

@@ -18,8 +18,7 @@ from recorder import html, notebook
 from recorder.records import STEPS_PER_SECOND, Decision, Failure, Output, Plain, Query, Task, argument_values
 from recorder.tasks import rendering
 
-# module variables, because attributes of protobuf's classes are slow
-_ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED
+_ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED  # attributes of protobuf's classes are slow
 
 
 class State(IntEnum):
@@ -58,8 +57,7 @@ class Moment:
     wall_ns: int  # ns since the Unix epoch
     sim_step: int = 0  # number of simulated steps of 1/240 s
     world: str = ""  # the current world; "" without an open world
-    #: Time since the beginning of the recording in ns, by a steady clock; 0 if the time isn't recorded.
-    monotonic_ns: int = 0
+    monotonic_ns: int = 0  # time since the beginning of the recording in ns, by a steady clock; 0 if unknown
 
     @property
     def sim_seconds(self) -> float:
@@ -77,8 +75,7 @@ def _moment(record: Task) -> Moment:
 class Node:
     """A task."""
 
-    #: The record of the start. Without this record, it is the record of the request, or else the record of the end.
-    started: Task
+    started: Task  # the record of the start, or else of the request, or else of the end
     parent: Node | None = None  # the task around this task; None for an outermost task
     asked: Task | None = None  # the record of the request; None if the task started immediately
     finished: Task | None = None  # the record of the end; None before the end
@@ -270,10 +267,8 @@ class Tree:
     __hash__ = None  # type: ignore[assignment]  # mutable
 
     def __init__(self, limit: int | None = None, size: int | None = None) -> None:
-        #: Id of the task in which the plan's failure began; 0 outside of tasks; None if the tree has to find the task.
-        self.began: int | None = None
-        #: Printed and logged lines by the id of the task; empty for a running plan.
-        self.output: dict[int, list[Output]] = {}
+        self.began: int | None = None  # task in which the plan's failure began; 0: outside of tasks; None: unknown
+        self.output: dict[int, list[Output]] = {}  # printed and logged lines by task; empty for a running plan
         self._limit = math.inf if limit is None else limit
         self._size_limit = math.inf if size is None else size
         self._size = 0

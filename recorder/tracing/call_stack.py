@@ -42,8 +42,7 @@ _FOREIGN: Final = re.compile(
 class CallStack(NamedTuple):
     """The plan's lines that led to a task."""
 
-    #: Lines, outermost first. A recursive line is listed once. Without a recording, there is only the innermost line.
-    lines: tuple[CallSite, ...]
+    lines: tuple[CallSite, ...]  # outermost first, without repetitions; only the innermost without a recording
     inherited: tuple[CallSite, ...]  # the first lines, which are the call stack of another thread
     thread: int  # ident of the thread or branch of the innermost line
     callers: tuple[SourceLine, ...] = ()  # all lines except the innermost line, for records
@@ -114,8 +113,7 @@ def recorded_file(file: str) -> str:
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
     """Return the plan's innermost frame among a frame and its callers, and the innermost foreign frame below it."""
     foreign = None
-    # local variables are faster
-    known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER
+    known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER  # faster than globals
     while frame is not None:
         file = frame.f_code.co_filename
         origin = known(file) or _origin(file, str(frame.f_globals.get("__name__", "")))
@@ -159,8 +157,7 @@ class _Origin(Enum):
 
 
 _origins: Final[dict[str, _Origin]] = {}  # origins of code by file
-#: Real file names by recorded names, if these differ: for cells of notebooks and names that aren't UTF-8.
-_unescaped: Final[dict[str, str]] = {}
+_unescaped: Final[dict[str, str]] = {}  # real file names, if the recorded names differ: cells, names that aren't UTF-8
 
 
 def _origin(file: str, module: str) -> _Origin:

@@ -88,8 +88,7 @@ class Journal:
         self._began_ns = monotonic_ns()
         self._lock = threading.RLock()
         self._writing = self._resuming = False
-        # records and files that arrived while this thread was writing
-        self._interrupting: deque[Record | AssetFile] = deque()
+        self._interrupting: deque[Record | AssetFile] = deque()  # items that arrived while this thread was writing
         self._strikes: list[Strike] = []  # strikes since the latest record
         self._next = 0
         self._latest_ns = 0
@@ -138,8 +137,7 @@ class Journal:
     def _take(self, item: Record | AssetFile) -> None:
         with Uninterrupted(), self._lock:
             if self._writing:
-                # otherwise a sink that prints would print forever
-                if not (self._resuming and isinstance(item, Output)):
+                if not (self._resuming and isinstance(item, Output)):  # otherwise a sink that prints would never end
                     self._interrupting.append(item)
                 return
             self._writing = True

@@ -41,11 +41,9 @@ from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.journal import Journal
 
 if TYPE_CHECKING:
-    #: Records that contain the plan's line.
-    Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent
+    Located: TypeAlias = Mutation | Event | Subscription | Query | Refusal | Fluent  # records with the plan's line
 
-#: Limits of the tree in tasks and in bytes of records. A plan may run for days, so old tasks are dropped.
-MAX_TASKS: Final = 20_000
+MAX_TASKS: Final = 20_000  # largest number of tasks in the tree; a plan may run for days
 MAX_BYTES: Final = 100_000_000
 
 _STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # attributes of protobuf's classes are slow

@@ -281,8 +281,7 @@ _PLANNED: Final = 0.004  # radius in m
 _DRIVEN: Final = 0.01  # radius in m
 _ABOVE_FLOOR: Final = 0.01  # height of a base's path above the floor in m
 _MIN_LENGTH: Final = 0.001  # shortest path of a tool that is shown, m
-#: The driven line is updated after this many samples, about 0.2 s, because each update sends the whole line.
-_SAMPLES: Final = 6
+_SAMPLES: Final = 6  # the driven line is sent as a whole, after this many samples, about 0.2 s
 _ENDING: Final = ("reset", "restore", "close_world")  # commands that end all trajectories
 
 

@@ -22,8 +22,7 @@ from recorder.tracing.interrupts import Uninterrupted
 if TYPE_CHECKING:
     ColumnMaker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
-STEP: Final = "step number"
-"""Time line of the records' numbers. The log's column is as wide as this name, so it fits numbers with 6 digits."""
+STEP: Final = "step number"  # time line of the records' numbers; the log's column is as wide as this name
 APPLICATION: Final = "pycram"  # viewers remember a layout for this name
 _WRITE_TIMEOUT: Final = 60.0  # the rows of a file must be written in this time, s
 _SWITCH: Final = "RERUN"  # this environment variable turns viewers off

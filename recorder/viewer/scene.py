@@ -67,8 +67,7 @@ class ViewerScene:
         self._first: TimePoint | None = None
         self.bodies: dict[str, dict[str, SceneBody]] = {}  # the bodies by world and name
         self.robots: dict[str, str] = {}  # names of the controlled robots by world
-        #: Names of missing files, ``<sha256>/<file name>``, a name for each body with missing files.
-        self.absent: dict[str, None] = {}
+        self.absent: dict[str, None] = {}  # missing files, ``<sha256>/<file name>``, one for each body
 
     def attach(self, asset: AssetFile) -> None:
         """Take an attached file. Models and meshes must precede the records that use them."""

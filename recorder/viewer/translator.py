@@ -162,8 +162,7 @@ class Translator:
         previous = self._previous_ns
 
         def time_of(step: int) -> TimePoint:
-            # fraction of the wall time since the previous record
-            share = min(max((step - end + steps) / steps, 0.0), 1.0)
+            share = min(max((step - end + steps) / steps, 0.0), 1.0)  # of the wall time since the previous record
             wall = previous + round((now.wall - previous) * share)
             return now if step == end else TimePoint(now.step, sim_ns(step), wall)
 

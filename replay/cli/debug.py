@@ -138,8 +138,7 @@ class Prompt(cmd.Cmd):
         self.stack: list[dict[str, Any]] = []  # the plan's frames, innermost first
         self.frame = 0  # index of the chosen frame; 0 is the innermost frame
         self._listed = 0  # the line after the last line that ``list`` has shown; 0 before the first ``list``
-        # a function that moves the viewer to a step; None without a viewer
-        self.follow: Callable[[int], None] | None = None
+        self.follow: Callable[[int], None] | None = None  # moves the viewer to a step; None without a viewer
         self._asks = self.use_rawinput = sys.stdin.isatty()
         self._coloured = has_colours(sys.stdout)
 

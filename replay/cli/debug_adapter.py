@@ -123,8 +123,7 @@ class Adapter:
         self._recording: subprocess.Popen[str] | None = None  # the process that records a plan for this session
         self._ending = False  # whether the editor has disconnected
         self._numbers: dict[int, str] = {}  # kinds of breakpoints by number
-        # functions that list variables, which the editor may unfold until the plan moves
-        self._lists: list[_Lister] = []
+        self._lists: list[_Lister] = []  # list variables, which the editor may unfold until the plan moves
         self._listed: dict[tuple[int, str], _Variable] = {}
 
     def run(self) -> None:

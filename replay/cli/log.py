@@ -96,8 +96,7 @@ class RecordFilter:
     body: str | None  # name of a body that the record mentions
     world: str | None  # name of the record's world
     text: str | None  # part of the record's line, in upper or lower case
-    #: A file of the plan in the record's call stack, and a line number or None.
-    where: tuple[str, int | None] | None = None
+    where: tuple[str, int | None] | None = None  # file of the plan in the call stack, and a line number or None
     _tasks: set[int] = field(default_factory=set)  # ids of the matching tasks
     _led_to: set[int] = field(default_factory=set)  # ids of tasks; the call stack of each task contains the line
     _known: int = 0  # first step that has not been searched for tasks

@@ -127,8 +127,7 @@ def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
 
     with stream_to_viewer() as stream:
         page = WebPage(stream)
-        # pages show all rows
-        translate(logs, stream, max(len(each) for each in logs) - 1, [_eye(log, None) for log in logs])
+        translate(logs, stream, max(len(each) for each in logs) - 1, [_eye(log, None) for log in logs])  # with all rows
         page.flush()
         if wants_json:
             print_json({"page": page.address}, flush=True)

@@ -82,8 +82,7 @@ class GuidedPlan:
         self.notes = tuple(process.notes())  # differences from the recorded conditions
         self.step = -1  # last recorded step of the plan; -1 before the first step
         self.last = len(log) - 1  # last step that the plan can reach
-        #: the first difference of the plan from its recording, and possible causes outside of the plan; "" if unknown
-        self.parted = ""
+        self.parted = ""  # first difference from the recording, and its possible causes outside of the plan
         self._log = log
         log.check_file()  # after the check, all losses of the recording are known
         gap = next(iter(log.lost()), None)
@@ -91,8 +90,7 @@ class GuidedPlan:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
             raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
-        # the recorded clock counts, because the machine may now be slower
-        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
+        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)  # of the recorded clock: this machine may be slower
         self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
     def __enter__(self) -> Self:

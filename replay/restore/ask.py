@@ -112,8 +112,7 @@ def ask(
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(call), str(error)) from error
-        # queries may not check all arguments
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # of unchecked arguments
             raise BadQuestion(str(call), f"it can't be answered: {format_error(error)}") from error
         answer: bool | list[str | bool]
         if isinstance(result, list):

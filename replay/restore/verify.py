@@ -27,8 +27,7 @@ from replay.state.state import World
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
-OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3
-"""Tolerance of effects on another computer or with another build of the engine, m or rad."""
+OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3  # of effects on another computer or with another engine, m or rad
 
 _DIFFERENT: Final = "repeated, the change has another effect"
 _LATE_TOLERANCE: Final = 1e-6  # m or rad, tolerance of changes without physics in worlds that continue from a keyframe

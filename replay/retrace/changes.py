@@ -54,8 +54,7 @@ _EXPECTED: Final = (
 )
 _HAND, _GRAVITY = "hand", "gravity"
 _FLUENT: Final = "fluent:"  # prefix for fluents with a name like OBJECT.QUANTITY
-#: Matches an ellipsis, which stands for all further arguments of a query.
-_ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")
+_ANY: Final = re.compile(r"([(,])\s*\.\.\.\s*\)$")  # an ellipsis, which stands for all further arguments
 _OF_MANY: Final = "Found[Verdict]"
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose")  # arguments that are names of objects
 _PARTS: Final = ("gripper", "camera")  # arguments that are names of arms or links

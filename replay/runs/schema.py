@@ -21,8 +21,7 @@ class Column:
     """A column."""
 
     name: str
-    #: "text", "whole" (64 bits), "number" (64 bits), "yes/no", "moment" (UTC), "texts" (a list) or "map" (of texts).
-    kind: str
+    kind: str  # "text", "whole", "number" (both 64 bits), "yes/no", "moment" (UTC), "texts" or "map" (of texts)
     meaning: str
 
 

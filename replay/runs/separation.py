@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
 LEVEL: Final = 0.01  # probability of a claim if nothing separates the runs
-PRESENT: Final = frozenset({"happened", "reached"})
-"""Kinds of sites without values: events that happened, and tasks that runs reached."""
+PRESENT: Final = frozenset({"happened", "reached"})  # kinds of sites without values
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")
 #: Parameters of these kinds of tasks repeat the parameters of a motion, or describe the structure of the plan.
 _STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})

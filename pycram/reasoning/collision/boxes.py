@@ -269,8 +269,7 @@ class MovingLinks:
         # computes how the joints move the links
         self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))
         swung = [each for other, link, each in held if link in fixed.moving]
-        # names of the objects that moving links hold
-        self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)
+        self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)  # names of held objects
         self._all_boxes = concatenate([boxes, *swung])
         self.boxes = self._all_boxes.subset(fixed.checked)  # boxes of the checked links and the objects that they hold
         self._robot, self._structure = robot.name, fixed

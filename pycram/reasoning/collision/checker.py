@@ -49,8 +49,7 @@ class PostureCandidate:
 
     positions: Mapping[str, float]  # joint positions in rad or m by name; other joints don't move
     base: Pose | None  # pose of the robot's base; None for its present pose
-    # (n,) indices of moving boxes, and of the other boxes that overlap them
-    overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]
+    overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]  # (n,) indices of moving boxes, and of the boxes they overlap
     transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by each joint
     # pairs of links whose boxes overlap, in the order of checks; empty until pairs() is called
     pairs: list[Pair] = field(default_factory=list)

@@ -46,8 +46,7 @@ class GraspPlan:
     posture: Posture | None  # the nearest posture if the arm reaches no grasp
     # collisions of the arm in the posture, ordered by object; the deepest collision is first
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
-    # pairs of the robot's own links that would touch, if they prevent all grasps
-    self_collisions: Sequence[CollisionPair] = ()
+    self_collisions: Sequence[CollisionPair] = ()  # own links of the robot that would touch, if they prevent all grasps
     penetrating: CollisionPair | None = None  # links of the open hand and of the target that would overlap
 
     def evidence(self) -> dict[str, object]:

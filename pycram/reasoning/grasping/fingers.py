@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from pycram.reasoning.collision.simulation_clone import Part, PosingClone
     from pycram.world.object import Object
 
-    #: Depths of overlaps in m, by finger, object and the object's link.
-    Depths: TypeAlias = Mapping[tuple[str, Object, str], float]
+    Depths: TypeAlias = Mapping[tuple[str, Object, str], float]  # depths in m, by finger, object and the object's link
 
 CLEAR: Final = 0.002  # necessary gap in m around a released object; the engine pads shapes by a smaller amount
 _SLACK: Final = 5e-4  # overlap in m from which links touch
@@ -50,8 +49,7 @@ class FingerMotion:
 
     positions: Mapping[str, float]  # final joint positions of the gripper by name
     share: float  # final opening of the gripper, from 0 (closed) to 1 (open)
-    # pairs of links that stop the fingers, deepest first; empty if the fingers reach the goal
-    stopped_by: Sequence[CollisionPair] = ()
+    stopped_by: Sequence[CollisionPair] = ()  # links that stop the fingers, deepest first; empty at the goal
     gap: float = 2 * CLEAR  # distance in m between the fingers and the released object, at most 2 * CLEAR
 
 

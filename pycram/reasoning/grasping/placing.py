@@ -169,8 +169,7 @@ class Refusals:
 
     no_room: list[PlaceFailed] = field(default_factory=list)  # failures at poses without room for the object
     misses: list[OutOfReach] = field(default_factory=list)  # distances between the nearest postures and their goals
-    # links that would touch, by the name of the object that is in the way
-    pairs: dict[str, CollisionPair] = field(default_factory=dict)
+    pairs: dict[str, CollisionPair] = field(default_factory=dict)  # links that would touch, by the object in the way
     low: list[Pose] = field(default_factory=list)  # poses in which the hand would touch the support of the object
     no_path: list[NoPath] = field(default_factory=list)  # failed searches for a path to a good posture
 

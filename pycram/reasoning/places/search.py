@@ -49,8 +49,7 @@ class FoundPlace:
     arms: tuple[str, ...] = ()  # arms that reach the target from this place; for an object's place, arms that reach it
     score: float = 1.0  # score of the maps, 0 to 1
     surface: str = ""  # name of the surface below; "" for the ground
-    #: Sides from which arms take the target object, by arm.
-    grasps: Mapping[str, GraspSide] = field(default_factory=dict)
+    grasps: Mapping[str, GraspSide] = field(default_factory=dict)  # sides from which arms take the target, by arm
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,8 +24,7 @@ from recorder import records
 T = TypeVar("T")
 P = ParamSpec("P")
 
-RECORDED_AS: Final = {"gripper_name": "gripper"}
-"""Names of arguments in records, if they differ from the names of the parameters."""
+RECORDED_AS: Final = {"gripper_name": "gripper"}  # names in records, if they differ from the parameters
 _OBJECTS: Final = ("object", "object1", "object2", "robot")
 
 

@@ -95,11 +95,9 @@ class View:
     hiding: Mapping[str, float]  # share of the object's pixels that each hiding object hides, largest first
     reason: str = ""  # why the camera sees nothing of the object
     outside: float = 0.0  # share of the object's pixels outside of the picture
-    #: For each hiding object with several links, the link that hides most.
-    links: Mapping[str, str] = field(default_factory=dict)
+    links: Mapping[str, str] = field(default_factory=dict)  # the link that hides most, by hiding object
     bodies: Sequence[str] = ()  # names of the object and of the objects in front of it; empty without a picture
-    # (height, width) the picture; a pixel has the number n of the n-th body, or 0
-    pixels: NDArray[np.uint8] | None = None
+    pixels: NDArray[np.uint8] | None = None  # (height, width); a pixel has the number n of the n-th body, or 0
 
     def picture(self) -> Picture | None:
         """Return the rendered picture for a record."""
