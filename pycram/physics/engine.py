@@ -67,8 +67,7 @@ class Engine:
     def __init__(self, *, window: bool = False) -> None:
         self._window = window
         self._grip: tuple[int, int] | None = None  # the body and the link that the mouse drags
-        #: States of bodies by id: a list with one state, or an empty list. Threads share these lists.
-        self._known: dict[int, list[Snapshot]] = {}
+        self._known: dict[int, list[Snapshot]] = {}  # states of bodies by id, one or none; threads share the lists
         if window:
             with silenced(1):
                 self._client: int = bullet.connect(bullet.GUI)

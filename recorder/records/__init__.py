@@ -111,8 +111,7 @@ TOPICS: Mapping[type[Record], str] = {
 
 UNKNOWN: Final = "/unknown"  # the topic of records with a type of a newer release
 
-STEPS_PER_SECOND: Final = 240
-"""Number of simulation steps in a simulated second. The ``sim_step`` of a record counts simulation steps."""
+STEPS_PER_SECOND: Final = 240  # number of simulation steps, which a record's ``sim_step`` counts, in a second
 
 PACKAGE: Final = log_pb2.DESCRIPTOR.package  # the protobuf package of the definitions in recordings
 

@@ -62,8 +62,7 @@ class ViewerScene:
         self._prefix = prefix
         self._frames = FrameTree()
         self._files: dict[str, bytes] = {}
-        # buffers of poses by world and frame, also of removed bodies
-        self._transforms: dict[tuple[str, str], Series] = {}
+        self._transforms: dict[tuple[str, str], Series] = {}  # poses by world and frame, of removed bodies, too
         self._first: TimePoint | None = None
         self.bodies: dict[str, dict[str, SceneBody]] = {}  # the bodies by world and name
         self.robots: dict[str, str] = {}  # names of the controlled robots by world

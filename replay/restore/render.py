@@ -497,8 +497,7 @@ class _Glance:
         self.hiding = frozenset(
             int(number) for number in np.unique(among[hidden]) if number >= 0 and parts[number].fixed
         )
-        # depth of the nearest hidden pixel along the camera's axis, m
-        self.depth = float(alone.depth[hidden].min(initial=np.inf))
+        self.depth = float(alone.depth[hidden].min(initial=np.inf))  # of the nearest hidden pixel along the axis, m
 
 
 def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:

@@ -266,8 +266,7 @@ class MovingLinks:
         positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
         self.positions = {name: positions[name] for name in joints}  # present positions of the joints, rad or m
         self.base_pose = engine.pose(body)
-        # computes how the joints move the links
-        self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))
+        self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))  # how joints move the links
         swung = [each for other, link, each in held if link in fixed.moving]
         self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)  # names of held objects
         self._all_boxes = concatenate([boxes, *swung])
