@@ -18,14 +18,15 @@ from recorder.records.text import fates_text, foreseen, is_choice
 from recorder.tasks import Node
 from replay.compare import Difference, difference
 from replay.errors import NoSuchStep
-from replay.explain.causes import decides, find
+from replay.explain.causes import decides, find, lacks_step
 from replay.explain.causes.case import Cause, FailureCase, bodies_in
 from replay.explain.causes.trials import Proof
+from replay.explain.causes.written import Written
 from replay.explain.scene import FailedBranch, InvolvedBody, bodies, branches
 from replay.history.flow import Flow
 from replay.history.source import Line, ParsedException
 from replay.history.summary import Summary, summary
-from replay.history.tasks import Failures, RootCause, choices, failed_threads, failures, root_cause
+from replay.history.tasks import Failures, RootCause, causing_tasks, choices, failed_threads, failures, root_cause
 from replay.report import phrases
 from replay.state.fold import state_at
 from replay.state.json_data import mentions
@@ -44,6 +45,7 @@ _MAX_CAUSES: Final = 3  # largest number of causes whose lines are followed
 _OUTER: Final = 0.5  # rank of a caller's line after the called line
 _DECIDED: Final = -1.5  # rank of a line that made a cause which decides
 _OTHER: Final = 1.5  # rank of a line that made another cause
+_CHECKED: Final = 3.0  # rank of a line that only checks a value that another line made
 _MOVED: Final = 0.001  # objects that moved less since a query count as unmoved, m
 
 
@@ -187,18 +189,22 @@ def _sources(why: Why) -> Iterator[Line]:
     if case is None or not stack:
         return
     traced = [
-        (_DECIDED if decides(case, cause) else _OTHER, case.source.call_stack(case.log[step]))
+        (_DECIDED if decides(case, cause) else _OTHER, causing_tasks(case.log, case.log[step]).call_stack)
         for cause in why.causes[:_MAX_CAUSES]
         for step in cause.steps
         if step < why.step
     ]
     starts: dict[str, dict[int, float]] = {}
-    for rank, lines in sorted([(0.0, tuple(stack)), *traced], key=lambda each: each[0]):
+    own = _CHECKED if any(isinstance(cause, Written) for cause in why.causes) else 0.0
+    for rank, lines in sorted([(own, tuple(stack)), *traced], key=lambda each: each[0]):
         for depth, line in enumerate(reversed(lines)):
             starts.setdefault(line.file, {}).setdefault(line.number, rank + _OUTER * depth)
+    failed = None if lacks_step(case, why.causes) else stack[-1]
     for file, ranks in starts.items():
         flow = Flow(case.source.text(file))
-        for number in flow.lines(ranks, stack[-1].number if stack[-1].file == file else 0)[:_MAX_SOURCES]:
+        for number in flow.lines(ranks, failed.number if failed is not None and failed.file == file else 0)[
+            :_MAX_SOURCES
+        ]:
             found = case.source.line(file, number)
             yield from [found] if found is not None else []
 

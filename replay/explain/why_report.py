@@ -17,6 +17,7 @@ from replay.explain.causes.trials import Proof, TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.scene import InvolvedBody, facing
 from replay.explain.why import ChangesSince, TriedAction, Why
+from replay.history.oddities import UNUSED, is_strong, oddities
 from replay.history.source import Line
 from replay.report import phrases, report
 from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of
@@ -160,12 +161,12 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
     if why.failure is None:
         yield from section("Why", causes)
         return
+    sources = [] if origins else [*section("Lines that it may come from", _sources(why))]
+    slips = sources and not forked and is_strong(_slip(why, why.sources[0]) or UNUSED)
+    yield from sources if slips else ()
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
     yield from origin if forked else ()
-    if not origins:
-        yield from section(
-            "Lines that it may come from", (f"{phrases.place(each)}  {each.text}" for each in why.sources)
-        )
+    yield from () if slips else sources
     yield from section("Where in the plan", _where(why))
     threads = (
         f"also failed: thread {record.thread}, at step {record.seq}: {phrases.failure(record.failure)}"
@@ -188,6 +189,16 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
     yield from section("Changes since the last success", _changes(why))
     if path:
         yield from section("Look closer", _commands(why, shlex.quote(path)))
+
+
+def _sources(why: Why) -> Iterator[str]:
+    for each in why.sources:
+        slip = _slip(why, each)
+        yield f"{phrases.place(each)}  {each.text}" + (f"  # perhaps: {slip}" if slip else "")
+
+
+def _slip(why: Why, line: Line) -> str:
+    return "" if why.case is None else oddities(why.case.source.text(line.file)).get(line.number, "")
 
 
 def _headline(why: Why) -> Iterator[str]:

@@ -13,14 +13,17 @@ from heapq import heappop, heappush
 from typing import Final
 
 from recorder.plan_lines import syntax_nodes
+from replay.history.oddities import is_strong, oddities
 
 _FUNCTIONS: Final = (ast.FunctionDef, ast.AsyncFunctionDef)
+_DECLARING: Final = (*_FUNCTIONS, ast.ClassDef, ast.Import, ast.ImportFrom)
 _CHANGING: Final = ("add", "append", "clear", "extend", "insert", "pop", "popleft", "remove", "set_value", "update")
 _STEP: Final = 0.75  # increase of the rank from a line to a line whose values flow into it
 _PASSED: Final = 2.0  # increase of the rank of a line without numbers of its own
 _LOADING: Final = 3.0  # increase of the rank of a line that loads an object
 _BEFORE: Final = 2  # maximum number of statements before a line that are considered
 _LAST: Final = 100.0  # increase of the rank of the line that failed
+_ODD: Final = 20.0  # decrease of the rank of a line that looks like a slip
 _MOST: Final = 100  # maximum number of lines that are followed
 _TRIVIAL: Final = (0, 1)  # numbers that are hardly ever mistyped
 
@@ -34,6 +37,7 @@ class Flow:
         self._returns: dict[str, set[int]] = defaultdict(set)
         self._conditions: dict[int, set[int]] = defaultdict(set)  # lines of conditions, by line of statement
         self._before: dict[int, list[int]] = {}  # for each statement's line, the lines of the statements just before it
+        self._odd = {line for line, words in oddities(text).items() if is_strong(words)}
         for node in syntax_nodes(text)[:1]:
             self._visit(node, "", ())
 
@@ -55,7 +59,8 @@ class Flow:
         if isinstance(node, ast.If | ast.While):
             conditions = (*conditions, node.lineno)
         for _, block in ast.iter_fields(node):
-            lines = [each.lineno for each in block if isinstance(each, ast.stmt)] if isinstance(block, list) else []
+            statements = [each for each in block if isinstance(each, ast.stmt)] if isinstance(block, list) else []
+            lines = [each.lineno for each in statements if not isinstance(each, _DECLARING)]
             self._before |= {line: lines[max(at - _BEFORE, 0) : at] for at, line in enumerate(lines)}
         for each in ast.iter_child_nodes(node):
             self._visit(each, function, conditions)
@@ -87,6 +92,10 @@ class Flow:
             before = self._before.get(found[0].lineno, ()) if line in starts else ()
             for condition in (*self._conditions[found[0].lineno], *before):
                 heappush(waiting, (rank + 2 * _STEP, condition))
+        functions = {function for each, function in self._statements if each.lineno in ranks}
+        others = {each.lineno for each, function in self._statements if function in functions} - {*ranks}
+        ranks |= dict.fromkeys(self._odd & others, 2 * _STEP)
+        ranks |= {line: ranks[line] - _ODD for line in self._odd & ranks.keys()}
         return sorted(ranks, key=lambda line: ranks[line])
 
     def _sources(self, statement: ast.stmt, function: str) -> Iterator[int]:

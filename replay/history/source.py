@@ -52,6 +52,14 @@ class PlanSource:
         names = [node.name for node in functions if node.lineno <= number <= (node.end_lineno or node.lineno)]
         return Line(file, number, names[-1] if names else "<module>", lines[number - 1].strip())
 
+    def handler(self, line: Line) -> Line | None:
+        """Return the first line after the ``except`` around a line in its function; None without one."""
+        around = [node for node in syntax_nodes(self.text(line.file)) if isinstance(node, ast.Try | ast.FunctionDef)]
+        around = [node for node in around if node.lineno <= line.number <= node.body[-1].end_lineno]  # type: ignore[operator]
+        inner = around[-1] if around else None
+        body = inner.handlers[0].body if isinstance(inner, ast.Try) and inner.handlers else ()
+        return self.line(line.file, body[0].lineno) if body else None
+
     def call_stack(self, record: Record) -> tuple[Line, ...]:
         """Return the plan's lines that led to a record, outermost first; () if unknown."""
         if isinstance(record, Run | Keyframe | Envelope):

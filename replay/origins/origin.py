@@ -15,6 +15,8 @@ _MAX_ROWS: Final = 12  # largest number of lines of the plan that are shown
 _EARLIER: Final = 1.5  # rank of calls before the failed one; if they decided, they come before it
 _LATER: Final = 0.2  # added for each call before it
 _SUSPECT: Final = 3.0  # by how much a remark or a guess raises a line
+_SLIP: Final = 20.0  # by how much a likely slip raises a line
+_CHECKED: Final = 3.0  # rank of a line that only checks a value that another line made
 _PASSING: Final = 2.5  # by how much a line without numbers comes after a line with numbers
 _CHANGING: Final = 1.0  # by how much a line that changes a container comes before others
 _LOADING: Final = 2.0  # by how much a line that loads an object comes after others
@@ -64,6 +66,8 @@ class PossibleMistake:
     text: str
     file: str
     line: int
+    source: str = ""  # the line, for a mistake that the source alone shows
+    likely: bool = True
 
     @property
     def place(self) -> tuple[str, int]:
@@ -82,6 +86,7 @@ class Origins:
     guesses: tuple[PossibleMistake, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
     lacks_step: bool = False  # whether a step before the failed call is missing, so the call's own line counts
+    checked: bool = False  # whether the failed line checks a value, and the call that wrote the value is known
 
     def lines_of(self, name: str) -> list[int]:
         """Return the numbers of the lines of a file that made the values, the likeliest first."""
@@ -97,17 +102,19 @@ class Origins:
         """Return the places of lines, the likeliest first, and the facts about each."""
         ranks: dict[tuple[str, int], float] = {}
         facts: dict[tuple[str, int], list[Origin]] = defaultdict(list)
-        guessed = {each.place for each in self.guesses}
+        guessed = {each.place: _SLIP if each.source else _SUSPECT for each in self.guesses if each.likely}
+        ranks |= {each.place: 0.0 for each in self.guesses if each.source and each.likely}
         for number, call in enumerate((self.failed, *self.earlier)):
-            start = _EARLIER if number > self.decided else -_EARLIER if number else 0.0
+            start = _EARLIER if number > self.decided else -_EARLIER if number else _CHECKED * self.checked
             known = set(facts)
             decided = 0 < number <= self.decided
             for rank, each in _walk(call, start + _LATER * number, decided=decided) if call is not None else ():
                 place = each.place
                 if place not in known:  # an earlier call had other values there
                     facts[place].append(each)
-                raised = (each.file != self.program) - _SUSPECT * (place in guessed)
-                raised += _LAST * (each is self.failed and each.own < 1 and not self.lacks_step)
+                raised = (each.file != self.program) - guessed.get(place, 0.0)
+                if each is self.failed:
+                    raised += -_SUSPECT if self.lacks_step else _LAST * (each.own < 1 or self.checked)
                 ranks[place] = min(ranks.get(place, rank + raised), rank + raised)
         return sorted(ranks, key=lambda place: ranks[place]), facts
 
@@ -116,13 +123,17 @@ class Origins:
         ranked, facts = self._ranked()
         if self.failed is not None and self.failed.place not in ranked[: _MAX_ROWS - 1]:
             ranked[_MAX_ROWS - 1 :] = [self.failed.place]
+        slips = {each.place: each for each in self.guesses if each.source}
         for place in ranked[:_MAX_ROWS]:
+            text = facts[place][0].text if facts[place] else slips[place].source
             values = dict.fromkeys(filter(None, map(_said, facts[place])))
             comment = f"  # {phrases.short('; '.join(values))}" if values else ""
-            yield f"{phrases.place(Line(*place))}  {facts[place][0].text}{comment}"
+            yield f"{phrases.place(Line(*place))}  {text}{comment}"
+            yield from [f"    perhaps: {slips[place].text}"] if place in slips else ()
             remarks = (f"{each.name}: {said}" for each in facts[place] for said in (each.remark, each.moved) if said)
             yield from (f"    {each}" for each in dict.fromkeys(remarks))
-        yield from (f"perhaps {each.text}{phrases.at(Line(*each.place))}" for each in self.guesses)
+        others = (each for each in self.guesses if each.place not in ranked[:_MAX_ROWS] or not each.source)
+        yield from (f"perhaps {each.text}{phrases.at(Line(*each.place))}" for each in others)
         yield from (f"note: {each}" for each in self.notes)
 
 

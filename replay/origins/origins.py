@@ -14,14 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.records import Mutation
-from replay.explain.causes import decides
+from replay.explain.causes import decides, lacks_step
 from replay.explain.causes.case import Cause, CausingChange, hands, joints_of
-from replay.explain.causes.changed import HandState
 from replay.explain.causes.out_of_reach import ObstructingBody
+from replay.explain.causes.written import Written
 from replay.file.record_reader import RecordReader
 from replay.history.blame import Blame, blame
+from replay.history.source import PlanSource
 from replay.origins.origin import Origin, Origins
-from replay.origins.relating import guesses, with_moves
+from replay.origins.relating import guesses, slips, with_moves
 from replay.retrace.plan_process import CantRetrace, PlanProcess
 
 if TYPE_CHECKING:
@@ -76,11 +77,11 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
         notes.append(f"the plan didn't reach step {first}, where the failed call began")
     if answer["difference"] is not None:
         notes.append("the plan differs from its recording at step {step}: {text}".format(**answer["difference"]))
-    mistakes = tuple(guesses(why, failed))
-    ungrasped = why.causes[:1] and isinstance(why.causes[0], HandState) and why.causes[0].precondition == "held"
-    return Origins(
-        failed, tuple(earlier.values()), str(process.program), decided, mistakes, tuple(notes), bool(ungrasped)
-    )
+    calls = tuple(earlier.values())
+    mistakes = (*guesses(why, failed), *slips(PlanSource(log), (each for each in (failed, *calls) if each is not None)))
+    checked = any(isinstance(each, Written) for each in why.causes)
+    lacks = why.case is not None and lacks_step(why.case, why.causes)
+    return Origins(failed, calls, str(process.program), decided, mistakes, tuple(notes), lacks, checked)
 
 
 def _steps(log: RecordReader, why: Why) -> dict[int, bool]:

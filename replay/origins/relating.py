@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any, Final
@@ -13,6 +13,7 @@ from recorder import geometry
 from recorder.records import Plain
 from replay.file.record_reader import RecordReader
 from replay.history.blame import blame
+from replay.history.oddities import is_strong, oddities
 from replay.history.source import PlanSource
 from replay.origins.origin import Origin, PossibleMistake
 from replay.report import phrases
@@ -82,6 +83,20 @@ def guesses(why: Why, failed: Origin | None) -> Iterator[PossibleMistake]:
             made = [each for each in facts if isinstance(each.number, list) and _near(each.number, numbers)]
             deepest = made[-1] if made else failed
             yield PossibleMistake(f"{name} {phrases.vector(numbers)} {found}", *deepest.place)
+
+
+def slips(source: PlanSource, calls: Iterable[Origin]) -> Iterator[PossibleMistake]:
+    """Yield likely slips in the functions of the values' lines, from the source alone."""
+    facts = [*calls]
+    for each in facts:  # the list grows
+        facts += each.parts
+    for file in dict.fromkeys(each.file for each in facts):
+        lines = (source.line(file, each.line) for each in facts if each.file == file)
+        functions = {line.function for line in lines if line is not None}
+        for number, words in oddities(source.text(file)).items():
+            line = source.line(file, number)
+            if line is not None and line.function in functions:
+                yield PossibleMistake(words, file, number, line.text, is_strong(words))
 
 
 def _in_degrees(data: Mapping[str, Plain], facts: Sequence[Origin]) -> Iterator[PossibleMistake]:

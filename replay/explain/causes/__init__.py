@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
-from replay.explain.causes.case import CausingChange
+from replay.explain.causes.case import CausingChange, about
 from replay.explain.causes.changed import Gone, HandState, Misbelief, NoLonger
 from replay.explain.causes.lacked import RefusedRequest, Swallowed
-from replay.explain.causes.out_of_reach import NoCandidate, ObstructingBody, UnreachedTarget
+from replay.explain.causes.out_of_reach import TOO_FAR, NoCandidate, ObstructingBody, UnreachedTarget
 from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import Raised
 from replay.explain.causes.waiting import Interruption, Timeout
 from replay.explain.causes.worlds import ForkedChange, NoGravity, OtherWorld
+from replay.explain.causes.written import Written
 
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
@@ -25,6 +27,7 @@ KINDS: Final[tuple[type[Cause], ...]] = (
     NoGravity,
     Swallowed,
     RefusedRequest,
+    Written,
     Physics,
     NoLonger,
     Misbelief,
@@ -38,9 +41,8 @@ KINDS: Final[tuple[type[Cause], ...]] = (
 )
 _DECIDING: Final = (
     *("other-world", "gravity", "swallowed-failure", "refused"),
-    *("physics", "no-longer-true", "removed", "timeout"),
+    *("physics", "no-longer-true", "removed", "timeout", "written"),
 )
-_TOO_FAR: Final = 1.2  # an arm reaches nothing at this distance from the robot's base, m
 _BEHIND: Final = 0.2  # distance behind the robot's base, m
 
 
@@ -62,7 +64,19 @@ def decides(case: FailureCase, cause: Cause) -> bool:
     if not isinstance(cause, UnreachedTarget) or not isinstance(target, list) or case.robot is None:
         return cause.kind in _DECIDING
     ahead, *_ = geometry.transform(geometry.invert(case.robot.pose), [float(str(each)) for each in target])
-    return cause.distance > _TOO_FAR or ahead < -_BEHIND  # the robot's place is wrong
+    return cause.distance > TOO_FAR or ahead < -_BEHIND  # the robot's place is wrong
+
+
+def lacks_step(case: FailureCase, causes: Sequence[Cause]) -> bool:
+    """Return whether a call is missing before the failed call, whose own line counts then."""
+    first = next(iter(causes), None)
+    if isinstance(first, HandState):
+        return first.precondition == "held"
+    if not isinstance(first, UnreachedTarget) or not decides(case, first) or case.robot is None:
+        return False
+    arrived = max((each.step for each in first.changes if each.body == case.robot.name and not each.joint), default=0)
+    done = (each for each in case.failed.motions if not each.failed and arrived < each.started.seq < case.began)
+    return any(about(each, body=body) for each in done for body in case.subjects)
 
 
 def _with_events(cause: Cause) -> Cause:

@@ -89,6 +89,7 @@ class Swallowed(Cause):
     went_on: Line | None  # the plan's next line
     also: tuple[Node, ...] = ()  # other failed attempts, for example with the other arm
     skipped: Line | None = None  # line that skipped the use of the variable, such as a loop over an empty list
+    handled: Line | None = None  # line of the ``except`` that took the failure
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Swallowed]:
@@ -117,7 +118,8 @@ class Swallowed(Cause):
             lacked = f"so {self.subject} was empty, and {skipped}"
         how = f"{_where(self.line)} {'was cancelled' if failed.status is State.CANCELLED else 'failed'}"
         went_on = f"the plan continued{_where(self.went_on)}; {lacked}"
-        yield f"{phrases.node(failed)}{how} at step {failed.last_step} and {went_on}"
+        how = f"{how} at step {failed.last_step}" + (f", was handled{_where(self.handled)}," if self.handled else "")
+        yield f"{phrases.node(failed)}{how} and {went_on}"
         if failed.error is not None:
             yield f"its failure: {phrases.error(failed)}"
         for task in self.also:
@@ -434,7 +436,8 @@ def _swallowing(
     step, went_on = _next_step(case, outer.last_step, around, outer.started.thread, stack)
     steps = {failed.last_step, *([step] if step else []), case.step, *(task.last_step for task in also)}
     line = case.line_of(failed.started)
-    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, went_on, also)
+    handled = case.source.handler(line) if line is not None else None
+    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, went_on, also, handled=handled)
 
 
 def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:

@@ -20,6 +20,7 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
+TOO_FAR: Final = 1.2  # an arm reaches nothing at this distance from the robot's base, m
 _OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # these causes explain the causes in this module
 
@@ -100,7 +101,8 @@ class UnreachedTarget(Cause):
             return
         distance = math.dist([float(str(part)) for part in target[:2]], case.robot.position[:2])
         miss, turned = case.data.get("distance"), case.given.get("orientation")
-        torso = (f"{case.robot.name}.{joint}" for joint in joints_of(case.robot, "torso"))
+        lift = joints_of(case.robot, "torso") if distance <= TOO_FAR else ()
+        torso = (f"{case.robot.name}.{joint}" for joint in lift)
         changed = (case.changed(name) for name in (case.robot.name, taken, *torso) if name)
         changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
         yield UnreachedTarget(

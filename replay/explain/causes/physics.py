@@ -18,6 +18,7 @@ from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, about, objects_in, result
+from replay.explain.causes.written import Written, compared
 from replay.history.blame import commanded, is_physics
 from replay.history.source import Line
 from replay.report import phrases
@@ -71,11 +72,15 @@ class Physics(Cause):
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Physics]:
         """Yield the objects of the failure that physics moved."""
-        for name in case.mentioned:
+        for name in dict.fromkeys((*case.mentioned, *(name for name, _ in compared(case)))):
             if case.free_body(name) is not None and case.world is not None and case.world.carrier(name) is None:
                 fate = _Fate(case, name)
                 if fate.base is not None:
                     yield from fate.explained()
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether the plan compares a part of the pose that the motion left as it was."""
+        return any(isinstance(each, Written) and each.body == self.body for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials without the changes that let the object move, and with the object at its earlier place."""

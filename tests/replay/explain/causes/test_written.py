@@ -1,0 +1,67 @@
+"""A property or a check of the plan failed: the change that wrote the compared value, and what isn't its cause."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+
+from replay.explain import causes as kinds, why_report
+from tests.replay.explain.causes.explaining import line_of
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from replay.explain.why import Why
+
+PLAN = """
+    from pycram import monitored
+    milk = Object("milk", "milk", "milk.stl", [0, 0, 0.095])
+    cup = Object("cup", "cup", "cup.stl", [2, 0, 0.05])
+    def shift(thing, offset):
+        x, y, z = thing.get_position()
+        thing.set_position([x, y + offset, z])
+    {move}
+    world.settle()
+    {check}
+"""
+
+
+def written(why: Why) -> list[tuple[str, str, int]]:
+    found = [each for each in why.causes if isinstance(each, kinds.Written)]
+    return [(each.body, each.part, each.change.line.number) for each in found]
+
+
+@pytest.mark.parametrize(
+    ("move", "check", "part"),
+    [
+        ("shift(milk, 1)", "assert milk.get_position()[1] < 0.5", "y"),
+        ("shift(milk, 1)", "x, y, z = milk.get_position()\n    if y > 0.5:\n        raise PlanFailure('too far')", "y"),
+        ("with monitored('always milk.y < 0.5'):\n        shift(milk, 1)", "pass", "y"),
+    ],
+    ids=["assert", "raise", "property"],
+)
+def test_the_compared_coordinate_leads_to_its_last_command(
+    explained: Callable[..., Why], tmp_path: Path, move: str, check: str, part: str
+) -> None:
+    why = explained(PLAN.format(move=move, check=check))
+    assert written(why) == [("milk", part, line_of(tmp_path, "thing.set_position"))]
+    assert not any(isinstance(each, kinds.Physics) for each in why.causes)  # the fall left y as it was
+    assert "no cause is on record" not in "\n".join(why_report.lines(why))
+    assert why.sources[0].number == line_of(tmp_path, "thing.set_position")
+
+
+def test_a_fall_that_changes_the_compared_height_is_the_cause(explained: Callable[..., Why]) -> None:
+    why = explained(PLAN.format(move="milk.set_position([0, 1, 0.4])", check="assert milk.get_position()[2] > 0.3"))
+    assert not written(why)
+    assert [each.body for each in why.causes if isinstance(each, kinds.Physics)] == ["milk"]
+
+
+def test_an_object_that_only_others_moved_past_leads_to_their_line(
+    explained: Callable[..., Why], tmp_path: Path
+) -> None:
+    why = explained(PLAN.format(move="shift(cup, 1)", check="assert milk.get_position()[1] > 0.5"))
+    (cause,) = (each for each in why.causes if isinstance(each, kinds.Written))
+    assert (cause.change.how, [each.body for each in cause.others]) == ("load", ["cup"])
+    assert cause.others[0].line.number == line_of(tmp_path, "thing.set_position")
