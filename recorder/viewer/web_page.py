@@ -20,11 +20,12 @@ import threading
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 from http import HTTPStatus
-from http.client import OK, HTTPConnection, HTTPException
+from http.client import HTTPException
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote, urlsplit
+from urllib.request import ProxyHandler, build_opener
 
 import rerun as rr
 import rerun_cli
@@ -259,13 +260,6 @@ def _port(process: subprocess.Popen[bytes]) -> int:
 
 
 def _get(port: int, name: str) -> bytes:
-    connection = HTTPConnection(HOST, port, timeout=_TIMEOUT)
-    try:
-        connection.request("GET", f"/{name}")
-        reply = connection.getresponse()
-        content = reply.read()
-        if reply.status != OK:
-            raise OSError(f"{name}: {reply.status} {reply.reason}")
+    with build_opener(ProxyHandler({})).open(f"http://{HOST}:{port}/{name}", timeout=_TIMEOUT) as reply:
+        content: bytes = reply.read()
         return content
-    finally:
-        connection.close()

@@ -213,12 +213,14 @@ def _driven(world: World, record: Mutation) -> Iterator[MotionRow]:
     """Yield the rows of a simulation. ``world`` is the state before the simulation."""
     ends = {each.number: each.time for each in record.simulate.driven}
     followed = {number: each for number, each in world.following.items() if number in ends}
-    values = {each.begin.body: _values(world.bodies.get(each.begin.body)) for each in followed.values()}
+    bodies = {each.begin.body: world.bodies.get(each.begin.body) for each in followed.values()}
+    # a recording may begin after a body was loaded
+    values = {name: {} if body is None else _values(body) for name, body in bodies.items()}
     moments = [(sample.sim_step, sample.bodies) for sample in record.effect.samples]
     for sim_step, states in [*moments, (record.sim_step, record.effect.bodies)]:
         for state in states:
             if state.body in values:
-                values[state.body].update(_values_in(state))
+                values[state.body].update(_values(state))
         for number, following in list(followed.items()):
             time = min(time_of(following, sim_step), ends[number])
             body = following.begin.body
@@ -234,26 +236,16 @@ def _names(begin: BeginTrajectory) -> Sequence[str]:
     return begin.trajectory.joints or BASE_COORDINATES
 
 
-def _values(body: Body | None) -> dict[str, tuple[float, float | None]]:
-    """Return position and velocity of a body's joints and base coordinates by name."""
-    if body is None:  # the recording began after the body was loaded
-        return {}
-    joints = {name: (position, body.joint_velocities[name]) for name, position in body.joints.items()}
-    return joints | _place(body.position) | _heading(body.orientation)
-
-
-def _values_in(state: BodyState) -> dict[str, tuple[float, float | None]]:
-    speeds = state.joint_velocities or [0.0] * len(state.joints)
-    joints = zip(state.joint_positions, speeds, strict=True)
-    found: dict[str, tuple[float, float | None]] = dict(zip(state.joints, joints, strict=True))
-    return found | _place(state.position) | _heading(state.orientation)
-
-
-def _place(position: Sequence[float]) -> dict[str, tuple[float, float | None]]:
-    return {"x": (position[0], None), "y": (position[1], None)} if position else {}
-
-
-def _heading(orientation: Sequence[float]) -> dict[str, tuple[float, float | None]]:
-    if not orientation:
-        return {}
-    return {"yaw": (geometry.to_rpy(orientation)[2], None)}
+def _values(state: Body | BodyState) -> dict[str, tuple[float, float | None]]:
+    """Return position and velocity of a body's joints and base coordinates, as far as the state has them, by name."""
+    found: dict[str, tuple[float, float | None]] = {}
+    if isinstance(state, Body):
+        found |= {name: (position, state.joint_velocities[name]) for name, position in state.joints.items()}
+    else:
+        speeds = state.joint_velocities or [0.0] * len(state.joints)
+        found |= dict(zip(state.joints, zip(state.joint_positions, speeds, strict=True), strict=True))
+    if state.position:
+        found |= {"x": (state.position[0], None), "y": (state.position[1], None)}
+    if state.orientation:
+        found["yaw"] = geometry.to_rpy(state.orientation)[2], None
+    return found

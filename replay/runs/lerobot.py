@@ -277,14 +277,10 @@ class _Writer:
         return {key: feature | {"fps": FPS} for key, feature in features.items()}
 
     def _columns(self) -> Iterator[tuple[str, np.ndarray]]:
-        files = sorted((self.folder / "data").rglob("*.parquet"))
         for name in self._features():
-            parts = []
-            for file in files:
-                column = parquet.ParquetFile(file).read([name])[name].combine_chunks()
-                is_vector = pa.types.is_fixed_size_list(column.type)
-                parts.append(np.asarray(column.flatten()).reshape(len(column), -1) if is_vector else np.asarray(column))
-            yield name, np.concatenate(parts)
+            column = parquet.read_table(self.folder / "data", columns=[name])[name].combine_chunks()
+            is_vector = pa.types.is_fixed_size_list(column.type)
+            yield name, np.asarray(column.flatten()).reshape(len(column), -1) if is_vector else np.asarray(column)
 
 
 def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarray:
