@@ -47,7 +47,7 @@ def _(causes: CausingTasks) -> dict[str, object]:
 
 def lines(change: Blame) -> Iterator[str]:
     """Yield the change, its causes, and the change before it as text."""
-    return _lines(change, [])
+    return _lines(change, [], set())
 
 
 @html.rendered.register(Blame)
@@ -56,13 +56,13 @@ def _(change: Blame) -> str:
     return html.page(headline, html.text(more))
 
 
-def _lines(change: Blame, printed: list[Sequence[Line]], *, is_earlier: bool = False) -> Iterator[str]:
+def _lines(change: Blame, printed: list[Sequence[Line]], told: set[int], *, is_earlier: bool = False) -> Iterator[str]:
     yield _headline(change)
     yield f"  step {change.record.seq}: {phrases.record_line(change.record)}"
     if not getattr(change.record, "by_fork", False):  # the line of a fork's change names the fork
-        yield from because(change.causes, "  ", printed)
+        yield from because(change.causes, "  ", printed, told)
     for carried in change.carried:
-        yield from _held(carried, printed)
+        yield from _held(carried, printed, told)
     if change.other_worlds and not is_earlier:
         yield f"  ({change.body} is in {phrases.names(change.other_worlds)}, too; choose a world with --world)"
     if change.default_world and not is_earlier:
@@ -70,7 +70,7 @@ def _lines(change: Blame, printed: list[Sequence[Line]], *, is_earlier: bool = F
     if change.earlier is not None:
         yield ""
         yield "Before that:"
-        yield from _lines(change.earlier, printed, is_earlier=True)
+        yield from _lines(change.earlier, printed, told, is_earlier=True)
 
 
 def _headline(change: Blame) -> str:
@@ -100,22 +100,34 @@ def _value(value: Pose | float) -> str:
     return phrases.number(value) if isinstance(value, float) else phrases.vector(value[0])
 
 
-def because(causes: CausingTasks, indent: str, printed: list[Sequence[Line]]) -> Iterator[str]:
-    """Yield the tasks around a record, and the plan's lines that led to the record."""
+def because(
+    causes: CausingTasks, indent: str, printed: list[Sequence[Line]], told: set[int] | None = None
+) -> Iterator[str]:
+    """Yield the tasks around a record, and the plan's lines that led to the record.
+
+    Args:
+        printed: call stacks that were printed before; this call stack is added.
+        told: steps at which printed tasks started. Of the tasks around a printed task, none is printed again.
+    """
     for started in (task.started for task in causes.tasks):
         called = phrases.task(started.kind, started.name, argument_values(started.parameters))
         by = "by" if started.kind == "handler" else "in"
         event = f", step {started.cause}" if by == "by" and started.cause else ""  # 0 before the recording
-        yield f"{indent}{by} {called}{event}  [step {started.seq}]"
+        again = told is not None and started.seq in told
+        yield f"{indent}{by} {called}{event}  [step {started.seq}{', as above' if again else ''}]"
+        if again:
+            break
+        if told is not None:
+            told.add(started.seq)
     if not causes.tasks:
         yield f"{indent}by the plan itself"
     yield from (f"{indent}{line}" for line in phrases.call_stack_lines(causes.call_stack, printed))
 
 
-def _held(carried: Carried, printed: list[Sequence[Line]]) -> Iterator[str]:
+def _held(carried: Carried, printed: list[Sequence[Line]], told: set[int]) -> Iterator[str]:
     held = carried.held
     if carried.step is None or carried.causes is None:
         yield f"  {phrases.carrier(held)} already held {held.body} when the recording began"
         return
     yield f"  {phrases.carrier(held)} has held {held.body} since step {carried.step}"
-    yield from because(carried.causes, "    ", printed)
+    yield from because(carried.causes, "    ", printed, told)

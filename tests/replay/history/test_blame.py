@@ -43,7 +43,9 @@ def test_repeated_call_stack_lines_are_printed_once(small: Recording, capsys: py
     assert main(["blame", str(small.path), "milk", "--at", str(carried)]) == 0
     output = [line.strip() for line in capsys.readouterr().out.splitlines()]
     assert sum(line.startswith("called from ") and line.endswith("main()") for line in output) == 1
-    assert [line.split(":")[-1].split(" ", 1)[1] for line in output if "as above" in line] == ["in <module>, as above"]
+    tasks, calls = (line for line in output if "as above" in line)
+    assert tasks.startswith("in carry(object=milk)")
+    assert calls.endswith("in <module>, as above")
 
 
 def test_blame_of_a_settled_body_includes_what_moved_it_before(small: Recording) -> None:
