@@ -57,7 +57,8 @@ def _run_command(argv: Sequence[str] | None) -> int:
     given = list(sys.argv[1:] if argv is None else argv)
     cut = given.index("--") if "--" in given else len(given)
     given, arguments = given[:cut], given[cut + 1 :]  # argparse would mistake the plan's options for options of pycram
-    given = ["--rerun=spawn" if word == "--rerun" else word for word in given]  # not the plan as its value
+    # argparse would take the plan as the value of --rerun
+    given = ["--rerun=spawn" if word == "--rerun" else word for word in given]
     if not given:
         parser.print_help(sys.stderr)
         return WRONG_USAGE

@@ -124,7 +124,8 @@ def record(
                 if error is None:
                     raise
                 failed.__context__, error.__context__ = error.__context__, failed
-                if not isinstance(error, RecordingError):  # the plan's own error is raised instead
+                # the plan's own error is raised, so the error of the recording is printed
+                if not isinstance(error, RecordingError):
                     print(f"recorder: {failed}", file=sys.stderr)
 
         with ExitStack() as ending:

@@ -458,7 +458,8 @@ def _fate(candidate: Candidate) -> str:
     data, reason = argument_values(candidate.data), candidate.reason
     if reason == "Touching":
         pairs = data.get("pairs")
-        first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}  # the deepest
+        # the first pair has the deepest contact
+        first = pairs[0] if isinstance(pairs, list) and pairs and isinstance(pairs[0], dict) else {}
         touched = first.get("body") or "something"
         return f"collides with {touched}|collide with {touched}"
     text = data.get("reason")

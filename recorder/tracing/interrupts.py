@@ -50,7 +50,7 @@ class Host(Protocol):
 
 
 _host: Host | None = None
-_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler  # the handler before ours
+_handler: Callable[[int, FrameType | None], Any] = signal.default_int_handler  # the previous handler
 _holder = 0  # ident of the main thread; after a fork, the forking thread is the main thread
 _open = 0  # number of open sections and scopes in the main thread; above 0, our handler is installed
 _sections = 0

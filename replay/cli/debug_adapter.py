@@ -123,7 +123,7 @@ class Adapter:
         self._recording: subprocess.Popen[str] | None = None  # the process that records a plan for this session
         self._ending = False  # whether the editor has disconnected
         self._numbers: dict[int, str] = {}  # kinds of breakpoints by number
-        self._lists: list[_Lister] = []  # list variables, which the editor may unfold until the plan moves
+        self._lists: list[_Lister] = []  # functions that list variables, which an editor may unfold
         self._listed: dict[tuple[int, str], _Variable] = {}
 
     def run(self) -> None:

@@ -63,7 +63,8 @@ def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
     """Yield names and texts. If a fact isn't recorded, its text is empty."""
     start, metadata = info.start or Run(), info.metadata
     yield "file", f"{log.path} ({f'{info.size / 1e6:.1f} MB' if info.size >= 1e5 else f'{info.size} bytes'})"
-    given = shlex.join(start.arguments) or metadata.get("plan_arguments", "")  # as text in older releases
+    # recordings of older releases have a text of all arguments
+    given = shlex.join(start.arguments) or metadata.get("plan_arguments", "")
     yield "plan", f"{info.plan} {given}".strip()
     yield "parameters", ", ".join(f"{each.name}={each.value_json}" for each in start.parameters)
     if start.HasField("sweep"):

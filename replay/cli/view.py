@@ -127,7 +127,8 @@ def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
 
     with stream_to_viewer() as stream:
         page = WebPage(stream)
-        translate(logs, stream, max(len(each) for each in logs) - 1, [_eye(log, None) for log in logs])  # with all rows
+        # pages show all rows
+        translate(logs, stream, max(len(each) for each in logs) - 1, [_eye(log, None) for log in logs])
         page.flush()
         if wants_json:
             print_json({"page": page.address}, flush=True)

@@ -90,7 +90,8 @@ class GuidedPlan:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
             raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
-        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)  # of the recorded clock: this machine may be slower
+        # the recorded clock counts, because the machine may now be slower
+        spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
         self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
     def __enter__(self) -> Self:

@@ -112,7 +112,8 @@ def ask(
             raise state.no_body(error.name, [state.world(world)]) from None
         except PycramError as error:
             raise BadQuestion(str(call), str(error)) from error
-        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:  # of unchecked arguments
+        # queries may not check all arguments
+        except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
             raise BadQuestion(str(call), f"it can't be answered: {format_error(error)}") from error
         answer: bool | list[str | bool]
         if isinstance(result, list):

@@ -268,7 +268,8 @@ class MovingLinks:
         self.base_pose = engine.pose(body)
         self.articulation = Articulation(engine, body, drivers(robot.model.path, joints))  # how joints move the links
         swung = [each for other, link, each in held if link in fixed.moving]
-        self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)  # names of held objects
+        # names of the objects that moving links hold
+        self.held = frozenset(other.name for other, link, _ in held if link in fixed.moving)
         self._all_boxes = concatenate([boxes, *swung])
         self.boxes = self._all_boxes.subset(fixed.checked)  # boxes of the checked links and the objects that they hold
         self._robot, self._structure = robot.name, fixed

@@ -136,7 +136,8 @@ class RayCaster:
         reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
         near = (np.abs(away) <= reach + np.abs(half)).all(axis=2)
         where, which = np.nonzero(near)
-        middles, spread = away[where, which, 0], reach[where, which, 0]  # for each piece, the ends of its range along u
+        # for each piece, the first and the last line along u that may meet it
+        middles, spread = away[where, which, 0], reach[where, which, 0]
         paces = np.where(steps == 0.0, _PARALLEL, steps)[where]
         middles, spread = middles / paces + last[where] / 2, np.abs(spread / paces)
         begins = np.maximum(np.ceil(middles - spread), 0.0).astype(np.intp)
