@@ -36,8 +36,8 @@ _ACTIONS: Final = """\
 `perform(transporting(object=milk, target="island"))` executes an action: it chooses values for empty slots, and tries
 the next choice when one fails. `pycram.action_designators` has a typed constructor for each action; it returns
 `ActionDesignator(type=..., ...)`. In keyword arguments, write the names of slots with `_` for `-`, such as
-`reachable_for=`; add a `_` to names that are Python keywords, such as `in_=`. If there is no choice, because an object
-isn't found or no place is suitable (`NoPlace`), an action fails before anything moves. Every action also has these
+`reachable_for=`; add a `_` to names that are Python keywords, such as `in_=`. If there is no candidate, because an
+object isn't found or no place is suitable (`NoPlace`), an action fails before anything moves. Every action also has these
 slots:
 """
 _MOTIONS: Final = """\

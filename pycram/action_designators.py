@@ -105,8 +105,8 @@ def handing_over(
 ) -> ActionDesignator:
     """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The second hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
-    object, or has no other gripper, the action fails before anything moves.
+    The second hand grasps the object at a point next to the first hand. Then the first hand releases it. If the robot
+    doesn't hold the object, or has no other gripper, the action fails before anything moves.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
@@ -294,7 +294,7 @@ def searching(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Searches an object until the camera sees it, and returns the object.
+    """Searches for an object until the camera sees the object, and returns it.
 
     The search begins at the believed place of the object. Next, the robot looks at all surfaces, the nearest first:
     from its present place, then from places near the surfaces. At last, the robot opens closed drawers and doors, looks

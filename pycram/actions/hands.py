@@ -120,8 +120,8 @@ def handing_over(
 ) -> Object:
     """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The second hand grasps the object next to the first hand, which then releases it. If the robot doesn't hold the
-    object, or has no other gripper, the action fails before anything moves.
+    The second hand grasps the object at a point next to the first hand. Then the first hand releases it. If the robot
+    doesn't hold the object, or has no other gripper, the action fails before anything moves.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.

@@ -117,7 +117,7 @@ class _Point:
 
 @action("searching")
 def searching(object: Any) -> Object:  # noqa: A002  the slot's name
-    """Searches an object until the camera sees it, and returns the object.
+    """Searches for an object until the camera sees the object, and returns it.
 
     The search begins at the believed place of the object. Next, the robot looks at all surfaces, the nearest first:
     from its present place, then from places near the surfaces. At last, the robot opens closed drawers and doors, looks
