@@ -37,8 +37,8 @@ _ACTIONS: Final = """\
 the next choice when one fails. `pycram.action_designators` has a typed constructor for each action; it returns
 `ActionDesignator(type=..., ...)`. In keyword arguments, write the names of slots with `_` for `-`, such as
 `reachable_for=`; add a `_` to names that are Python keywords, such as `in_=`. If there is no candidate, because an
-object isn't found or no place is suitable (`NoPlace`), an action fails before anything moves. Every action also has these
-slots:
+object isn't found or no place is suitable (`NoPlace`), an action fails before anything moves. Every action also has
+these slots:
 """
 _MOTIONS: Final = """\
 `perform(moving(target=[1, 0, 0]))` executes a motion. `pycram.motion_designators` has a typed constructor for each
