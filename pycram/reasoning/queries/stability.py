@@ -45,6 +45,8 @@ MOVED: Final = 0.01  # largest motion in m of a stable object
 TURNED: Final = math.radians(5)  # largest rotation of a stable object
 _PERIOD: Final = 6  # number of steps between samples of the speeds
 _DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # number of samples after which the slow check of firm standing is made
+_EARLY: Final = 1  # samples after which bodies may sleep beside an object at rest; steps of awake bodies are slow
+_FALLING: Final = 0.1  # speed in m/s after the first sample that only a falling body reaches
 _LEANING: Final = 0.005  # largest distance in m of a body that leans on a robot: a gap of 0.5 mm, and some settling
 _CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries a body
 _FLAT: Final = 0.002  # largest difference in m between the heights of a body's corners that count as one level
@@ -165,6 +167,7 @@ def _simulate(
     """
     start = engine.pose(body)
     speeds: list[list[float]] = []  # speeds of all bodies in each sample, as multiples of the limit for rest
+    decisions = _DECISIONS if sleepers is None else (_EARLY, *_DECISIONS)
     steps = 0
     moved = turned = 0.0
     while steps < HORIZON:
@@ -177,10 +180,10 @@ def _simulate(
             return Verdict(False, evidence)
         speeds.append(
             [max(linear / SLOW, turn / SLOW_TURN) for linear, turn in (_speeds(engine, other) for other in movable)]
-            if sleepers is None or any(0 <= decision - 1 - len(speeds) < INTERVALS for decision in _DECISIONS)
+            if sleepers is None or any(0 <= decision - 1 - len(speeds) < INTERVALS for decision in decisions)
             else []
         )
-        if len(speeds) not in _DECISIONS:
+        if len(speeds) not in decisions or (len(speeds) == _EARLY and _speeds(engine, body)[0] > _FALLING):
             continue
         resting = [at_rest(each) for each in zip(*speeds[-INTERVALS:], strict=True)]
         if sleepers is not None:
