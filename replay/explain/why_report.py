@@ -401,6 +401,9 @@ def _since(since: ChangesSince) -> Iterator[str]:
 def _commands(why: Why, path: str) -> Iterator[str]:
     """Yield commands for details. ``path`` is quoted for a shell."""
     world = "" if why.world is None or why.is_default else f" --world {shlex.quote(why.world.name)}"
+    if why.causes and not why.proofs and why.run.outcome == "failed":
+        yield f"pycram-replay why {path} --prove"
+        yield f"pycram-replay fix {path}"
     if why.queries:
         yield f"pycram-replay show {path} {why.queries[-1].query.seq}"
     names = [involved.body.name for involved in _movable(why)]

@@ -36,6 +36,7 @@ _AT_ONCE: Final = 2  # number of parallel forks
 _MAX_TRIALS: Final = 3  # largest number of forks of a cause
 _SECONDS: Final = (30.0, 10.0)  # largest duration of a fork: in s, and as a multiple of the original run
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?")
+_STEPS: Final = re.compile(r"at step \d+ \([\d.]+ s\)|since step \d+")
 _RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
 
 
@@ -119,6 +120,7 @@ class Prover:
         self._reading = threading.Lock()  # a single thread at a time reads the recording
         self._end = _end(log, uncaught_failure(log))
         self._steps = len(log)
+        self._checked = why.failure or Failure()  # the failure of a property or a check of the plan
         self._seconds = max(_SECONDS[0], _SECONDS[1] * why.run.seconds)
         self._task: Task | None = None  # the start of the failed task
         if why.task is not None and (finished := why.task.motion.finished or why.task.finished) is not None:
@@ -196,10 +198,21 @@ class Prover:
         if failure is None:
             return (UNTESTED, "the fork doesn't start the failed task") if same else (CONFIRMED, "the plan succeeds")
         said = phrases.failure(failure)
-        if same:
-            return REFUTED, f"the same failure comes: {said}"
+        if trial.compares:
+            return self._compared(failure, same=same)
         further = "gets further, and " * later
-        return CONFIRMED if later else UNTESTED, f"{name} {further}fails in another way: {said}"
+        text = f"the same failure comes: {said}" if same else f"{name} {further}fails in another way: {said}"
+        return REFUTED if same else CONFIRMED if later else UNTESTED, text
+
+    def _compared(self, failure: Failure, *, same: bool) -> tuple[str, str]:
+        """Return the verdict on a change that wrote a checked value. Its former value may fail the check as well."""
+        said = phrases.failure(failure)
+        if same and _values(failure) == _values(self._checked):
+            return UNTESTED, f"the check fails with the former value as well: {said}"
+        return (
+            CONFIRMED,
+            f"the check {'compares another value' if same else 'passes, and the plan fails later'}: {said}",
+        )
 
     def succeeds(self, tried: TriedTrial) -> bool:
         """Return whether the failed task succeeds in a kept fork; without a task, whether the cause is confirmed."""
@@ -224,6 +237,11 @@ class Prover:
 def _signature(failure: Failure) -> tuple[str, str]:
     """Return the type and the message of a failure, without its numbers."""
     return failure.type, _NUMBER.sub("#", failure.message)
+
+
+def _values(failure: Failure) -> list[str]:
+    """Return the numbers that a check compared, as its message has them."""
+    return _NUMBER.findall(_STEPS.sub("", failure.message))
 
 
 def _end(log: RecordReader, end: Run | None) -> object:

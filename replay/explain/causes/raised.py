@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import builtins
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Final
@@ -71,6 +71,10 @@ class Raised(Cause):
         judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
         steps = {*(each.seq for each in judged), *(each.seq for each in _refusals(case)), case.step}
         yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether the change is known that wrote the value of the plan's check."""
+        return self.own and not self.answers and any(each.kind == "written" for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with other answers, longer waits, another arm, or without the refused call of a mistake."""

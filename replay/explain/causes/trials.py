@@ -50,6 +50,7 @@ class Trial:
     answers: tuple[str, ...] = ()  # values of ``fork --answer``
     world: str = ""  # the world of the settings
     decisive: bool = True  # whether the same failure refutes the cause even in a single fork
+    compares: bool = False  # whether a check with another value confirms the cause
     needs: str = ""  # motion that must succeed because of the change; otherwise, the fork decides nothing
 
 

@@ -11,10 +11,14 @@ from typing import TYPE_CHECKING, Final
 from recorder import geometry
 from recorder.plan_lines import syntax_nodes
 from recorder.records import Mutation
+from replay.explain.causes import trials
 from replay.explain.causes.case import HANDLER, Cause, CausingChange, FailureCase
+from replay.explain.causes.trials import Trial
 from replay.history.blame import Blame, blame, commanded
 from replay.history.source import Line
 from replay.report import phrases
+from replay.report.question import written
+from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from recorder.geometry import Pose
@@ -22,6 +26,7 @@ if TYPE_CHECKING:
 _AXES: Final = ("x", "y", "z")
 _READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("turn",) * 4}
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
+_ASIDE: Final = 0.01  # by so much a trial changes a compared coordinate, m
 _DEPTH: Final = 3  # definitions of names that are followed
 _SEARCHED: Final = 200  # this many changes are searched for other objects
 _OBJECT: Final = re.compile(r"<Object ([^<>]+)>")
@@ -32,7 +37,7 @@ class Written(Cause):
     """A change wrote the value that a property or the plan compares."""
 
     kind = "written"
-    untestable = "no other value is known"
+    untestable = "a fork can only take back the last change, and no loading"
     body: str
     part: str  # "x", "y", "z" or "turn"; "" for the whole pose
     value: float | None  # compared value in m; None for "turn" and ""
@@ -56,6 +61,27 @@ class Written(Cause):
             if (name, change.step) not in [(each.body, each.change.step) for each in found]:
                 found.append(Written(steps, name, part, value, change, others))
         yield from sorted(found, key=lambda each: -each.change.step)
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial without the last of the changes; a loading has none, because the plan needs the object."""
+        last = next(Written.find(case), self)
+        if self.change.how != "load" and last.change.step == self.change.step:
+            if self.change.how == "command" and self.change.task is None:
+                skip = f"set_position(object={written(self.body)})=skip"
+                yield Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,), compares=True)
+            for trial in trials.put_back(case, self.change):
+                yield replace(trial, compares=True)
+            if self.part in _AXES and case.world is not None and self.body in case.world.bodies:
+                near = [
+                    at + _ASIDE * (axis == self.part)
+                    for axis, at in zip(
+                        _AXES,
+                        state_at(case.log, self.change.step).worlds[case.world.name].bodies[self.body].position,
+                        strict=True,
+                    )
+                ]
+                for trial in trials.placed(case, self.body, near, self.change.step):
+                    yield replace(trial, compares=True)
 
     def _words(self) -> Iterator[str]:
         if self.value is not None:

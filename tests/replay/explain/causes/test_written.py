@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import replay
 from replay.explain import causes as kinds, why_report
 from tests.replay.explain.causes.explaining import line_of
 
@@ -65,3 +66,16 @@ def test_an_object_that_only_others_moved_past_leads_to_their_line(
     (cause,) = (each for each in why.causes if isinstance(each, kinds.Written))
     assert (cause.change.how, [each.body for each in cause.others]) == ("load", ["cup"])
     assert cause.others[0].line.number == line_of(tmp_path, "thing.set_position")
+
+
+def test_only_a_command_is_taken_back_and_the_check_itself_is_no_second_cause(
+    explained: Callable[..., Why], tmp_path: Path
+) -> None:
+    explained(PLAN.format(move="shift(milk, 1)", check="assert milk.get_position()[1] < 0.5"))
+    with replay.open(tmp_path / "x.mcap") as log:
+        why = log.why()
+        (cause,) = why.causes
+        taken_back = [*cause.trials(why.case)]
+    assert (taken_back[0].answers, taken_back[0].step) == (("set_position(object=milk)=skip",), cause.change.step - 1)
+    assert len(taken_back) == 3
+    assert all(each.compares for each in taken_back)  # a former value that fails as well refutes nothing
