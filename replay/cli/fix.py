@@ -121,8 +121,12 @@ def _lines(trials: Trials, found: SearchResult) -> Iterator[str]:
         )
         yield from difference(trials, each.edit.text)
         yield f"  its run: {each.recording}"
-        yield f"  it also succeeds under {each.seeds} of {each.checks[0]} other seeds,"
-        yield f"  and in {each.elsewhere} of {each.checks[1]} runs with loose objects 1 cm elsewhere"
+        seeds, places = each.checks
+        if seeds or places:
+            yield f"  it also succeeds under {each.seeds} of {seeds} other seeds,"
+            yield f"  and in {each.elsewhere} of {places} runs with loose objects 1 cm elsewhere"
+        else:
+            yield "  it wasn't run with other seeds, or with loose objects elsewhere"
     yield ""
     yield f"{asked}; tried {count}"
 

@@ -17,9 +17,10 @@ from replay.fix.operators import FAR, OPERATORS, Change, similar_name
 from replay.fix.plan_syntax import PlanSyntax, asserts, called_name, loads, stored
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
-_UNUSED: Final = 0.25  # by how much an edit with a name that the plan doesn't use is likelier
+_UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
 _AROUND: Final = 0.1  # additional cost of an edit of the condition or loop around a line
 _SCENE: Final = 0.3  # additional cost of an edit of a loaded object
+_WAITS: Final = ("settle()", "simulate(1)")
 _STRUCTURAL: Final = 0.45  # largest cost of edits that are tried on all lines
 #: Calls that aren't inserted: they reach a goal, or make the scene.
 _NOT_AGAIN: Final = (
@@ -90,55 +91,40 @@ class Editor:
             for change in _changes(node, self.plan) if node not in self.plan.goals else ():
                 if change.cost < _STRUCTURAL and not change.asks and not change.chance:
                     yield self._edit(change, node.lineno)  # type: ignore[attr-defined]
+            if isinstance(node, ast.Assign):
+                moves = (each for each in self._moves(node) if each[1] < _STRUCTURAL)
+                yield from (Edit(cost, node.lineno, what, text) for what, cost, text in moves)
 
     def insertions(self, line: int) -> Iterator[Edit]:
         """Yield the plan with a wait, or a call that the plan makes elsewhere, before a line."""
         lines, plan = self.plan.lines, self.plan
-        indent = lines[line - 1][: len(lines[line - 1]) - len(lines[line - 1].lstrip())]
-        waits = [
-            f"{world}.{call}" for world in sorted(plan.names["BulletWorld"])[:1] for call in ("settle()", "simulate(1)")
-        ]
-        for call, cost in (*((each, FAR) for each in waits), *self._other_calls(line)):
+        measuring = [node for node in plan.nodes if node in plan.goals and isinstance(node, ast.stmt)]
+        line = next((node.lineno for node in measuring if node.lineno <= line <= (node.end_lineno or 0)), line)
+        indent = re.match(r"\s*", lines[line - 1])[0]  # type: ignore[index]
+        waits = [(f"{each}.{call}", FAR) for each in sorted(plan.names["BulletWorld"])[:1] for call in _WAITS]
+        for call, cost in (*waits, *self._other_calls(line)):
             text = "".join([*lines[: line - 1], f"{indent}{call}\n", *lines[line - 1 :]])
             yield Edit(cost, line, f"{call} before line {line}", text)
 
     def _other_calls(self, line: int) -> Iterator[tuple[str, float]]:
         """Yield calls of the plan's other statements, also with other names in the same role."""
         plan = self.plan
-        here = next(
-            (node for node in plan.nodes[::-1] if isinstance(node, ast.stmt) and node.lineno == line), plan.tree
-        )
-        known = {
-            name
-            for each in plan.nodes
-            if isinstance(each, ast.stmt) and plan.scope(each) in (plan.tree, plan.scope(here))
-            for name in stored(each)
-        }
+        here = next((node for node in plan.nodes[::-1] if getattr(node, "lineno", 0) == line), plan.tree)
+        known = plan.local[plan.tree] | plan.local[plan.scope(here)] | plan.defined | {*plan.functions}
         found: dict[str, float] = {}
-        for node in plan.nodes:
-            call = node.value if isinstance(node, ast.Expr) and isinstance(node.value, ast.Call) else None
-            if (
-                call is None
-                or node in plan.goals
-                or node is here
-                or not plan.acts(call)
-                or call.end_lineno != call.lineno
-            ):
+        calls = [node.value for node in plan.nodes if isinstance(node, ast.Expr) and node.value not in plan.goals]
+        for call in (each for each in calls if isinstance(each, ast.Call) and each.lineno != line and plan.acts(each)):
+            if call.end_lineno != call.lineno or not {*map(called_name, ast.walk(call))}.isdisjoint(_NOT_AGAIN):
                 continue
-            if not {*map(called_name, ast.walk(call))}.isdisjoint(_NOT_AGAIN):
-                continue
-            cost = 0.7 + 0.2 * (isinstance(call.func, ast.Attribute) and call.func.attr != "perform")
+            cost = 0.9 + 0.1 * (isinstance(call.func, ast.Attribute) and call.func.attr != "perform")
             found.setdefault(plan.segment(call), cost)
-            for each in ast.walk(call):
-                for change in (
-                    similar_name(each, plan) if isinstance(each, ast.Name) and each not in plan.called else ()
-                ):
-                    text = plan.replaced(change.parts, call)
-                    more = 0.3 - 2 * _UNUSED * self._is_forgotten(change)
-                    found[text] = min(found.get(text, FAR + 1), cost + more)
+            names = [each for each in ast.walk(call) if isinstance(each, ast.Name) and each not in plan.called]
+            for change in (change for each in names for change in similar_name(each, plan)):
+                text = plan.replaced(change.parts, call)
+                more = 0.3 - 2 * _UNUSED * self._is_forgotten(change)
+                found[text] = min(found.get(text, FAR + 1), cost + more)
         for text, cost in found.items():
-            names = {each.id for each in ast.walk(ast.parse(text)) if isinstance(each, ast.Name)}
-            if names <= known | plan.defined | {*plan.functions}:
+            if {each.id for each in ast.walk(ast.parse(text)) if isinstance(each, ast.Name)} <= known:
                 yield text, cost
 
     def _is_forgotten(self, change: Change) -> bool:

@@ -37,9 +37,10 @@ _FEW: Final = 2  # whole numbers up to this number are counts, not lengths
 _MANY: Final = 4.0  # a number that is so much larger than all others has another unit
 _GRAVITY: Final = 9.0
 _RIGHT_ANGLES: Final = 15.0  # multiples of this number are likely angles in degrees
-_PASSED: Final = 0.2  # additional cost of a number for a function of the plan, which may convert it
+_PASSED: Final = 0.3  # additional cost of a number for a function of the plan, which may convert it
 _AXIS: Final = re.compile(r"(?:.*_)?[xyz]")
 _ANGLE: Final = re.compile(r".*(?:deg|angle|yaw|pitch|roll|theta|turn|heading|rotation).*", re.IGNORECASE)
+_RADIANS: Final = {"radians": "radians", "math.radians": "math"}  # functions by the imported name
 _MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
 _JUMPS: Final = ast.Return | ast.Break | ast.Continue | ast.Pass
 _OTHERS: Final = {"min": "max", "max": "min", "sin": "cos", "cos": "sin", "any": "all", "all": "any"}
@@ -137,16 +138,8 @@ def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         named = _ANGLE.fullmatch(ast.unparse(node)) is not None and node not in plan.called
         turned = called_name(parent) in ("sin", "cos", "tan") and node in getattr(parent, "args", ())
         if (named or turned) and called_name(parent) not in ("radians", "degrees"):
-            function = "radians" if "radians" in plan.defined else "math.radians"
-            yield plan_import(_to(node, f"{function}({ast.unparse(node)})", 0.35), plan)
-
-
-def plan_import(change: Change, plan: PlanSyntax) -> Change:
-    """Return a change that also imports math, if the plan doesn't."""
-    first = next(each for each in plan.tree.body if not isinstance(each, ast.Expr))
-    if "math." not in change.parts[0][1] or "math" in plan.defined or getattr(first, "module", "") == "__future__":
-        return change
-    return change._replace(parts=((first, f"import math\n{plan.segment(first)}"), *change.parts))
+            function = next((each for each, name in _RADIANS.items() if name in plan.defined), "0.0174533 * ")
+            yield _to(node, f"{function}({ast.unparse(node)})", 0.35)
 
 
 def _aliasing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -238,17 +231,15 @@ def _branches(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 def _handling(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield handlers that don't swallow an error, and loops that end after a success."""
     if isinstance(node, ast.ExceptHandler) and not any(isinstance(each, ast.Raise) for each in ast.walk(node)):
-        last = node.body[-1]
-        for jump in ("continue", "break", "raise") if plan.in_loop(node) else ("raise",):
-            old, indent = plan.segment(last), " " * last.col_offset
-            new = jump if isinstance(last, _JUMPS) else f"{old}\n{indent}{jump}"
-            if new != old:
-                yield _to(last, new, 0.4, f"{jump} after the error of line {node.lineno}")
         attempt = plan.parents[node]
-        if isinstance(attempt, ast.Try) and plan.in_loop(node) and not isinstance(attempt.body[-1], _JUMPS):
-            last = attempt.body[-1]
-            new = f"{plan.segment(last)}\n{' ' * last.col_offset}break"
-            yield _to(last, new, 0.45, f"break after line {last.end_lineno}")
+        ends: list[tuple[ast.stmt, tuple[str, ...], float]] = [(node.body[-1], ("continue", "break", "raise"), 0.2)]
+        ends += [(attempt.body[-1], ("break",), 0.25)] if isinstance(attempt, ast.Try) else []
+        for last, jumps, cost in ends:
+            for jump in jumps if plan.in_loop(node) else jumps[2:]:
+                old = plan.segment(last)
+                new = jump if isinstance(last, _JUMPS) else f"{old}\n{' ' * last.col_offset}{jump}"
+                if new != old:
+                    yield _to(last, new, cost, f"{jump} after line {last.end_lineno}")
     elif isinstance(node, ast.Break | ast.Continue):
         yield _to(node, "continue" if isinstance(node, ast.Break) else "break", 0.55)
 

@@ -35,6 +35,7 @@ class PlanSyntax:
         self.functions = {node.name: node for node in self.nodes if isinstance(node, ast.FunctionDef)}
         self.called = {node.func for node in self.nodes if isinstance(node, ast.Call)}
         self.constants: set[str] = set()  # variables with a written container
+        self.unused: set[str] = set()  # names that the plan defines, but doesn't use for an effect
         self.literals: dict[str, str] = {}  # types of variables with a list, a dictionary or a set
         self.numbers = [each for each in map(written_number, self.nodes) if each is not None]  # without signs
         self.defined = {
@@ -43,12 +44,11 @@ class PlanSyntax:
             for each in getattr(node, "names", ())
             if isinstance(each, ast.alias)
         }
-        self._stored: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
+        self.local: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
         for node in self.nodes:
             self._protect(node)
             self._note_roles(node)
         self._protect_measurements()
-        self.unused = self._unused()
 
     def _protect(self, node: ast.AST) -> None:
         """Note the expressions that keep their value, and the numbers that count something."""
@@ -87,9 +87,9 @@ class PlanSyntax:
             kind = type(node.value).__name__.lower()
             self.literals |= {} if kind == "tuple" else dict.fromkeys(stored(node), kind)
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            self._stored[self.scope(node)].add(node.id)
+            self.local[self.scope(node)].add(node.id)
         if isinstance(node, ast.arg):
-            self._stored[self.scope(node)].add(node.arg)
+            self.local[self.scope(node)].add(node.arg)
 
     def span(self, first: ast.AST, last: ast.AST) -> tuple[int, int]:
         """Return the place of some nodes in the source, in bytes."""
@@ -146,51 +146,38 @@ class PlanSyntax:
     def _home(self, node: ast.Name) -> tuple[ast.AST, str]:
         """Return the scope that assigns a name, with the name."""
         scope = self.scope(node)
-        while scope is not self.tree and node.id not in self._stored[scope]:
+        while scope is not self.tree and node.id not in self.local[scope]:
             scope = self.scope(scope)
         return scope, node.id
 
     def _protect_measurements(self) -> None:
         """Protect the statements whose values only assertions, properties and printed texts use."""
-        names = [node for node in self.nodes if isinstance(node, ast.Name)]
-        homes = {node: self._home(node) for node in names}
-        loaded = {homes[node] for node in names if isinstance(node.ctx, ast.Load)}
+        homes = {node: self._home(node) for node in self.nodes if isinstance(node, ast.Name)}
+        loaded = {home for node, home in homes.items() if _loads(node)}
         before = -1
         while before < len(self.goals):
             before = len(self.goals)
-            used = {homes[node] for node in names if isinstance(node.ctx, ast.Load) and node not in self.goals}
-            for node in self.nodes:
-                if node in self.goals or not isinstance(node, ast.stmt):
-                    continue
+            used = {home for node, home in homes.items() if _loads(node) and node not in self.goals}
+            for node in (each for each in self.nodes if each not in self.goals):
                 if isinstance(node, ast.For | ast.If | ast.While):
-                    if all(each in self.goals for each in (*node.body, *node.orelse)):
-                        self.goals |= {*ast.walk(node)}
-                elif isinstance(node, ast.Expr) and called_name(node.value) in _CHECKING:
-                    self.goals.add(node)
-                elif isinstance(node, ast.Assign | ast.AugAssign | ast.AnnAssign | ast.FunctionDef):
-                    made = {homes[each] for each in ast.walk(node) if each in homes and isinstance(each.ctx, ast.Store)}
-                    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+                    measures = all(each in self.goals for each in (*node.body, *node.orelse))
+                elif isinstance(node, ast.Expr):
+                    measures = called_name(node.value) in _CHECKING
+                elif isinstance(node, ast.Assign | ast.AnnAssign | ast.FunctionDef):
+                    made = {homes[each] for each in ast.walk(node) if each in homes and not _loads(each)}
                     if isinstance(node, ast.FunctionDef):
-                        made, targets = {(self.scope(node), node.name)}, []
+                        made = {(self.scope(node), node.name)}
+                    targets = [*getattr(node, "targets", [getattr(node, "target", None)])]
                     stores = any(isinstance(each, ast.Attribute | ast.Subscript) for each in targets)
-                    if made and made <= loaded - used and not stores and not self.acts(node):
-                        self.goals |= {*ast.walk(node)}
-
-    def _unused(self) -> set[str]:
-        """Return the names that the plan defines, but doesn't use for an effect."""
-        used = {
-            getattr(node, "id", getattr(node, "attr", ""))
-            for node in self.nodes
-            if _loads(node) and node not in self.goals
-        }
-        methods = {
-            each.name
-            for node in self.nodes
-            if isinstance(node, ast.ClassDef)
-            for each in node.body
-            if isinstance(each, ast.FunctionDef)
-        }
-        return set[str]().union(methods, self.functions, *self._stored.values()) - used - {"_"}
+                    measures = bool(made) and made <= loaded - used and not stores and not self.acts(node)
+                else:
+                    continue
+                self.goals |= {*ast.walk(node)} if measures else set()
+        attributes = {node.attr for node in self.nodes if isinstance(node, ast.Attribute) and _loads(node)}
+        methods = {name for name, node in self.functions.items() if isinstance(self.parents[node], ast.ClassDef)}
+        variables = {name for scope, names in self.local.items() for name in names if (scope, name) not in used}
+        functions = {name for name in {*self.functions} - methods if (self.tree, name) not in used}
+        self.unused = variables | functions | (methods - attributes) - {"_"}
 
 
 def asserts(node: ast.AST) -> bool:
