@@ -16,7 +16,7 @@ from replay.report import phrases, report
 if TYPE_CHECKING:
     from recorder.geometry import Pose
 
-_MIN_TURN: Final = math.radians(0.05)  # smaller turns aren't mentioned
+_MIN_TURN: Final = math.radians(0.05)  # angle below which a turn isn't mentioned
 
 
 @report.data.register(Blame)

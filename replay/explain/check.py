@@ -1,4 +1,4 @@
-"""``check``: properties of a recording, with the task and the line of the plan that violated them."""
+"""``check``: properties of a recording, with with the task and the line of the plan that violated them."""
 
 from __future__ import annotations
 
@@ -66,8 +66,8 @@ def check(log: RecordReader, properties: Sequence[Property], geometry: Geometry 
 def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record | None:
     """Return the record of the first violation.
 
-    For "at end", it is the record since which the condition doesn't hold. If a condition never held, it is the end of
-    the last failed task, preferably of a task with an object of the property; None if no task failed.
+    For "at end", this is the record after which the condition never holds again. If a condition never held, this is the
+    end of the last failed task, preferably of one with an object of the property; None if no task failed.
     """
     first = verdict.violations[0]
     at_end = verdict.statement.kind == AT_END
@@ -76,7 +76,7 @@ def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record | None:
         return log[moment.step]
     start = first.since.step if first.since else 0
     names = verdict.statement.body.names
-    about: set[int] = set()  # the tasks with an object of the property
+    about: set[int] = set()  # the tasks that have an object of the property
     failed: list[Task] = []
     for task in log.records(Task):
         if task.phase == Task.STARTED and any(re.search(rf"\b{re.escape(name)}\b", str(task)) for name in names):
@@ -120,7 +120,7 @@ def _moment_data(moment: CheckedMoment | None) -> dict[str, object]:
 
 
 def lines(checked: CheckedProperty) -> Iterator[str]:
-    """Yield the result as text, and for a violation its cause and commands that show details."""
+    """Yield the result as text; for a violation, also its cause, and commands that show details."""
     verdict = checked.verdict
     if verdict.holds:
         yield f"holds     {verdict.statement}{_how_close(verdict)}"
@@ -153,7 +153,7 @@ def commands(checked: CheckedProperty) -> Iterator[str]:
 
 
 def step_of(checked: CheckedProperty) -> str:
-    """Return the step of the first violation, or the time within a simulation, in the form that verbs accept."""
+    """Return the step of the first violation in the form that verbs accept, or its time within a simulation."""
     moment = checked.verdict.violations[0].moment
     return f"{moment.seconds:.4f}s" if moment.sampled else str(moment.step)
 

@@ -27,18 +27,18 @@ class InvolvedBody:
     """The state of the robot or of a body of the failed task at a failure."""
 
     body: Body
-    held: Attachment | None  # attachment to a carrier
+    held: Attachment | None  # attachment of the body to a carrier
     holds: tuple[Attachment, ...]  # attachments of other bodies to this body
     is_robot: bool
-    distance: float | None  # distance from the robot's base on the ground, m; None for the robot
+    distance: float | None  # distance in m on the ground from the robot's base; None for the robot
     #: Direction relative to the robot's heading in rad, positive to the left; None for the robot.
     bearing: float | None
-    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's arms by held body
+    hands: Mapping[str, str] = field(default_factory=dict)  # the robot's arms, by the body that they hold
     links: Mapping[str, Pose] = field(default_factory=dict)  # poses of links that the failure names
     joints: Mapping[str, float] = field(default_factory=dict)  # positions of joints that the failure names, rad or m
 
     def lines(self) -> Iterator[str]:
-        """Yield the body in words. Fixed bodies only have named links and joints in the text."""
+        """Yield the body as text. Of fixed bodies, the text contains only the named links and joints."""
         body = self.body
         if self.is_robot or not body.fixed_base or not (self.links or self.joints):
             yield self._line()
@@ -76,20 +76,20 @@ class FailedBranch:
     causes: tuple[Cause, ...]  # causes of the part's failure
 
     def lines(self) -> Iterator[str]:
-        """Yield the failure in words."""
+        """Yield the failure as text."""
         yield (phrases.error(self.task) if self.task.error else "") + phrases.at(self.line)
         yield from (line for cause in self.causes for line in cause.lines())
         yield from (line for involved in self.bodies for line in involved.lines())
 
 
 def heading(body: Body) -> float:
-    """Return the heading of a body from the world's x axis in rad."""
+    """Return the angle in rad from the world's x axis to a body's heading."""
     x, y, z, w = body.orientation
     return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
 def facing(body: Body) -> str:
-    """Return the heading of a body in words."""
+    """Return the heading of a body as text."""
     return f"{round(math.degrees(heading(body))) or 0} degrees"
 
 

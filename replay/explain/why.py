@@ -1,7 +1,7 @@
 """Explain a failure: the failed task, its place in the plan, attempts, queries on which the plan relied, and changes.
 
-All facts are read from the recording. For the answers to the plan's queries, the explanation lists objects that have
-moved since. For a failed action, it lists the choices, their projections and the considered places.
+All facts come from the recording. For answers to queries of the plan, the explanation lists objects that have moved
+since then. For a failed action, the explanation lists the choices, their projections and the considered places.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
 _MAX_QUERIES: Final = 8
-_FIRST, _LAST = 5, 20  # this many first and last attempts have the robot's state
-_LISTED: Final = 3  # at most this many first choices and last choices are listed
+_FIRST, _LAST = 5, 20  # number of first and of last attempts that have the robot's state
+_LISTED: Final = 3  # maximum number of first choices, and of last choices, that are listed
 _MAX_IMAGINED: Final = 6
-_MAX_PLACES: Final = 5  # at most this many last queries for places are listed
+_MAX_PLACES: Final = 5  # maximum number of last queries for places that are listed
 _MAX_SOURCES: Final = 8
-_MAX_CAUSES: Final = 3  # largest number of causes whose lines are followed
+_MAX_CAUSES: Final = 3  # maximum number of causes whose lines are followed
 _OUTER: Final = 0.5  # rank of a caller's line after the called line
 _DECIDED: Final = -1.5  # rank of a line that made a cause which decides
 _OTHER: Final = 1.5  # rank of a line that made another cause
@@ -53,18 +53,18 @@ _MOVED: Final = 0.001  # objects that moved less since a query count as unmoved,
 class FailedAttempt:
     """An attempt at the failed task."""
 
-    task: Node  # task in which the failure of this attempt began
-    robot: Body | None  # the robot before the attempt; None without a robot, and for middle attempts of many
+    task: Node  # task in which this attempt failed first
+    robot: Body | None  # the robot before the attempt; None without a robot, and for attempts in the middle of many
 
 
 @dataclass(frozen=True, slots=True)
 class RelevantQuery:
-    """A query that the plan relied on."""
+    """A query on which the plan relied."""
 
     query: Query
     moved: tuple[str, ...] = ()  # names of the query's bodies that moved before the failure
     removed: tuple[str, ...] = ()  # names of the query's bodies that were removed before the failure
-    world: str = ""  # name of the query's world, if the failure has another world
+    world: str = ""  # name of the query's world, if it isn't the world of the failure
 
     @property
     def holds(self) -> bool:
@@ -88,8 +88,8 @@ class Why:
     step: int  # step of the failure
     failure: Failure | None  # failure of the plan or task; None without a failure
     causes: tuple[Cause, ...] = ()  # the causes that explain most come first
-    branches: tuple[FailedBranch, ...] = ()  # other failures of the same block
-    thread: str = ""  # name of the plan's thread that failed; "" if the plan failed
+    branches: tuple[FailedBranch, ...] = ()  # other failures in the same block
+    thread: str = ""  # name of the failed thread; "" if the plan itself failed
     exceptions: tuple[ParsedException, ...] = ()  # exceptions from the failed task to the plan's failure, causes first
     task: Node | None = None  # task in which the failure began; None for the plan's own code
     call_stack: tuple[Line, ...] = ()  # the plan's lines that led to the task, outermost first
@@ -99,25 +99,25 @@ class Why:
     is_default: bool = True  # whether verbs use this world by default
     bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies of the task
     removed: tuple[str, ...] = ()  # names of the task's bodies that were removed before the failure
-    attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, with this attempt
-    other_failures: int = 0  # number of other tasks that failed before
+    attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, including this one
+    other_failures: int = 0  # number of other tasks that failed earlier
     forgotten: int = 0  # number of earlier failures that the explanation leaves out
     choices: tuple[Query, ...] = ()  # the choices of the failed motion's process module
-    tried: TriedAction | None = None  # the failed action around the task
+    tried: TriedAction | None = None  # the failed action that contains the task
     queries: tuple[RelevantQuery, ...] = ()  # the queries on which the plan relied
-    earlier_queries: int = 0  # number of further queries about the same bodies
+    earlier_queries: int = 0  # number of further queries about these bodies
     since_same_success: ChangesSince | None = None  # changes since the last success of the same kind of task
     since_last_success: ChangesSince | None = None  # changes since the last success of any task
     unfinished: tuple[Node, ...] = ()  # the innermost unfinished tasks of a recording that was cut off
-    endless: tuple[Node, ...] = ()  # the innermost tasks whose end may be among lost records
+    endless: tuple[Node, ...] = ()  # the innermost tasks whose ends may be among lost records
     failed_threads: tuple[Run, ...] = ()  # records of other failed threads of the plan
     case: FailureCase | None = field(default=None, compare=False)  # facts around the failure, which show the causes
-    sources: tuple[Line, ...] = ()  # lines of the plan's source that flow into the failure, the likeliest first
+    sources: tuple[Line, ...] = ()  # lines of the plan's source that flow into the failure, the most probable first
     proofs: tuple[Proof, ...] = ()  # verdict on each cause that was tested in forks
-    path: str = ""  # path of the recording for printed commands
+    path: str = ""  # path of the recording in printed commands
 
     def __repr__(self) -> str:
-        from replay.explain import why_report  # noqa: PLC0415  it imports this module
+        from replay.explain import why_report  # noqa: PLC0415  that module imports this one
 
         return f"<Why: {next(why_report.lines(self))}>"
 
@@ -127,7 +127,7 @@ class Why:
     @property
     def text(self) -> str:
         """The explanation as ``pycram-replay why`` prints it."""
-        from replay.explain import why_report  # noqa: PLC0415  it imports this module
+        from replay.explain import why_report  # noqa: PLC0415  that module imports this one
 
         return "\n".join(why_report.lines(self, self.path))
 
@@ -143,7 +143,7 @@ class Why:
 
     @property
     def warning(self) -> Query | None:
-        """The plan's last query with the answer no whose bodies have not changed since."""
+        """The plan's last query that was answered by no, if its bodies have not changed since."""
         # id of the process module in which the failure began
         within = self.task.id if self.task is not None and self.task.kind == "process-module" else None
         still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
@@ -210,9 +210,9 @@ def _sources(why: Why) -> Iterator[Line]:
 
 
 def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
-    """Return the local variables at a failure by file and line of their frames.
+    """Return the local variables at a failure, by file and line of their frames.
 
-    Each frame is only in the first record of its error. The record of a branch has only the branch's own frames.
+    Each frame is only in the first record of an error. The record of a branch has only the branch's own frames.
     """
     tasks = cause.task.around() if cause.task is not None else ()
     variables: dict[tuple[str, int], dict[str, str]] = {}
@@ -269,7 +269,7 @@ def _task_failure(
 
 
 def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: RootCause) -> Why:
-    """Explain a failure of the plan's own code."""
+    """Explain a failure in the plan's own code."""
     state, last = state_at(log, cause.step), failed.last_success
     window = last.started.seq if last is not None else 0
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())
@@ -282,7 +282,7 @@ def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: Root
 def _explained(
     case: FailureCase, run: Summary, cause: RootCause, names: Iterable[str], queries: Sequence[Query], earlier: int
 ) -> Why:
-    """Return the parts of an explanation that failures of tasks and of the plan's own code share."""
+    """Return the parts that explanations of tasks' failures and of the plan's own failures have in common."""
     world = case.world
     return Why(
         run,
@@ -308,7 +308,7 @@ def _explained(
 
 
 def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tuple[str, str]]) -> bool:
-    """Return whether a task is another attempt with a common body in the same world."""
+    """Return whether a task is another attempt: it has a common body in the same world."""
     if (task.kind, task.name) != (failed.kind, failed.name):
         return False
     own = set(bodies_in(task.parameters))
@@ -336,11 +336,11 @@ def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> 
 def _queries(
     log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """Return the last different queries about bodies or of tasks, and the number of earlier queries.
+    """Return the last distinct queries about bodies or of tasks, and the number of earlier ones.
 
-    Choices of process modules are left out, because plans don't rely on them.
+    Process modules' choices are left out, because plans don't rely on them.
     """
-    asked: set[int] = set()  # hashes, because there may be very many queries
+    asked: set[int] = set()  # only hashes are kept, because there may be very many queries
     queries: list[Query] = []
     names, ids = {name for name, _ in objects}, set(tasks)
     for query in log.backwards(stop - 1, Query) if stop > start else ():
@@ -359,7 +359,7 @@ def _queries(
 
 
 def _with_changes(log: RecordReader, query: Query, world: World | None) -> RelevantQuery:
-    """Return a query with the changes of its bodies until the failure."""
+    """Return a query, with the changes of its bodies until the failure."""
     then = state_at(log, query.seq).worlds.get(query.world)
     if then is None or world is None:
         return RelevantQuery(query)
@@ -401,17 +401,17 @@ def _since(log: RecordReader, task: Node | None, now: State) -> ChangesSince | N
 
 @dataclass(frozen=True, slots=True)
 class TriedAction:
-    """The attempts of a failed action."""
+    """The attempts that a failed action made."""
 
     action: Node
-    attempts: tuple[Node, ...]  # attempts at choices, whose parameters are the chosen values
+    attempts: tuple[Node, ...]  # attempts at the action's choices; their parameters are the chosen values
     imagined: tuple[Node, ...]  # projections of choices, in order
-    places: tuple[Query, ...]  # queries for places of the action and its parts
+    places: tuple[Query, ...]  # queries for places, of the action and its parts
     spent: bool  # whether the action has used up its budget of attempts
-    last: str  # why no choice remained; "" if all choices were tried
+    last: str  # why the search for choices ended; "" if all choices were tried
 
     def lines(self) -> Iterator[str]:
-        """Yield the choices of the action with their outcomes, and the reason for its end."""
+        """Yield the choices of the action with their outcomes, and why the action ended."""
         left_out = len(self.attempts) - 2 * _LISTED
         for number, attempt in enumerate(self.attempts):
             if left_out > 0 and number == _LISTED:
@@ -436,7 +436,7 @@ class TriedAction:
 
 
 def tried(log: RecordReader, failed: Node) -> TriedAction | None:
-    """Return the attempts of the outermost failed action around a failed task; None without such an action."""
+    """Return the attempts of the outermost failed action around a failed task; None if there is none."""
     actions = [task for task in failed.around() if task.kind == "action" and task.failed]
     if not actions:
         return None
@@ -465,7 +465,7 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
 
 
 def _choice(task: Node) -> str:
-    """Return the chosen slots and values. A place is its position."""
+    """Return the chosen slots and values. A place is identified by its position."""
     chosen = []
     for slot, value in task.parameters.items():
         if isinstance(value, dict) and isinstance(value.get("position"), list):

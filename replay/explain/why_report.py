@@ -24,15 +24,15 @@ from replay.report.question import BadQuestion, Name, QueryCall, Term, question_
 from replay.report.report import section
 from replay.state.json_data import record_data
 
-_FIRST, _LAST = 2, 5  # this many first and last attempts are listed
-_MAX_ROWS: Final = 3  # at most this many rows of local variables are listed
-_WIDTH: Final = 100  # rows of variables have at most this many characters
+_FIRST, _LAST = 2, 5  # number of first and of last attempts that are listed
+_MAX_ROWS: Final = 3  # maximum number of rows of local variables
+_WIDTH: Final = 100  # maximum number of characters in a row of variables
 _NO_CAUSE: Final = (
     "no cause is on record; these were looked for: failures and refusals before it, moved and removed objects, "
     "wrong beliefs, full or empty hands, obstacles, distances, deadlines, other worlds and gravity"
 )
-_MAX_LINES: Final = 12  # a difference of states is shown in at most this many lines
-_NEARER: Final = 0.35  # the suggested ``ask --move`` moves the object to this distance from the robot, m
+_MAX_LINES: Final = 12  # maximum number of lines for a difference of states
+_NEARER: Final = 0.35  # distance in m from the robot to which the suggested ``ask --move`` moves the object
 
 # --- as JSON data ----------------------------------------------------------------------------------------------------
 
@@ -143,7 +143,7 @@ def _(tried: TriedAction) -> dict[str, object]:
 
 
 def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str]:
-    """Yield the explanation as text, with commands for the recording at ``path`` if it is given.
+    """Yield the explanation as text; if ``path`` is given, with commands for the recording.
 
     ``origins`` are lines about the origins of values, which come first.
     """
@@ -153,7 +153,7 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
         for line in (*cause.lines(), *([f"  {proof.text}"] if proof is not None else []))
     ]
     yield from _headline(why)
-    forked = bool(why.causes) and why.causes[0].kind == "fork"  # the plan's values didn't cause the failure
+    forked = bool(why.causes) and why.causes[0].kind == "fork"  # the failure doesn't come from values of the plan
     origin = [*section("Where the values come from", origins)]
     yield from () if forked else origin
     yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))
@@ -210,7 +210,8 @@ def _headline(why: Why) -> Iterator[str]:
     if run.outcome == "failed":
         message, failure = run.failure, why.failure
         if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            # PyCRAM's messages are clear without the type of the error; Python's messages aren't.
+            # The type of the error is left out of PyCRAM's messages, which are clear without it; Python's messages need
+            # it.
             message = failure.message
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
@@ -267,7 +268,7 @@ def _where(why: Why) -> Iterator[str]:
 
 
 def _exceptions_lead_to_task(why: Why) -> bool:
-    """Return whether the tracebacks lead to the task. The traceback of a failed block ends at the block."""
+    """Return whether the tracebacks contain the way to the task. The traceback of a failed block ends at the block."""
     lines = [line for error in why.exceptions for line in error.lines]
     return any(
         line.file == call_site.file and call_site.function in ("", line.function)
@@ -312,7 +313,7 @@ def _tasks(why: Why) -> Iterator[str]:
         yield from (f"{'  ' * len(path)}    {line}" for line in rejection_lines(choice))
     if why.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in format_failure(why.task.failure).splitlines())
-    attempted = {attempt.task for attempt in why.attempts}  # attempts have their own section
+    attempted = {attempt.task for attempt in why.attempts}  # attempts are listed in their own section
     siblings = [
         part
         for part in why.task.outermost_failed.children
@@ -337,7 +338,7 @@ def _attempts(why: Why) -> Iterator[str]:
         for robot in (attempt.robot for attempt in why.attempts)
     ]
     differ = len({pose for pose in poses if pose}) > 1
-    groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of equal attempts in succession
+    groups: list[tuple[str, str, list[int]]] = []  # parameters, error and steps of successive equal attempts
     for attempt, pose in zip(why.attempts, poses, strict=True):
         how = [f"{key}={phrases.value(attempt.task.motion.parameters.get(key))}" for key in varying]
         how += [pose] if pose and differ else []
@@ -399,7 +400,7 @@ def _since(since: ChangesSince) -> Iterator[str]:
 
 
 def _commands(why: Why, path: str) -> Iterator[str]:
-    """Yield commands for details. ``path`` is quoted for a shell."""
+    """Yield commands for details. ``path`` is in quotes for a shell."""
     world = "" if why.world is None or why.is_default else f" --world {shlex.quote(why.world.name)}"
     if why.causes and not why.proofs and why.run.outcome == "failed":
         yield f"pycram-replay why {path} --prove"
@@ -419,7 +420,7 @@ def _commands(why: Why, path: str) -> Iterator[str]:
 
 
 def _asked_again(query: Query) -> str:
-    """Return a query as a question for ``ask``, without its thresholds."""
+    """Return a query as a question for ``ask``; thresholds are left out."""
     arguments: list[Term] = []
     try:
         question = question_of(query)
@@ -433,14 +434,14 @@ def _asked_again(query: Query) -> str:
 
 
 def _movable(why: Why) -> list[InvolvedBody]:
-    """Return the robot and the movable bodies, or else all bodies."""
+    """Return the robot and the movable bodies; if there are none, all bodies."""
     movable = [each for each in why.bodies if each.is_robot or not each.body.fixed_base]
     return movable if len(movable) > 1 else list(why.bodies)
 
 
 def _nearer(why: Why) -> str:
-    """Return the option that moves the object nearer to the robot; "" without a robot."""
-    if not why.bodies:  # damaged recordings may lack the bodies
+    """Return the option that moves the object nearer to the robot; "" if there is no robot."""
+    if not why.bodies:  # the bodies may be missing in a damaged recording
         return ""
     robot = next((involved.body for involved in why.bodies if involved.is_robot), None)
     last = _movable(why)[-1]

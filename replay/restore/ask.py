@@ -1,7 +1,7 @@
-"""Ask reasoning queries at a past step, also with moved objects.
+"""Ask reasoning queries at a past step, with objects moved if necessary.
 
-The world of the step is rebuilt without a record, objects are moved, and the query runs. Plans call the same code, so a
-repeated query of a plan has the plan's answer.
+The world of the step is rebuilt without recording, objects are moved, and the query runs. Plans call the same code, so
+a query of a plan that is asked again has the same answer.
 """
 
 from __future__ import annotations
@@ -35,18 +35,18 @@ BELIEVED: Final = "believed"
 """The query for a robot's recorded belief. ``away`` is the distance of the object from the believed position in m."""
 _BELIEVED_TAKES: Final = ("what", "robot")
 QUERIES: Final = tuple(name for name in btr.__all__ if inspect.isfunction(getattr(btr, name)))  # names of the queries
-#: Parameters that are objects. A pose may be an object or a position.
+#: Names of the parameters that are objects. A pose may be an object or a position.
 _OBJECTS: Final = ("object", "object1", "object2", "robot", "pose", "ignoring")
 _PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """An object that is moved before the query."""
+    """An object, and where it is moved before the query."""
 
     body: str
     position: Vector  # xyz, m
-    orientation: Quaternion | None = None  # xyzw; None for no change
+    orientation: Quaternion | None = None  # xyzw; None if it doesn't change
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -56,7 +56,7 @@ class QueryAnswer:
     step: int  # the query was asked after this step
     world: str
     question: QueryCall
-    answer: bool | list[str | bool]  # true or false, names of objects, or an answer for each target
+    answer: bool | list[str | bool]  # the answer: true or false, names of objects, or an answer for each target
     evidence: Mapping[str, Plain]
     moves: tuple[Move, ...] = ()
 
@@ -82,12 +82,12 @@ def ask(
     moves: Sequence[Move] = (),
     moment: float | None = None,
 ) -> QueryAnswer:
-    """Ask a query at a past step, without a record.
+    """Ask a query at a past step, without recording it.
 
-    Objects of ``moves`` and the objects that they carry are moved first. A question is a query of
+    The objects in ``moves``, and objects that they carry, are moved first. A question is a query of
     :mod:`pycram.bullet_world_reasoning`, such as ``visible(milk, wide_stereo_optical_frame)``, or ``believed(milk)``
-    with an object or a type. The default is the query that the step recorded, in its world. The default world is the
-    last opened world. ``moment`` is explained at :func:`replay.restore.world.world_at`.
+    with an object or a type. By default, it is the query that the step recorded, in its world. By default, the world is
+    the last opened world. :func:`replay.restore.world.world_at` explains ``moment``.
 
     Raises:
         BadQuestion: The question is invalid, the world has no answer, or the record of the step isn't a query.
@@ -167,7 +167,7 @@ def _believed(state: State, step: int, world: str | None, question: QueryCall, m
     """Return a robot's recorded belief after a step.
 
     Raises:
-        BadQuestion: The question has other arguments, or objects are moved, which doesn't change past beliefs.
+        BadQuestion: The question has other arguments, or objects are moved, but past beliefs don't change with that.
         NoSuchName: There is no such object or type.
     """
     if moves:

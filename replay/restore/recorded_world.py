@@ -27,7 +27,7 @@ def world_state(log: RecordReader, step: int, name: str | None = None, moment: f
     ``moment`` is a simulated time in s within the next record (:func:`replay.state.fold.state_at`).
 
     Raises:
-        NotRestored: The world isn't open at the step.
+        NotRestored: No such world is open at the step.
         NoSuchName: The recording has no world of this name.
         Damaged: Lost records may have changed the world.
     """
@@ -69,13 +69,13 @@ def model_of(log: RecordReader, loaded: LoadBody) -> Model:
 
 
 def contacts_of(log: RecordReader) -> ContactClient:
-    """Return a client that measures contacts in states of a recording with the engine."""
-    from pycram.reasoning.queries.measured import ContactClient  # noqa: PLC0415  drawing needs no engine
+    """Return a client that measures contacts in recorded states with the engine."""
+    from pycram.reasoning.queries.measured import ContactClient  # noqa: PLC0415  imported here: drawing needs no engine
 
     return ContactClient(lambda _, loaded: model_of(log, loaded))
 
 
 @cache
 def description_of(text: str) -> RobotDescription | None:
-    """Return the robot description of a recorded TOML text; None for "", the text of bodies that aren't robots."""
+    """Return the robot description of a recorded TOML text; None for "", which stands for other bodies."""
     return RobotDescription.parse(text, "the recording's robot description") if text else None

@@ -1,9 +1,9 @@
-"""Pictures of a step, without a viewer and without the physics engine: our rasterizer draws the folded state.
+"""Pictures of a step, without a viewer and without the physics engine: our rasterizer draws the recorded state.
 
-A picture is taken from a camera of the robot, from a point, or from a viewpoint with a clear view of its target. The
+The camera of a picture is one of the robot, at a given point, or at a viewpoint with a clear view of its target. The
 target is an object or a link, by default the robot and the movable objects. Viewpoints are rated by the visible share
-of an object's pixels, in a window around the object, so small objects count like large objects. If no viewpoint has a
-clear view, furniture and walls in front are cut away.
+of an object's pixels in a window around the object, so small objects count as much as large ones. If no viewpoint has a
+clear view, the furniture and walls in front of the target are cut away.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ with needed("render"):
     from pycram.vision import Camera, Drawable, Rendering, Window, drawable_link
     from replay.restore.recorded_world import description_of, model_of, world_state
 
-_FIELD_OF_VIEW: Final = math.radians(60)  # default horizontal field of view
-_NEAR, _FAR = 0.02, 30.0  # nearest and farthest visible distance of a camera, m
-_OVERSAMPLING: Final = 2  # each pixel is the mean of this many pixels per side, for smooth edges
+_FIELD_OF_VIEW: Final = math.radians(60)  # default horizontal field of view of a camera
+_NEAR, _FAR = 0.02, 30.0  # nearest and farthest distance in m that a camera sees
+_OVERSAMPLING: Final = 2  # number of pixels per side of which a pixel's colour is the mean, for smooth edges
 _SIZE: Final = (640, 480)  # default width and height of a picture in pixels
 _MAX_SIDE: Final = 4096  # largest width and height in pixels
-_SURROUNDINGS: Final = 0.7  # a picture of a small object shows at least this much of the scene, m
-#: Directions from the target to the viewpoint in the robot's frame, by requested side.
+_SURROUNDINGS: Final = 0.7  # minimum size in m of the part of the scene that a picture shows, also of a small object
+#: Directions from the target to the viewpoint in the robot's frame, by the side that the caller requests.
 SIDES: Final[dict[str, tuple[Vector, ...]]] = {
     "behind": ((-0.85, 0.0, 0.5), (-0.95, 0.0, 0.2), (-0.6, 0.0, 0.8)),
     "right": ((0.0, -0.85, 0.5), (0.0, -0.95, 0.2), (0.0, -0.6, 0.8)),
@@ -50,7 +50,7 @@ SIDES: Final[dict[str, tuple[Vector, ...]]] = {
     "front": ((0.85, 0.0, 0.5), (0.95, 0.0, 0.2), (0.6, 0.0, 0.8)),
     "above": ((-0.02, 0.0, 1.0),),
 }
-#: First directions without a requested side: over the robot's shoulders, and from the front.
+#: The first directions if the caller requests no side: over the robot's shoulders, and from the front.
 _PREFERRED: Final = (
     (-0.55, -0.65, 0.55),
     (-0.55, 0.65, 0.55),
@@ -58,25 +58,25 @@ _PREFERRED: Final = (
     (0.55, 0.65, 0.55),
     (-0.4, 0.0, 0.9),
 )
-_CLOSER: Final = 0.6  # viewpoints at this fraction of the distance may be within the walls of a room
-_ENOUGH: Final = 0.7  # the first viewpoint with this visible share of the pixels is taken
+_CLOSER: Final = 0.6  # share of the distance at which viewpoints may be within the walls of a room
+_ENOUGH: Final = 0.7  # visible share of the pixels from which a viewpoint is taken without comparing others
 _TOO_LITTLE: Final = 0.3  # below this visible share of the pixels, the links that hide the target are cut away
-_ROBOT_SHARE: Final = 0.4  # this visible share of a robot's pixels is enough, because objects hide the robot
-_RATED: Final = 3  # number of moments of a film for which viewpoints are rated
-_GLANCE: Final = (40, 40)  # size of the window around an object in pixels
-_MAX_CUTS: Final = 6  # at most this many layers of furniture and walls are cut away
-_ROOM: Final = 1.5  # a smaller fixed link is furniture, and no viewpoint is inside it, m
-_CUT_GAP: Final = 0.02  # distance between a cut and the visible object in m
+_ROBOT_SHARE: Final = 0.4  # visible share of a robot's pixels that is enough, because objects hide the robot
+_RATED: Final = 3  # number of moments of a film that are used to rate viewpoints
+_GLANCE: Final = (40, 40)  # size in pixels of the window around an object
+_MAX_CUTS: Final = 6  # maximum number of layers of furniture and walls that are cut away
+_ROOM: Final = 1.5  # size in m below which a fixed link is furniture, so that no viewpoint is inside it
+_CUT_GAP: Final = 0.02  # distance in m between a cut and the visible object
 _CORNERS: Final = np.array([[(number >> axis) & 1 for axis in range(3)] for number in range(8)])
 
 
 @dataclass(frozen=True, slots=True)
 class _DrawnBody:
-    """A body with the poses of its links in the world."""
+    """A body, with the poses of its links in the world."""
 
     body: Body
     frames: Mapping[str, Pose]
-    parts: Mapping[str, int]  # numbers of the links with shapes by name of the link
+    parts: Mapping[str, int]  # numbers of the links with shapes, by name of the link
 
 
 class DrawnWorld:
@@ -114,7 +114,7 @@ class DrawnWorld:
 
     @property
     def camera(self) -> str:
-        """The frame of the robot's camera; "" without a robot or a described camera."""
+        """The frame of the robot's camera; "" if there is none."""
         description = description_of(self._robot.body.loaded.robot_description) if self._robot else None
         return description.camera.frame if description and description.camera else ""
 
@@ -132,11 +132,12 @@ class DrawnWorld:
         "step", and the names of the cut links ("cut").
 
         Args:
-            camera: A frame of the robot, such as "wide_stereo_optical_frame". The robot's camera also determines the
+            camera: A frame of the robot, such as "wide_stereo_optical_frame". A camera of the robot also determines the
                 field of view and the range.
-            eye: A viewpoint, xyz in m, or a side of the robot (:data:`SIDES`). The default has a clear view.
+            eye: A viewpoint, xyz in m, or a side of the robot (:data:`SIDES`). By default, the viewpoint has a clear
+                view.
             target: The middle of the picture: a point, xyz in m; an object; a link such as "kitchen.sink_area"; or
-                several objects and links. The default is the robot and the movable objects.
+                several objects and links. By default, the target is the robot and the movable objects.
             size: Width and height, up to 4096 pixels each.
 
         Raises:
@@ -162,7 +163,7 @@ class DrawnWorld:
         subject, point = self.subject(target)
         scenes = []
         for world in [world for world in worlds if world.movable] or worlds:
-            with suppress(NoSuchName):  # the target isn't loaded yet
+            with suppress(NoSuchName):  # the target isn't loaded yet in this world
                 scenes.append((world.parts, world.subject(target)[0]))
         corners = [bounds(*scene) for scene in scenes]
         low, high = np.min([low for low, _ in corners], axis=0), np.max([high for _, high in corners], axis=0)
@@ -184,7 +185,7 @@ class DrawnWorld:
         return free_view(cameras, rated, cuts=cuts)
 
     def subjects(self, why: Why) -> list[str] | None:
-        """Return the robot and the objects of a failed task as targets of a picture; None without targets.
+        """Return the robot and the objects of a failed task as targets of a picture; None if there are none.
 
         Targets of furniture are the links that the task names, such as the handle of a drawer.
         """
@@ -207,7 +208,7 @@ class DrawnWorld:
         return view.draw(self.parts, view.camera.window, finer, numbers)
 
     def finished(self, image: NDArray[np.uint8], size: tuple[int, int], cut: Iterable[str]) -> Image.Image:
-        """Return a picture of the given size, of an image with more pixels."""
+        """Return a picture of the given size, made from an image with more pixels."""
         picture = Image.fromarray(image).resize(size, Image.Resampling.BOX)
         picture.info |= {"step": self._step, "cut": tuple(cut)}
         return picture
@@ -219,7 +220,7 @@ class DrawnWorld:
 
     @cached_property
     def looks(self) -> dict[str, tuple[object, ...]]:
-        """The data that determine how each drawn link looks."""
+        """The data that determine the appearance of each drawn link."""
         return {
             f"{name}.{link}": (drawn.body.models, drawn.body.color, drawn.frames[link])
             for name, drawn in self._bodies.items()
@@ -276,10 +277,10 @@ def film(
     target: Sequence[float] | str | Sequence[str] | None = None,
     size: tuple[int, int] = _SIZE,
 ) -> Iterator[Image.Image]:
-    """Yield pictures of several moments, all from one viewpoint, which is clear at the last moment.
+    """Yield pictures of several moments, all from one viewpoint that has a clear view at the last moment.
 
-    Links that look the same at all moments are drawn only once, so a picture costs a fraction of a single one.
-    See :meth:`DrawnWorld.picture` for the arguments and errors.
+    Links that look the same at all moments are drawn only once, so this is much faster than single pictures.
+    :meth:`DrawnWorld.picture` describes the arguments and errors.
     """
     _check_size(size)
     first, last = worlds[0], worlds[-1]
@@ -300,7 +301,7 @@ def film(
 
 
 def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
-    """Write the pictures of an explained failure, and return their files. After an error, raise ReplayError."""
+    """Write pictures of an explained failure; return their files. After an error, raise ReplayError."""
     files = []
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -326,7 +327,7 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
 def failure_view(log: RecordReader, step: int | None = None) -> tuple[Vector, Vector] | None:
     """Return a viewpoint for the failure of the plan, and the middle of its picture, m.
 
-    Nothing is cut away. Return None without a failure, and for the step of another moment.
+    No link is cut away for it. Without a failure, and for the step of another moment, return None.
     """
     explained = why(log)
     if explained.failure is None or step not in (None, explained.step) or not explained.bodies:
@@ -365,7 +366,7 @@ class DrawnLink:
     """A link of a body, for pictures."""
 
     drawable: Drawable
-    fixed: bool  # whether the link is furniture or a wall, and may be cut away
+    fixed: bool  # whether the link is furniture or a wall, which may be cut away
 
     @property
     def corners(self) -> NDArray[np.float64]:
@@ -380,22 +381,22 @@ class DrawnLink:
 class PictureSubject:
     """The objects and links that a picture shows."""
 
-    groups: tuple[tuple[int, ...], ...]  # numbers of the parts of each object
-    every: bool  # whether every object must be visible, instead of most objects
+    groups: tuple[tuple[int, ...], ...]  # numbers of the parts that belong to each object
+    every: bool  # whether all objects must be visible, rather than most of them
 
 
 @dataclass(frozen=True, slots=True)
 class CutawayView:
-    """A camera, and the links that are cut away in front of the camera."""
+    """A camera, and the links in front of it that are cut away."""
 
     camera: Camera
-    cut: frozenset[int] = frozenset()  # numbers of the cut parts
-    depth: float = 0.0  # depth of the cut, m along the camera's axis
+    cut: frozenset[int] = frozenset()  # numbers of the parts that are cut away
+    depth: float = 0.0  # depth of the cut along the camera's axis, m
 
     def draw(
         self, parts: Sequence[DrawnLink], window: Window, size: tuple[int, int], numbers: Iterable[int] | None = None
     ) -> Rendering:
-        """Draw parts by number, by default all parts; the bodies of the rendering are numbers of parts."""
+        """Draw parts by number, by default all parts; in the result, numbers of parts identify bodies."""
         drawn = range(len(parts)) if numbers is None else list(numbers)
         shown = _draw(self.camera, parts, [number for number in drawn if number not in self.cut], window, size)
         cut = sorted(self.cut.intersection(drawn))
@@ -413,15 +414,15 @@ def _draw(
 
 
 def bounds(parts: Sequence[DrawnLink], subject: PictureSubject) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the lowest and highest corner of a subject in m."""
+    """Return the lowest and highest corner of a subject's bounding box in m."""
     corners = [parts[number].corners for group in subject.groups for number in group]
-    if not corners:  # the subject has no shapes
+    if not corners:  # a subject without shapes
         return np.zeros(3), np.ones(3)
     return np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
 
 
 def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | None = None) -> Iterator[Vector]:
-    """Yield viewpoints in the world at a distance from the target ``aim`` (m), preferred viewpoints first.
+    """Yield viewpoints in the world at a distance in m from the target ``aim``, preferred viewpoints first.
 
     ``heading`` (xyzw) is the robot's orientation. With a ``side``, yield only viewpoints on this side.
     """
@@ -441,9 +442,9 @@ def viewpoints(aim: Vector, distance: float, heading: Quaternion, side: str | No
 def free_view(
     cameras: Sequence[Camera], scenes: Sequence[tuple[Sequence[DrawnLink], PictureSubject]], *, cuts: bool = True
 ) -> CutawayView:
-    """Return the first camera that sees enough of the subject in each scene, else the best.
+    """Return the first camera that sees enough of the subject in each scene, else the best camera.
 
-    If that sees too little, links are cut away as the last scene needs it, unless ``cuts`` is False.
+    If no camera sees enough, links are cut away as the last scene needs it, unless ``cuts`` is False.
     """
     parts, subject = scenes[-1]
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras
@@ -512,7 +513,7 @@ def _window(camera: Camera, corners: NDArray[np.float64]) -> Window:
 
 
 def _cut_view(cameras: Sequence[Camera], parts: Sequence[DrawnLink], subject: PictureSubject) -> CutawayView:
-    """Cut fixed links in front of the subject.
+    """Cut away fixed links in front of the subject.
 
     Return the first view that shows enough of the subject, or else the best view.
     """

@@ -1,9 +1,10 @@
 """Verify a recording: check that it is consistent, and that repeating its changes has the recorded effects.
 
-The changes are executed in new worlds, in order. Each mutation is compared with the recorded mutation to the last bit:
-poses, joints, velocities, attachments and samples. They are equal with the same build of the engine on the same kind of
-computer. Elsewhere, the last bits may differ, and contacts amplify differences; then the result has the largest
-deviation. In a world that began before its recording, changes without physics are compared to a micrometre.
+The changes are executed in new worlds, in order. Each repeated mutation is compared with the recorded mutation to the
+last bit: poses, joints, velocities, attachments and samples. The effects are equal with the same build of the engine on
+the same kind of computer. On other computers, the last bits may differ, and contacts amplify the differences; then the
+result contains the largest deviation. In a world that began before its recording, changes without physics are compared
+with a tolerance of a micrometre.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class _Verifier(Verifier):
         self._reexecution.forget()
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:
-        """Repeat a change, and compare the effects. A missing world begins with its keyframe."""
+        """Repeat a change, and compare the effects. A world that isn't open yet begins with its keyframe."""
         try:
             if isinstance(record, Mutation):
                 return self._repeat(record)
@@ -86,7 +87,7 @@ class _Verifier(Verifier):
         if self.log.newer is not None:
             record = Mutation.FromString(record.SerializeToString())
             record.DiscardUnknownFields()
-        if record.drags:  # the world continues from the recorded state, because drags can't be repeated
+        if record.drags:  # the world continues from the recorded state, because a drag by hand can't be repeated
             self.dragged[record.world] = None
             self._reexecution.late.add(record.world)
         if record.world in self._reexecution.late:
@@ -102,7 +103,7 @@ class _Verifier(Verifier):
 
     def _compare_late(self, record: Mutation) -> Problem | None:
         world = self._reexecution.worlds.get(record.world)
-        if world is None:  # the world has ended
+        if world is None:  # the world has already ended
             return None
         state = self.integrity.world(record.world)
         if not record.HasField("simulate"):
@@ -115,7 +116,7 @@ class _Verifier(Verifier):
         return None
 
     def _follow(self, record: Mutation) -> None:
-        """Set a world to the state after the record. From then on, the world isn't compared to the last bit."""
+        """Set a world to the state after the record. From then on, the world is compared with a tolerance."""
         world, state = self._reexecution.worlds.get(record.world), self.integrity.world(record.world)
         self._reexecution.late.add(record.world)
         with unrecorded():

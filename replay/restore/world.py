@@ -1,9 +1,9 @@
 """Rebuild live worlds of a past step from the recording alone.
 
 By default, bodies are loaded from the recorded models and get the recorded state. The state is exact, but the solver's
-contacts are unknown, so the future may differ from the original. With ``exact``, each change is executed again from the
-start, so the future is equal, bit for bit. A world that began before its recording continues from its first keyframe,
-and differs in the last bits. Rebuilding isn't recorded.
+contacts are unknown, so the world may continue in another way than the original. With ``exact``, each change is
+executed again from the start, so the world continues like the original, bit for bit. A world that began before its
+recording continues from its first keyframe, and differs in the last bits. Rebuilding isn't recorded.
 """
 
 from __future__ import annotations
@@ -44,12 +44,12 @@ def world_at(
 ) -> BulletWorld:
     """Return the world of a past step, named ``NAME@STEP``, which becomes the current world. Its time stops.
 
-    The default is the last opened world. With ``exact``, every change is executed again, so that the world's future
-    equals the original. A ``moment`` is a simulated time in s within the next record: the world has the state of the
-    last sample, or with ``exact`` of the last simulated step before the moment.
+    By default, it is the last opened world. With ``exact``, every change is executed again, so that the world continues
+    like the original. A ``moment`` is a simulated time in s within the next record: the world has the state of the last
+    sample, or with ``exact`` of the last simulated step before the moment.
 
     Raises:
-        NotRestored: No world is open at the step, or an exact world is impossible.
+        NotRestored: No world is open at the step, or it can't be rebuilt exactly.
         Damaged: records or files are lost or invalid.
         DisplayError: No window can open.
     """
@@ -79,9 +79,9 @@ def _suffix(step: int, within: Sampled | None) -> str:
 def temporary_world(
     log: RecordReader, step: int, world: str | None = None, moment: float | None = None
 ) -> Iterator[BulletWorld]:
-    """Yield a past world for a question, which is unrecorded and not the current world. The block closes the world.
+    """Yield a past world for a question; it isn't recorded, and isn't the current world. The block closes the world.
 
-    Arguments and errors are those of :func:`world_at`.
+    :func:`world_at` describes arguments and errors.
     """
     state = world_state(log, step, world, moment)
     with journal.unrecorded():
@@ -103,7 +103,7 @@ def _reporting_damage(log: RecordReader, step: int) -> Iterator[None]:
 
 
 def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return a new world ``NAME@SUFFIX`` with a recorded state. The caller switches recording off."""
+    """Return a new world ``NAME@SUFFIX`` with a recorded state. The caller has switched recording off."""
     world = open_world(f"{state.name}@{suffix}", mode)
     with ExitStack() as undoing:
         undoing.callback(world.exit)
@@ -126,7 +126,7 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
 
 
 def open_world(name: str, mode: str = "DIRECT") -> BulletWorld:
-    """Return an empty world that isn't the current world. A number distinguishes equal names."""
+    """Return an empty world that isn't the current world. If the name exists, a number is added."""
     current = BulletWorld.current_bullet_world
     taken = {world.name for world in open_worlds()}
     numbered = (f"{name} ({number})" for number in itertools.count(2))
@@ -141,7 +141,7 @@ def load_body(
 ) -> Object:
     """Load a body from its recorded model.
 
-    ``color`` is RGBA 0..1, or empty for the colour of the model. The default is the recorded colour.
+    ``color`` is RGBA 0..1, or empty for the colour of the model. By default, it has the recorded colour.
 
     Raises:
         Damaged: A file is missing or damaged.
@@ -161,7 +161,7 @@ def load_body(
 
 
 def _recorded(belief: RecordedBelief) -> records.Belief:
-    """Return a belief in the form of records, without the pose of a held object."""
+    """Return a belief in the form of records; the pose of a held object is left out."""
     held = belief.source == "held"
     return records.Belief(
         robot=belief.robot,
@@ -198,8 +198,8 @@ class Reexecution:
         self._mode = mode
         self._last = _LastMutation()
         self._journal = Journal([self._last])
-        self.worlds: dict[str, BulletWorld] = {}  # open worlds by recorded name
-        self.late: set[str] = set()  # names of worlds that continue from a keyframe or after a drag by hand
+        self.worlds: dict[str, BulletWorld] = {}  # open worlds, by recorded name
+        self.late: set[str] = set()  # names of worlds that continue from a keyframe, or after a drag by hand
 
     def __enter__(self) -> Self:
         return self
@@ -223,9 +223,9 @@ class Reexecution:
             self.late.add(frame.world)
 
     def repeat(self, record: Mutation, *, observed: bool = True) -> Mutation | None:
-        """Repeat a recorded change, and return the new mutation with the envelope of the recorded mutation.
+        """Repeat a recorded change; return the new mutation with the envelope of the recorded mutation.
 
-        Return None for a change that isn't observed or that this release doesn't know.
+        Return None for a change that isn't repeated here, or that this release doesn't know.
 
         Raises:
             PycramError: The change can't be repeated.
@@ -233,7 +233,7 @@ class Reexecution:
             Damaged: The change contradicts the clock of the world.
         """
         command = record.WhichOneof("command") or ""
-        if command == "set_realtime":  # the effects of real time are simulate commands
+        if command == "set_realtime":  # the effects of real time are recorded as simulations
             return record
         if command != "open_world" and record.world not in self.worlds:
             raise NotRestored(record.seq, f"the recording lacks the beginning of {record.world}")
@@ -266,12 +266,12 @@ class Reexecution:
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
-    """Copy the fields that don't depend on the repeated change. Overlaps are dropped if the recording has none."""
+    """Copy the fields that don't depend on the repetition. If the recording has no overlaps, they are removed."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # opening a window changes nothing in the world
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:
         del repeated.load_body.overlaps[:]
-    if record.simulate.HasField("settled"):  # the states determine this field
+    if record.simulate.HasField("settled"):  # this field follows from the states
         repeated.simulate.settled = record.simulate.settled
 
 
@@ -284,7 +284,7 @@ def executed_again(log: RecordReader, step: int, name: str, mode: str = "DIRECT"
     """
     lifetime = next(lifetime for lifetime in log.lifetimes if lifetime.world == name and lifetime.has(step))
     chunks = [number for number in lifetime.changes if number <= log.chunk_of(step)]
-    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # readers of records note losses
+    for _ in log.records_of(lifetime, (Mutation, Keyframe), chunks):  # readers of records add losses
         pass
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:

@@ -1,1 +1,1 @@
-"""Runs a plan again, guided by its recording: either to compare all records, or to continue live after a step."""
+"""Runs a plan again, guided by its recording: all records are compared, or the plan continues live after a step."""

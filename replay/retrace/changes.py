@@ -1,10 +1,11 @@
 """Changes of a forked run after a step: new values of objects and fluents, answers of queries, or the seed.
 
-Each change is a text in the command and in the fork's recording: ``milk.position=1,2,0.9``,
-``reachable_object(milk)=false``. So a fork can run again like any other run. A recorded answer is only taken if the
-next recorded query is the same, at the same moment, without records in between. Three kinds of queries are always
-asked: failed queries, queries about many targets (the evidence of their single answers isn't recorded) and the plan's
-own.
+Each change is a text, on the command line and in the fork's recording: ``milk.position=1,2,0.9``,
+``reachable_object(milk)=false``. A fork can therefore run again like any other run. A recorded answer is used only if
+the next recorded query is the same, at the same moment, without other records in between. Three kinds of queries are
+always
+asked: failed queries, queries about many targets (evidence of their single answers isn't recorded), and queries that
+    the plan defines.
 """
 
 from __future__ import annotations
@@ -76,7 +77,7 @@ _ANSWERS: Final = {
 class Setting:
     """A value for a quantity of an object, or for a fluent."""
 
-    text: str  # text of the setting
+    text: str  # text of the setting, as the user wrote it
     name: str  # name of the object or fluent; "" for gravity
     quantity: str  # "position", "orientation", "color", "hand" or a joint of the object; "gravity"; "" for a fluent
     value: Any  # list of numbers for an object; name of the arm, or "none", for a hand; any value for a fluent
@@ -108,11 +109,11 @@ class Setting:
             body.set_joint_position(self.quantity, *self.value)
 
     def _fluent(self) -> Fluent:
-        """Return the fluent with a name among all Python objects, because only the plan refers to it."""
+        """Return the fluent with a name; all Python objects are searched, because only the plan refers to it."""
         named: dict[Variable, Fluent] = {}
         for each in gc.get_objects():
             if issubclass(type(each), Fluent):  # isinstance() would call proxies
-                expression = getattr(each, "expression", None)  # the fluent may be under construction
+                expression = getattr(each, "expression", None)  # the constructor of the fluent may still be running
                 if isinstance(expression, Variable) and not expression.source:
                     named[expression] = each
         found = [each for expression, each in named.items() if expression.text() == self.name]
@@ -129,12 +130,12 @@ def settings(log: RecordReader, step: int, texts: Iterable[str], world: str | No
     """Return settings, such as ``milk.position=1,2,0.9``, as changes after a step. The default world was opened last.
 
     Raises:
-        BadChange: A setting has another form.
+        BadChange: A setting has a wrong form.
         NoSuchName: There is no such world, object or joint at the step.
     """
     changes = []
     if world is not None:
-        state_at(log, step).world(world)  # unknown names raise an error even without settings
+        state_at(log, step).world(world)  # names are checked even if there are no settings
     for text in texts:
         setting = parse_setting(text, fluent=_is_of_fluent(log, text))
         there = state_at(log, step).world(world) if setting.quantity else None
@@ -162,11 +163,11 @@ def _is_of_fluent(log: RecordReader, text: str) -> bool:
 def parse_setting(text: str, *, fluent: bool) -> Setting:
     """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or (for a fluent) ``battery=20``.
 
-    For an unrecorded fluent with a dot in its name, write ``fluent:left.battery=20``. Any name can be in quotes:
-    ``'milk carton'.position=1,2,0.9``.
+    For a fluent that isn't recorded and has a dot in its name, write ``fluent:left.battery=20``. Any name can be in
+    quotes: ``'milk carton'.position=1,2,0.9``.
 
     Raises:
-        BadChange: The text has another form.
+        BadChange: The text has a wrong form.
     """
     quoted, rest = unquoted(text)
     left, _, right = (part.strip() for part in rest.partition("="))
@@ -223,12 +224,12 @@ def seed_change(step: int, seed: int) -> Change:
 
 
 def change_text(change: Change) -> str:
-    """Return a change in words."""
+    """Return the text of a change."""
     return change.set or change.answer or f"seed {change.seed}"
 
 
 def object_of(world: BulletWorld, name: str) -> Object:
-    """Return an object of a world by name. The default meaning of ``robot`` is the world's robot."""
+    """Return an object of a world by name. By default, ``robot`` means the world's robot."""
     if name == "robot" and world.robot is not None and not world.get_objects_by_name(name):
         return world.robot
     return world.get_object(name)
@@ -241,22 +242,22 @@ def object_of(world: BulletWorld, name: str) -> Object:
 class GivenAnswer:
     """An answer for the next matching query."""
 
-    text: str  # text of the answer
+    text: str  # text of the answer, as the user wrote it
     query: str  # name of the query
-    arguments: Mapping[str, Term]  # required arguments by recorded name
-    answer: Term  # true or false, names of objects, or an answer for each target
+    arguments: Mapping[str, Term]  # arguments that the query must have, by recorded name
+    answer: Term  # the answer: true or false, names of objects, or an answer for each target
 
     def fits(self, name: str, arguments: Mapping[str, object]) -> bool:
-        """Return whether a query matches."""
+        """Return whether the answer is for this query."""
         return name == self.query and all(
             key in arguments and is_same(term, arguments[key]) for key, term in self.arguments.items()
         )
 
     def replace(self, own: Any, world: BulletWorld) -> Any:
-        """Return the answer with the evidence of the query's own answer.
+        """Return the answer, with the evidence of the query's own answer.
 
         Raises:
-            BadChange: The query has another number of answers.
+            BadChange: The query needs another number of answers.
         """
 
         def with_evidence(kind: Callable[..., Any], value: Any, of: Any) -> Any:
@@ -275,10 +276,10 @@ class GivenAnswer:
 def parse_answer(text: str) -> GivenAnswer | ForcedDecision:
     """Parse ``reachable_object(milk)=false``, ``blocking(...)=[bowl]``. Only the given arguments must match.
 
-    A decision that isn't a query, such as ``grasp(milk)=top``, is parsed by :mod:`replay.retrace.decisions`.
+    :mod:`replay.retrace.decisions` parses decisions that aren't queries, such as ``grasp(milk)=top``.
 
     Raises:
-        BadChange: The text has another form, or the query can't have this answer.
+        BadChange: The text has a wrong form, or the query can't have this answer.
         NoSuchName: There is no such query.
     """
     left, equals, right = text.rpartition("=")
@@ -296,10 +297,10 @@ def parse_answer(text: str) -> GivenAnswer | ForcedDecision:
 
 
 def checked_answer(log: RecordReader, step: int, text: str) -> str:
-    """Return the text of an answer after a step. The recording must have its decision and names.
+    """Return the text of an answer after a step. The recording must contain the decision and all names.
 
     Raises:
-        BadChange: The text has another form, or the decision can't have this answer.
+        BadChange: The text has a wrong form, or the decision can't have this answer.
         NoSuchName: The recording has no such object, arm, link or decision.
     """
     given = parse_answer(text)
@@ -327,7 +328,7 @@ def _parts(log: RecordReader, loaded: Iterable[LoadBody]) -> Iterator[str]:
 
 
 def _bound(asked: QueryCall, text: str) -> dict[str, Term]:
-    """Return the arguments of a question by recorded name."""
+    """Return the arguments of a question, by recorded name."""
     parameters = {recorded: parameter for parameter, recorded in RECORDED_AS.items()}
     keywords = {parameters.get(name, name): term for name, term in asked.keywords.items()}
     try:
@@ -352,15 +353,15 @@ def _can_be(term: Term, kind: str) -> bool:
 
 
 class PendingChanges:
-    """Changes of a fork, which are made after their steps in the process of the plan.
+    """Changes of a fork; each is made after its step, in the process of the plan.
 
-    The record of a step is made within the operation that it describes. So a change waits for the end of the operation:
-    the main thread has no uninterruptible section, no lock and no deferred calls. The plan can't read the world between
-    the operation and the change. Changes are made outside of tasks, by the setters that plans call. Their records name
-    the fork.
+    A step is recorded within the operation that it describes. A change therefore waits until the main thread has no
+    uninterruptible section, no lock and no deferred calls. Between the operation and the change, the plan can't read
+    the world. Changes are made outside of tasks, by the same setters that plans call. The records of changes name the
+    fork.
 
-    ``answers`` receives the answer overrides. ``make`` makes other changes. An impossible change calls ``refuse`` with
-    the error, which doesn't return.
+    ``answers`` receives those changes that are answers. ``make`` makes other changes. For an impossible change,
+    ``refuse`` is called with the error; it doesn't return.
     """
 
     def __init__(
@@ -377,7 +378,7 @@ class PendingChanges:
         self.due: list[Change] = []  # due changes
 
     def passed(self, step: int, done: Callable[[], None]) -> None:
-        """Make the changes after a step as soon as possible, and then call ``done``."""
+        """Make the changes after a step as soon as possible, then call ``done``."""
         changes = [each for each in self._changes if each.step == step]
         self._answers.given += [parse_answer(each.answer) for each in changes if each.answer]
         self.due += [each for each in changes if not each.answer]
@@ -388,16 +389,16 @@ class PendingChanges:
         interrupts.call_soon(self._try)
 
     def complete(self, record: Record) -> None:
-        """Mark a record of a change."""
+        """Add the name of the fork to a record of a change."""
         if isinstance(record, Query):
             self._answers.complete(record)
         elif self._making and isinstance(record, Mutation | records.Fluent) and not record.task and not record.cause:
-            is_set = isinstance(record, Mutation) or not record.source  # other fluents change with the world
+            is_set = isinstance(record, Mutation) or not record.source  # other fluents follow the world
             record.by_fork = is_set and threading.current_thread() is threading.main_thread()
 
     def _try(self) -> bool:
         """Make the due changes if possible, and return whether all are made."""
-        if process() != self._process:  # a projection ends before the change
+        if process() != self._process:  # a projection ends before any change is made
             return True
         if is_held():
             world = next((each for each in open_worlds() if each.lock.is_mine), None)
@@ -425,17 +426,17 @@ class PendingChanges:
 
 
 class AnswerOracle:
-    """An oracle that answers queries with the given answers of a fork, or with the recorded answers (``taken``).
+    """Answers queries with the fork's own answers, or with the recorded answers (``taken``).
 
-    An impossible answer calls ``refuse`` with the error, which doesn't return.
+    For an impossible answer, ``refuse`` is called with the error; it doesn't return.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
         self._guide, self._takes, self._refuse = guide, taken, refuse
         self._process = process()
-        self._beside: dict[int, Query] = {}  # additional fields of the record of a query by thread
-        self.taken = 0  # number of used recorded answers
-        self.given: list[GivenAnswer | ForcedDecision] = []  # answers for the next matching decisions
+        self._beside: dict[int, Query] = {}  # fields to add to the record of a query, by thread
+        self.taken = 0  # number of recorded answers that were used
+        self.given: list[GivenAnswer | ForcedDecision] = []  # forced values for the next matching decisions
 
     def __call__(
         self, question: Asked, world: BulletWorld, function: Callable[..., Any], ask: Callable[[], Any]
@@ -477,7 +478,7 @@ class AnswerOracle:
         return None
 
     def missing(self, decision: str, candidate: str, candidates: Sequence[str]) -> None:
-        """End the run, because a choice doesn't have the forced candidate."""
+        """End the run, because a choice doesn't have the candidate that the fork forces."""
         self._refuse(
             BadChange(f"{decision}={candidate}", f"there is no such candidate; there are {', '.join(candidates)}")
         )
@@ -501,7 +502,7 @@ class AnswerOracle:
 
 
 def _answers(recorded: Query, question: Asked, world: BulletWorld) -> bool:
-    """Return whether a recorded query has the same question at the same moment, and its own complete answer."""
+    """Return whether a recorded query asks the same question at the same moment, and has its own complete answer."""
     known = recorded.name in ANSWERABLE and _kind(recorded.name) != _OF_MANY
     if not known or recorded.HasField("failure") or recorded.by_fork:
         return False

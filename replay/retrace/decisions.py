@@ -1,8 +1,8 @@
 """Decisions that a fork forces, as text: ``grasp(object=milk)=top``, ``pick-up.arm(milk)=left``, ``remove(cup)=skip``.
 
 A decision is a choice of a candidate, a solution of a designator, a limit, the order of branches, or whether a call of
-the plan is made. Then the deciding code only considers the forced value. If this value is impossible, the code fails
-with the true reason.
+the plan is made. The deciding code then considers only the forced value. If this value is impossible, the code fails
+with the actual reason.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _NUMBER: Final = re.compile(r"#([1-9]\d*)")
 _KEYWORD: Final = re.compile(r"([\w-]+)(\s*=)")
 _ANY: Final = re.compile(r"(^|,)\s*\.\.\.\s*$")
 _LIMIT, _ORDER = "timeout", "order"
-_PLACES: Final = {"standing_places": 2, "free_places": 3}  # places in names of candidates have this many decimals
-_NEAR: Final = 0.01  # largest distance between a given place and a candidate, m
-_MOST_IN_A_ROW: Final = 100  # after this many turns of a branch that polls, another branch runs
+_PLACES: Final = {"standing_places": 2, "free_places": 3}  # number of decimals of places in names of candidates
+_NEAR: Final = 0.01  # maximum distance in m between a given place and a candidate
+_MOST_IN_A_ROW: Final = 100  # number of turns in a row of a polling branch after which another branch runs
 
 
 class BadChange(ReplayError):
@@ -47,22 +47,22 @@ class ForcedDecision:
 
     text: str  # text of the decision
     name: str  # name of the choice, type of the designator, name of the called function, "timeout" or "order"
-    slot: str  # slot of the designator's solution; "" for the whole solution and other decisions
-    positional: tuple[Term, ...]  # required arguments in the recorded order
-    keywords: Mapping[str, Term]  # required arguments by name with underscores
+    slot: str  # slot of a designator's solution; "" for the whole solution and for other decisions
+    positional: tuple[Term, ...]  # arguments that must match, in the recorded order
+    keywords: Mapping[str, Term]  # arguments that must match, by name with underscores
     value: Term
-    number: int  # number of the solution or recorded candidate, from 1; 0 for a given value
+    number: int  # number of the solution or of the recorded candidate, from 1; 0 if the value itself is given
     used: bool = False
     _in_a_row: list[str] = field(default_factory=list)
 
     def fits(self, kind: str, name: str, arguments: Mapping[str, Any]) -> bool:
-        """Return whether a decision of the running plan matches."""
+        """Return whether the value is for a decision of the running plan."""
         if name != self.name or (kind == "call") != (self.value == Name(SKIPPED)) or (self.slot and kind != "solution"):
             return False
         return self._has(arguments)
 
     def fits_recorded(self, record: Query) -> bool:
-        """Return whether a recorded choice matches."""
+        """Return whether the value is for a recorded choice."""
         try:
             return record.name == self.name and self._has(dict(question_of(record).keywords))
         except BadQuestion:
@@ -75,7 +75,7 @@ class ForcedDecision:
         return enough and all(key in given and is_same(term, given[key]) for key, term in wanted.items())
 
     def decide(self, kind: str, arguments: Mapping[str, Any]) -> Any:
-        """Return the forced value; None for other branches."""
+        """Return the forced value; None for other branches of the plan."""
         if kind == "order":
             return self._first(arguments["ready"])
         if kind == "solution":
@@ -94,7 +94,7 @@ class ForcedDecision:
         return there[0]
 
     def _admitting(self, given: Mapping[str, Any]) -> Callable[[int, dict[str, Any]], dict[str, Any] | None]:
-        """Return a function that returns an admitted solution, or None for another solution.
+        """Return a function that returns a solution if the fork admits it, else None.
 
         The forced value replaces a slot that the plan gives.
         """
@@ -116,7 +116,7 @@ def parse_decision(text: str) -> ForcedDecision:
     """Parse ``grasp(object=milk, ...)=top``, ``transporting(milk)=#2`` or ``order(...)=[cook, serve]``.
 
     Raises:
-        BadChange: the text has another form.
+        BadChange: the text has a wrong form.
     """
     form = _FORM.fullmatch(text)
     wrong = "expected DECISION(ARGUMENTS)=VALUE, such as grasp(milk)=top or pick-up.arm(milk)=left"
@@ -137,7 +137,7 @@ def parse_decision(text: str) -> ForcedDecision:
 
 
 def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequence[str]) -> str:
-    """Return the text of a decision, with the name of the candidate instead of its number.
+    """Return the text of a decision in which the name of the candidate replaces its number.
 
     Raises:
         NoSuchName: The recording has no such choice, motion or action, or there is no such function.
@@ -169,7 +169,7 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
 
 
 def candidate_names(record: Query) -> Iterator[str]:
-    """Yield the names of the recorded candidates. Places are in the order of their scores."""
+    """Yield the names of the recorded candidates. Places are ordered by their scores."""
     decimals = _PLACES.get(record.name)
     for spot in record.grid.spots if decimals is not None else ():
         yield f"[{spot.position[0]:.{decimals}f}, {spot.position[1]:.{decimals}f}]"
@@ -178,7 +178,7 @@ def candidate_names(record: Query) -> Iterator[str]:
 
 
 def is_same(term: Term, value: object) -> bool:
-    """Return whether an argument of a running plan has a given value."""
+    """Return whether an argument in the running plan has a given value."""
     if isinstance(value, Object | BulletWorld):
         return text_of(term) == value.name or (
             text_of(term) == "robot" and isinstance(value, Object) and value.is_robot
@@ -190,7 +190,7 @@ def is_same(term: Term, value: object) -> bool:
 
 
 def _is_value(term: Term, value: Any) -> bool:
-    """Return whether a solution's value is the given value. A place may be 1 cm away."""
+    """Return whether a solution's value is the given value. A place may differ by 1 cm."""
     place = value.get("position") if isinstance(value, dict) else getattr(value, "position", value)
     if isinstance(term, list) and term and all(isinstance(each, int | float) for each in term):
         if not isinstance(place, list | tuple) or not all(isinstance(each, int | float) for each in place):

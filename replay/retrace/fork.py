@@ -1,7 +1,7 @@
 """Fork a run: the plan runs again, guided by the recording up to a step, and then continues live.
 
-So the plan has its variables, blocks and branches again. The fork may have an edited plan whose records up to the step
-are the same. A fork may also change the world after the step, answers of queries, or the seed.
+The plan then has its variables, blocks and branches again. The plan of a fork may be edited if its records up to the
+step are the same. A fork may also change the world after the step, the answers of queries, or the seed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Fork:
     succeeded: bool  # whether the plan succeeded
     notes: tuple[str, ...]  # differences from the recorded conditions
     control: Retracing | None = None  # comparison of the unchanged plan with the recording; None if it wasn't requested
-    unused: tuple[str, ...] = ()  # answers for decisions that the plan never made
+    unused: tuple[str, ...] = ()  # answers for decisions that the plan never had to make
 
 
 def fork(
@@ -64,20 +64,20 @@ def fork(
 ) -> Fork:
     """Run a plan again to a step of its recording, and continue from there into a new recording.
 
-    Effects of the plan outside of its worlds (files, network) happen again. Output up to the step is dropped. Later
-    output goes to stderr. The plan has no input.
+    Effects of the plan outside of its worlds (files, network) happen again. Output up to the step is dropped. Output
+    after the step goes to stderr. The plan gets no input.
 
     Args:
         log: the recording.
-        step: The last common step of both runs.
+        step: The last step that both runs have in common.
         file: The new recording, which replaces an existing file.
         plan: An edited plan instead of the recorded plan.
         arguments: Arguments of the plan instead of the recorded arguments.
         settings: Values after the step, such as ``milk.position=1,2,0.9`` (:mod:`replay.retrace.changes`).
-        world: The world of the settings, by default the last opened world.
+        world: The world of the settings; by default the last opened world.
         answers: Answers for the next matching queries after the step, such as ``reachable_object(milk)=false``.
         seed: The seed of random numbers and of the order of branches after the step.
-        control: Run the plan also to its end without the changes. If the control run repeats the recording, all
+        control: Also run the plan to its end without the changes. If the control run repeats the recording, all
             differences of the fork come from the changes.
         recorded_source: Run the source in the recording instead of the files on the disk.
         begun: A function that is called after all checks, before the plan runs.
@@ -85,12 +85,12 @@ def fork(
     Raises:
         CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.
         BadChange, NoSuchName: A setting or an answer is impossible.
-        NotForked: The plan differs before the step. There is no new recording. If another error is raised, the plan
-            hasn't run.
+        NotForked: The plan differs before the step. A control run has no new recording. If another error is raised, the
+            plan has not run.
         Damaged: Steps up to the step are lost.
         ReplayError: The folder of the new recording doesn't exist.
     """
-    log.check_file()  # after the check, all losses are known
+    log.check_file()  # after this check, all losses are known
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
         raise Damaged(log.path, f"the part before step {step}", f"step {gap.start} is lost; fork before it")
@@ -106,7 +106,7 @@ def fork(
     notes = tuple(process.notes())
     begun()
     with ThreadPoolExecutor() as beside, ExitStack() as undoing:
-        if unchanged is not None:  # otherwise an interrupted block would wait for the thread of the control run
+        if unchanged is not None:  # without this, an interrupted block would wait for the thread of the control run
             undoing.callback(unchanged.stop)
         controlling = None if unchanged is None else beside.submit(compared, unchanged, log)
         try:
@@ -140,7 +140,7 @@ def changes_of(
 
 
 def _unused(forked: RecordReader, unused: Sequence[str]) -> Iterator[str]:
-    """Yield a note about unused answers of this fork or an earlier fork."""
+    """Yield a text about unused answers of this fork or of an earlier fork."""
     recorded = forked[0]
     wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
     if unused:
@@ -161,7 +161,7 @@ def resume(
 
     Raises:
         ReplayError: The plan has ended, or still runs.
-        CantRetrace, NotForked, Damaged: Errors of :func:`fork`.
+        CantRetrace, NotForked, Damaged: See :func:`fork`.
     """
     if log.closed:
         raise ReplayError(f"{log.path}: this run has ended; use fork to run it again from a step")

@@ -1,6 +1,6 @@
 """Guide a run by its recording: each new record is immediately compared with the recorded record.
 
-The order of records is compared, too. Clocks, durations, ids of tasks and source lines aren't compared
+The order of the records is compared, too. Clocks, durations, ids of tasks and source lines aren't compared
 (:func:`replay.compare.differing`).
 """
 
@@ -22,17 +22,17 @@ from replay.compare import differing
 from replay.file.record_reader import RecordReader
 from replay.retrace.plan_process import FirstDifference
 
-#: Fields with the files of an object. If a different file matters, then a pose, a contact or an answer differs, too.
+#: Fields that contain the files of an object. If a different file matters, a pose, a contact or an answer also differs.
 _FILES: Final = re.compile(r"(?:load_body|loaded\[(\d+)\])\.(?:assets|robot_description)\b")
 
-_Stack: TypeAlias = "tuple[str, ...]"  # lines of a call stack, outermost first
+_Stack: TypeAlias = "tuple[str, ...]"  # the lines of a call stack, outermost first
 
 
 class Guide(NullSink):
     """A sink that compares the records of a run with a recording, up to the first difference or the step ``until``.
 
-    Then ``report`` is called with the number of equal records and the first difference or None. It need not return.
-    Recordings of the run's projections are written into the folder of ``path``.
+    At the end, ``report`` is called with the number of equal records, and the first difference or None. ``report`` need
+    not return. Recordings of the run's projections are written into the folder of ``path``.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Guide(NullSink):
         self._log = log
         self._until = until
         self._recorded = log.records()
-        self._ahead: Record | None = None  # the next record that was read in advance
+        self._ahead: Record | None = None  # the next recorded record, which was read in advance
         self._reading = threading.Lock()
         self._report = report
         self._ended = False
@@ -50,7 +50,7 @@ class Guide(NullSink):
         # the recorded interruptions, by the number of the poll that they interrupt; None until they are read
         self._strikes: dict[int, Collection[int]] | None = None
         self.equal = 0  # number of equal records so far
-        self.recorded_ns = 0  # time of the last equal record by the recording's clock
+        self.recorded_ns = 0  # time of the last equal record, by the clock of the recording
         self._other_files: dict[str, str] = {}  # names of files that differ from the recorded files, by object
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
@@ -72,7 +72,7 @@ class Guide(NullSink):
             del fields[path]
             self._other_files[loaded.body] = PurePath(loaded.path).name
         if fields:
-            failed = isinstance(record, Run) and record.HasField("failure")  # the line of a failure may be unknown
+            failed = isinstance(record, Run) and record.HasField("failure")  # the line of a failure isn't always known
             self._end(_difference(recorded, record, fields, now if failed else now or before))
             return
         self.equal += 1
@@ -81,12 +81,12 @@ class Guide(NullSink):
             self._end(None)
 
     def notes(self) -> tuple[str, ...]:
-        """Return a note about files of objects that differ from the recorded files, or no note."""
+        """Return a text about files of objects that differ from the recorded files; no text if none differ."""
         files = ", ".join(f"{file} of {body}" for body, file in self._other_files.items())
         return (f"other files than recorded: {files}",) if files else ()
 
     def upcoming(self) -> Record | None:
-        """Return the next recorded record; None at the end and for a lost record."""
+        """Return the next recorded record; None at the end, or if it is lost."""
         if self._ended:
             return None
         with self._reading:
@@ -97,7 +97,7 @@ class Guide(NullSink):
     def foreseen(self, look: int) -> Collection[int] | None:
         """Return the recorded interruptions at a poll; None after the end of the comparison.
 
-        All interruptions are read in advance, because their records come after them.
+        All interruptions are read in advance, because each is recorded after its poll.
         """
         if self._ended:
             return None
@@ -153,7 +153,7 @@ def _difference(
 
 
 def _words(record: Record) -> str:
-    """Return a record in words, without durations."""
+    """Return a record as text, without durations."""
     if isinstance(record, Task):
         if record.phase == Task.STARTED:
             return f"{record.name}({values(record.parameters)})"
@@ -166,7 +166,7 @@ def _words(record: Record) -> str:
 
 
 def _stack(record: Record, tasks: dict[int, _Stack]) -> _Stack:
-    """Return the plan's lines that led to a record, or else to its task. Remember the lines of a starting task."""
+    """Return the plan's lines that led to a record, or else to its task. Store the lines of a task that starts."""
     file, line = getattr(record, "source_file", ""), getattr(record, "source_line", 0)
     stack = tasks.get(record.task, ())
     if file and line:
@@ -190,9 +190,9 @@ def _at(stack: _Stack) -> str:
 
 
 class GuidedSink(NullSink):
-    """A sink that completes each record of a guided run, writes the record to several sinks, and reports its step.
+    """A sink that completes each record of a guided run, passes the record to several sinks, and reports its step.
 
-    Sinks are closed in reverse order. Records of a ``moved`` plan (:class:`Guidance`) name its own folder.
+    Sinks are closed in reverse order. Records of a ``moved`` plan (:class:`Guidance`) contain the plan's own folder.
     """
 
     def __init__(
@@ -212,7 +212,7 @@ class GuidedSink(NullSink):
         self._moved = moved
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  first, the record is completed
-        """Complete and forward a record."""
+        """Complete a record, and pass it on."""
         self._complete(record)
         if self._moved is not None:
             _rename(record, *self._moved)

@@ -1,8 +1,9 @@
 """Run a plan again in this process, guided by its recording. :mod:`.plan_process` starts the process.
 
-A run without a file ends when the comparison ends. With a file, a fork continues into its own recording. The result is
-a line of JSON on another file descriptor, because stdout and stderr belong to the plan. The plan's call stacks end at
-the first frame of this module. The plan calls the sinks of records, so the sinks are in :mod:`.guide`.
+A run without a file ends when the comparison has ended. With a file, a fork continues, and writes a recording of its
+own. The result is written as a line of JSON to another file descriptor, because stdout and stderr belong to the plan.
+The plan's call stacks end at the first frame of this module. The plan calls the sinks of records, so the sinks are in
+:mod:`.guide`.
 """
 
 from __future__ import annotations
@@ -54,8 +55,8 @@ def make_change(change: Change) -> None:
 class GuidedRun:
     """A run of a plan in this process: records are compared, queries answered, and changes made after their steps.
 
-    The folder is for recordings of projections. ``report`` is explained at :class:`replay.retrace.guide.Guide`,
-    ``refuse`` at :class:`replay.retrace.changes.PendingChanges`.
+    The folder is for recordings of projections. :class:`replay.retrace.guide.Guide` explains ``report``, and
+    :class:`replay.retrace.changes.PendingChanges` ``refuse``.
     """
 
     def __init__(
@@ -78,7 +79,7 @@ class GuidedRun:
     def sink(self, *sinks: Sink, file: McapSink | None = None, passed: Callable[[], None] = lambda: None) -> GuidedSink:
         """Return the sink for the run's records: a file if given, the comparison, and other sinks.
 
-        ``passed`` is called after each step and its changes.
+        ``passed`` is called after each step and the changes after it.
         """
         return GuidedSink(
             self.guide.path if file is None else file.path,
@@ -92,9 +93,9 @@ class GuidedRun:
     def run(
         self, plan: str, arguments: Sequence[str], sink_of: Callable[[Run], Sink], file: Path = Path(os.devnull)
     ) -> None:
-        """Run a plan as a program. Return even if the plan raises an exception.
+        """Run a plan as a program. The function returns even if the plan raises an exception.
 
-        When the plan starts its recording, ``sink_of`` returns the sink instead of the file.
+        When the plan starts its recording, ``sink_of`` returns a sink that replaces the file.
         """
         owner, began, by_program, guided = process(), self.began, self.guidance.by_program, False
 
@@ -103,11 +104,11 @@ class GuidedRun:
             if run.by_program != by_program:
                 return None
             named = run.name in (began.name, escaped(Path(plan).stem))
-            same_number = run.number == (began.number or 1)  # older recordings have no number
+            same_number = run.number == (began.number or 1)  # older recordings don't contain this number
             if guided or not (named and same_number):
-                return NullSink()  # this is another recording of the program
+                return NullSink()  # the program has started another recording
             guided = True
-            if began.HasField("looks"):  # older recordings have no number of polls
+            if began.HasField("looks"):  # older recordings don't contain the number of polls
                 guide_strikes(lambda look: self.guide.foreseen(look) if process() == owner else None, began.looks)
             return sink_of(run)
 
@@ -118,10 +119,10 @@ class GuidedRun:
 
 
 def spec_of(recorded: RecordReader, plan: str | Path, arguments: Sequence[str]) -> running.RunSpec:
-    """Return the settings of a recorded run for the plan and the arguments."""
+    """Return the settings of a recorded run, for the plan and its arguments."""
     began = recorded[0]
     if not isinstance(began, Run):
-        raise TypeError("the recording doesn't begin with a run")  # the caller has checked this
+        raise TypeError("the recording doesn't begin with a run")  # the caller has checked that
     watched = [each for each in recorded.records(Check) if each.by_run and each.phase == Check.WATCHED]
     return running.RunSpec(
         Path(plan),
@@ -143,12 +144,12 @@ def run_plan(began: Run, spec: running.RunSpec, file: Path, *, overwrite: bool =
     plan = str(spec.plan)
     sys.argv = [began.called_as or plan, *spec.arguments]
     sys.path.insert(0, str(spec.plan.parent.resolve()))
-    with contextlib.suppress(BaseException):  # the recording has the exception
+    with contextlib.suppress(BaseException):  # the recording contains the exception
         _run_program(plan)
 
 
 def _run_program(plan: str) -> None:
-    """Run a file as Python does. :mod:`runpy` would name the module by its path."""
+    """Run a file in the way Python does. :mod:`runpy` would name the module by its path."""
     module = ModuleType("__main__")
     module.__file__ = plan
     sys.modules["__main__"] = module
@@ -167,7 +168,7 @@ def main() -> None:
 class _ReportedRun:
     """A guided run whose result another process reads from the file descriptor ``result``.
 
-    A fork records to a file, and prints to the file descriptor ``output``; without a file, the run ends with the
+    A fork records into a file, and prints to the file descriptor ``output``; without a file, the run ends with the
     comparison.
     """
 
@@ -177,7 +178,7 @@ class _ReportedRun:
         self._output = output
         self._file = file
         self._sent = False
-        self._equal: int | None = None  # number of equal records after the end of the comparison
+        self._equal: int | None = None  # number of equal records, once the comparison has ended
 
     def run(self, plan: str, arguments: Sequence[str]) -> None:
         """Run the plan to its end, unless the process ends earlier."""
@@ -195,7 +196,7 @@ class _ReportedRun:
 
     def _sink_of(self, run: Run) -> Sink:
         recorded, began, guidance = self._guided.recorded, self._guided.began, self._guided.guidance
-        if guidance.moved is not None:  # a moved plan is in no repository
+        if guidance.moved is not None:  # the folder of a moved plan isn't in a repository
             run.plan.CopyFrom(began.plan)
         file = None
         if self._file is not None:
@@ -215,14 +216,14 @@ class _ReportedRun:
             os._exit(0)
 
     def _leave(self) -> None:
-        """Leave the recording after the last compared step and its changes."""
+        """End the run after the last compared step and the changes after it."""
         if self._equal is None or self._sent:
             return
         self._send(difference=None)
         for stream, descriptor in ((sys.__stdout__, _STDOUT), (sys.__stderr__, _STDERR)):
             if stream is not None:
                 stream.flush()
-            os.dup2(self._output, descriptor)  # from now on, the plan's output is new
+            os.dup2(self._output, descriptor)  # from this moment on, the plan's output is new
 
     def _refuse(self, error: Exception) -> NoReturn:
         self._send(error=str(error))

@@ -1,8 +1,8 @@
 """Runs a recorded plan again in a process of its own, under the recorded conditions and guided by the recording.
 
 With ``recorded_source``, the source that is attached to the recording runs instead of the files on the disk. The
-attached files are the plan and the modules whose lines are in call stacks. They are written to a folder, with links to
-the other files next to the plan.
+recording has attached the plan, and the modules whose lines are in call stacks. They are written to a folder that also
+has links to the other files next to the plan.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from replay.history.source import name_of
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
-_SHOWN: Final = 2000  # largest number of characters that are shown from the end of a failed process's stderr
+_SHOWN: Final = 2000  # maximum number of characters from the end of a failed process's stderr that are shown
 _STDERR: Final = 2
-_CACHE: Final = "__pycache__"  # folder of compiled files, which belong to the files on the disk
+_CACHE: Final = "__pycache__"  # folder of compiled files, which don't belong to the recorded source
 
 
 class CantRetrace(ReplayError):
@@ -39,19 +39,19 @@ class CantRetrace(ReplayError):
 
     def __init__(self, cause: str) -> None:
         super().__init__(cause)
-        self.cause = cause  # why the plan can't run, and what to do
+        self.cause = cause  # why the plan can't run, and a remedy
 
 
 @dataclass(frozen=True, slots=True)
 class Guidance:
-    """How a recording guides a run. The recording itself contains the moments of deadlines and of workers' results."""
+    """How a recording guides a run. The moments of deadlines and of workers' results come from the recording itself."""
 
     log: str  # the recording's file
     by_program: bool  # whether the plan itself starts the recording
-    until: int | None = None  # the last compared step; None: all steps are compared
-    take_answers: bool = False  # whether queries get their recorded answers instead of being asked
-    changes: tuple[Change, ...] = ()  # changes; each is made after its step
-    moved: tuple[str, str] | None = None  # folder with the plan's recorded source, and the plan's own folder
+    until: int | None = None  # the last step that is compared; None to compare all steps
+    take_answers: bool = False  # whether queries get their recorded answers, and aren't asked
+    changes: tuple[Change, ...] = ()  # changes of a fork; each is made after its step
+    moved: tuple[str, str] | None = None  # folder with the recorded source of the plan, and the plan's own folder
 
     def as_json(self) -> dict[str, object]:
         """Return the guidance as JSON data."""
@@ -70,10 +70,10 @@ class FirstDifference:
     """The first record that differs from the recording."""
 
     step: int  # step of the recorded record; the number of steps if the plan continues after the recording's end
-    text: str  # the difference in words
-    line: str = ""  # the plan's FILE:LINE that made the new record; if the plan ended, the line of the recorded record
-    callers: tuple[str, ...] = ()  # lines of the plan, innermost first
-    #: Recorded and new values that differ, by the path of the field; empty for records of different kinds.
+    text: str  # text of the difference
+    line: str = ""  # FILE:LINE of the plan that made the new record; if the plan ended, of the recorded record
+    callers: tuple[str, ...] = ()  # lines of the plan that led there, innermost first
+    #: Recorded and new values that differ, by the path of the field; empty if the records have different kinds.
     fields: dict[str, tuple[Plain, Plain]] = field(default_factory=dict)
 
 
@@ -82,10 +82,10 @@ class GuidedResult:
     """The result of a plan that ran again."""
 
     equal: int  # number of equal records before the first difference
-    difference: FirstDifference | None  # None if all compared records are equal
-    taken: int  # number of answers that were taken from the recording
-    notes: tuple[str, ...] = ()  # differences from the recorded conditions that appeared during the run
-    unused: tuple[str, ...] = ()  # answers for decisions that the plan never made
+    difference: FirstDifference | None  # The first difference; None if all compared records are equal
+    taken: int  # number of answers that came from the recording
+    notes: tuple[str, ...] = ()  # differences from the recorded conditions that were found during the run
+    unused: tuple[str, ...] = ()  # answers for decisions that the plan never had to make
 
 
 class PlanProcess:
@@ -95,7 +95,7 @@ class PlanProcess:
         log: the recording.
         plan: A file that runs instead of the recorded plan.
         arguments: Arguments of the plan instead of the recorded arguments.
-        until: The last compared step, by default the last step of the recording.
+        until: The last step that is compared; by default, the last step of the recording.
         recorded_source: Run the source in the recording instead of the files on the disk.
 
     Raises:
@@ -112,7 +112,7 @@ class PlanProcess:
         recorded_source: bool = False,
     ) -> None:
         began = log[0]
-        if not hasattr(os, "fork"):  # on systems without fork, processes can't inherit open files either
+        if not hasattr(os, "fork"):  # systems without fork also can't pass open files to processes
             raise CantRetrace("plans can't be run again on this system: it has no os.fork")
         if not isinstance(began, Run) or not (began.directory or plan):
             raise CantRetrace(f"{log.path}: an older release made it, and didn't record how the plan was run")
@@ -148,7 +148,7 @@ class PlanProcess:
         self._stopped = False
 
     def notes(self) -> Iterator[str]:
-        """Yield the differences from the recorded conditions in words."""
+        """Yield the differences from the recorded conditions, as text."""
         began = self._began
         if self._source is not None:
             yield str(self._source)
@@ -175,9 +175,9 @@ class PlanProcess:
         take_answers: bool = False,
         quiet: bool = False,
     ) -> GuidedResult:
-        """Run the plan to the first difference; a fork runs to the end of the plan.
+        """Run the plan until the first difference; a fork runs until the end of the plan.
 
-        With a ``file``, the plan continues into this new recording, and prints to stderr, unless it is ``quiet``. If
+        With a ``file``, the plan continues into this new recording, and prints to stderr, unless ``quiet`` is true. If
         the recorded run is a fork, its changes are made again. With ``changes``, only changes up to the last compared
         step are made again.
 
@@ -205,9 +205,9 @@ class PlanProcess:
             self._running = process
             with process, ExitStack() as undoing:
                 undoing.callback(process.kill)
-                if self._stopped:  # the run was stopped before its start
+                if self._stopped:  # stop() was called before the start
                     process.kill()
-                line = results.readline()  # processes of the plan may keep the pipe open
+                line = results.readline()  # child processes of the plan may keep the pipe open
                 code = process.wait()
                 undoing.pop_all()
             os.set_blocking(reading, False)
@@ -234,13 +234,13 @@ class PlanProcess:
 
     @property
     def recorded_files(self) -> Mapping[Path, bytes]:
-        """The recorded source by path; empty if the files on the disk run."""
+        """The recorded source, by path; empty if the files on the disk run."""
         return {} if self._source is None else self._source.texts
 
     def guidance(
         self, until: int | None = None, changes: Sequence[Change] = (), *, take_answers: bool = False
     ) -> Guidance:
-        """Return the guidance of the run, with recorded changes and further changes.
+        """Return the guidance of the run: recorded and further changes.
 
         With further changes or an edited plan, only recorded changes up to the last compared step are made again.
         """
@@ -259,12 +259,12 @@ class PlanProcess:
         descriptors: Collection[int] = (),
         **facts: object,
     ) -> subprocess.Popen[bytes]:
-        """Start the ``main`` function of a module in a process with the recorded conditions, without input and output.
+        """Start the ``main`` function of a module in a process under the recorded conditions, without input and output.
 
         Args:
             module: A module whose main function receives the run and the facts as a JSON text.
             folder: A folder for the recordings of projections and for the recorded source.
-            errors: A file for stderr of the process.
+            errors: A file for the stderr of the process.
             descriptors: Open files that the process inherits.
         """
         began = self._began
@@ -285,7 +285,7 @@ class PlanProcess:
             environment["PYTHONHASHSEED"] = began.hash_seed
         else:
             environment.pop("PYTHONHASHSEED", None)
-        return subprocess.Popen(  # noqa: S603  the command is constant
+        return subprocess.Popen(  # noqa: S603  the command contains no user input
             [sys.executable, "-P", "-c", f"from {module} import main; main()", json.dumps(request)],
             cwd=self._folder,
             env=environment,
@@ -297,7 +297,7 @@ class PlanProcess:
 
 
 def last_own_step(log: RecordReader) -> int:
-    """Return the last step that a plan reaches by itself, before Ctrl-C and the effects of Ctrl-C."""
+    """Return the last step that a plan reaches by itself: before a Ctrl-C and its effects."""
     step = len(log) - 1
     end = log[step]
     if isinstance(end, Run) and end.interrupted_by:
@@ -312,7 +312,7 @@ def _is_end(record: Record) -> bool:
 
 
 def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
-    """Reject worlds with a window or in real time, because their runs can't be repeated."""
+    """Reject worlds with a window or in real time, because runs with them can't be repeated."""
     for record in log.records(Mutation, 0, len(log) if until is None else until + 1):
         window = record.HasField("open_world") and record.open_world.mode == "GUI"
         if window or (record.HasField("set_realtime") and record.set_realtime.enabled):
@@ -341,8 +341,8 @@ class _RecordedSource:
         if len(main) != 1:
             raise CantRetrace(f"{log.path}: it lacks the source of {program.name}")
         places = _places(log) - {program}
-        self.files = {Path(program.name): log.assets[main[0]]}  # attached files by path in the plan's folder
-        self.left_out: list[str] = []  # attached files with paths that are unknown or outside of the plan's folder
+        self.files = {Path(program.name): log.assets[main[0]]}  # attached files, by their path in the plan's folder
+        self.left_out: list[str] = []  # attached files whose paths are unknown or outside of the plan's folder
         for key in keys:
             fitting = [place for place in places if place.name == name_of(key)]
             shared = sum(name_of(other) == name_of(key) for other in keys) > 1
@@ -355,16 +355,16 @@ class _RecordedSource:
 
     @property
     def texts(self) -> dict[Path, bytes]:
-        """The attached files by original path."""
+        """The attached files, by their original path."""
         return {self.program.parent / place: text for place, text in self.files.items()}
 
     def write(self, folder: Path) -> Path:
-        """Write the source and links to the other files next to it into a folder.
+        """Write the source into a folder, with links to the other files next to it.
 
         Return the plan's file in the folder.
         """
         name = self.program.parent.name
-        target = folder / (name if name not in ("", "..") else "plan")  # a plan may run as ../plan.py
+        target = folder / (name if name not in ("", "..") else "plan")  # the plan's path may begin with ../
         lay(self.files, self.program.parent, target)
         return target / self.program.name
 

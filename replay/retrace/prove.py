@@ -1,8 +1,8 @@
-"""Test the causes of a failure: forks take each cause away, and a control run has no changes.
+"""Test the causes of a failure: each fork takes a cause away, and a control run has no changes.
 
-A fork without a cause that fails as the original refutes the cause. A fork in which the failure doesn't come confirms
-the cause. A fork with another, later failure confirms the cause, too. The verdicts only hold if the control run repeats
-the whole recording.
+A fork without the cause that fails in the same way refutes the cause. A fork without the cause in which the failure
+doesn't come confirms the cause. A fork with another failure that comes later also confirms the cause. The verdicts hold
+only if the control run repeats the whole recording.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from replay.retrace.retrace import Retracing, compared
 if TYPE_CHECKING:
     from replay.explain.why import Why
 
-_BUDGET: Final = 12  # largest number of forks
+_BUDGET: Final = 12  # maximum number of forks
 _AT_ONCE: Final = 2  # number of parallel forks
-_MAX_TRIALS: Final = 3  # largest number of forks of a cause
-_SECONDS: Final = (30.0, 10.0)  # largest duration of a fork: in s, and as a multiple of the original run
+_MAX_TRIALS: Final = 3  # maximum number of forks for one cause
+_SECONDS: Final = (30.0, 10.0)  # maximum duration of a fork: in s, and as a multiple of the original run
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?")
 _STEPS: Final = re.compile(r"at step \d+ \([\d.]+ s\)|since step \d+")
 _RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
@@ -50,11 +50,11 @@ def prove(
     Args:
         log: The recording.
         why: The explanation of a failure in the recording.
-        keep: A folder for the recordings of the forks. By default, the recordings are deleted.
+        keep: A folder for the recordings of the forks. By default, these recordings are deleted.
         recorded_source: Whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Returns:
-        The explanation with its verdicts, confirmed causes first, and the control run.
+        The explanation with its verdicts, confirmed causes first; and the result of the control run.
 
     Raises:
         CantRetrace: The plan can't run again.
@@ -65,11 +65,11 @@ def prove(
         ThreadPoolExecutor(_AT_ONCE) as pool,
         ExitStack() as undoing,
     ):
-        undoing.callback(unchanged.stop)  # otherwise an interrupted block would wait for its runs
+        undoing.callback(unchanged.stop)  # without this, an interrupted block would wait for its runs
         control = pool.submit(compared, unchanged, log)
         prover = Prover(log, why, keep or Path(temporary), recorded_source=recorded_source, kept=keep is not None)
         undoing.callback(prover.stop)
-        known: dict[Trial, TriedTrial] = {}  # causes may share trials
+        known: dict[Trial, TriedTrial] = {}  # several causes may have the same trial
         tried: list[list[TriedTrial]] = [[] for _ in why.causes]
         trials = [list(cause.trials(why.case)) if why.case is not None else [] for cause in why.causes]
         for turn in range(_MAX_TRIALS):
@@ -94,7 +94,7 @@ def prove(
 
 
 def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Proof:
-    """Return the verdict of a cause's forks. A fork that confirms the cause counts most."""
+    """Return the verdict of a cause's forks. If any fork confirms the cause, it decides."""
     if not control.identical:
         difference = control.difference.text if control.difference is not None else ""
         untested = f"without a change, the plan doesn't do the same again: {difference}"
@@ -110,14 +110,14 @@ def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Pr
 
 
 class Prover:
-    """A runner of an explanation's trials as forks."""
+    """Runs the trials of an explanation as forks."""
 
     def __init__(self, log: RecordReader, why: Why, folder: Path, *, recorded_source: bool, kept: bool) -> None:
         self._log = log
         self._folder = folder
         self._recorded_source = recorded_source
         self._kept = kept
-        self._reading = threading.Lock()  # a single thread at a time reads the recording
+        self._reading = threading.Lock()  # only one thread at a time may read the recording
         self._end = _end(log, uncaught_failure(log))
         self._steps = len(log)
         self._checked = why.failure or Failure()  # the failure of a property or a check of the plan
@@ -134,7 +134,7 @@ class Prover:
         folder.mkdir(parents=True, exist_ok=True)
 
     def stop(self) -> None:
-        """Stop all forks, and start no more forks."""
+        """Stop all forks, and don't start others."""
         self._stopped = True
         for process in [*self._running]:
             process.stop()
@@ -173,7 +173,7 @@ class Prover:
         return TriedTrial(trial, verdict, f"{trial.words} after step {trial.step}: {text}", str(file) * self._kept)
 
     def _judged(self, forked: RecordReader, trial: Trial, added: int) -> tuple[str, str]:
-        """Return the verdict of a fork, and its outcome in words."""
+        """Return the verdict of a fork, and the text of its outcome."""
         if not isinstance(forked[-1], Run):
             return UNTESTED, "the recording of the fork has no end"
         wanted = "motion", trial.needs, Task.FINISHED
@@ -215,7 +215,7 @@ class Prover:
         )
 
     def succeeds(self, tried: TriedTrial) -> bool:
-        """Return whether the failed task succeeds in a kept fork; without a task, whether the cause is confirmed."""
+        """Return whether the failed task succeeds in a fork; without a task, whether the fork confirms the cause."""
         if tried.verdict != CONFIRMED:
             return False
         with RecordReader(tried.file) as forked:

@@ -1,9 +1,9 @@
 """Retrace a recording: run the plan again, and compare it with the recording, record by record.
 
-The same plan, seed, arguments and working directory give the same records in the same order. So the first difference is
-due to a later change of the plan, of PyCRAM or of the engine, or to data from the outside world, such as clocks, files
-or the network. The names of common functions show lines that may read such data, but plans may also read data in other
-ways.
+The same plan, seed, arguments and working directory give the same records in the same order. The first difference is
+therefore due to a later change of the plan, of PyCRAM or of the engine, or to data from the outside world, such as
+clocks, files or the network. Lines that may read such data are shown by the names of common functions, but plans may
+also read data in other ways.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from replay.retrace.plan_process import FirstDifference, PlanProcess
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
-_MAX_LINES: Final = 3  # at most this many lines of a file are named
+_MAX_LINES: Final = 3  # maximum number of lines of a file that are named
 _CLOCK, _FILE, _NETWORK = "the clock", "a file", "the network"
 _PROGRAM, _RANDOM, _INPUT = "another program", "random numbers without a seed", "its input"
 
-#: Sources of outside data by name of the call or beginning of the name.
+#: Sources of outside data, by the name of a call or the beginning of the name.
 _READS: Final[Mapping[str, str]] = {
     **dict.fromkeys(("time.time", "time.monotonic", "time.perf_counter", "time.process_time"), _CLOCK),
     **dict.fromkeys((f"{name}_ns" for name in ("time.time", "time.monotonic", "time.perf_counter")), _CLOCK),
@@ -40,7 +40,7 @@ _READS: Final[Mapping[str, str]] = {
     "input": _INPUT,
     "fileinput": _INPUT,
 }
-_STDIN: Final = "sys.stdin"  # calls of its methods and loops over its lines read data
+_STDIN: Final = "sys.stdin"  # an object whose methods, or loops over it, read outside data
 _METHODS: Final = dict.fromkeys(("read_text", "read_bytes"), _FILE)  # methods of these names read data, for any object
 
 
@@ -54,7 +54,7 @@ class Retracing:
     difference: FirstDifference | None  # none if all intact records are equal
     notes: tuple[str, ...]  # differences from the recorded conditions
     seconds: float  # duration of the run in s
-    taken: int = 0  # number of queries with recorded answers
+    taken: int = 0  # number of queries that got recorded answers
 
     @property
     def identical(self) -> bool:
@@ -80,7 +80,7 @@ def retrace(
         plan: a file to run instead of the recorded plan.
         arguments: the plan's arguments, instead of the recorded arguments.
         answers: "asked" repeats reasoning queries, and compares their answers. "recorded" takes the answers from the
-            recording, which is faster. Then only the queries and their moments are compared.
+            recording, which is faster. In this case only the queries and their moments are compared.
         recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Raises:
@@ -91,7 +91,7 @@ def retrace(
 
 
 def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = False) -> Retracing:
-    """Run a plan again to the first difference from its recording."""
+    """Run a plan again until the first difference from its recording."""
     notes = tuple(process.notes())
     start = time.perf_counter()
     outcome = process.run(take_answers=take_answers)
@@ -103,13 +103,13 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
 
 
 def likely_reasons(log: RecordReader, difference: FirstDifference) -> Iterator[str]:
-    """Yield possible causes of a difference outside of the plan in words."""
+    """Yield possible causes of a difference outside of the plan, as text."""
     yield from reads_before(difference)
     yield from decided_outside(log, difference.step)
 
 
 def reads_before(difference: FirstDifference) -> Iterator[str]:
-    """Yield the lines before a difference that read outside data in words, nearest line first."""
+    """Yield the lines before a difference that read outside data, as text, the nearest line first."""
     files = set()
     for place in (difference.line, *difference.callers):
         file, _, number = place.rpartition(":")
@@ -122,12 +122,12 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield the tasks around a step of an old recording that the clock or a worker thread ended, in words.
+    """Yield the tasks around a step of an old recording that ended by the clock or a worker thread, as text.
 
-    Newer recordings have the moments of these ends.
+    Newer recordings contain the moments of such ends.
     """
     began = log[0]
-    if isinstance(began, Run) and began.HasField("looks"):  # the recorded moments guide the run
+    if isinstance(began, Run) and began.HasField("looks"):  # these moments are recorded, and guide the run
         return
     begun: dict[int, int] = {}
     for record in log.records(Task):

@@ -20,7 +20,7 @@ from replay.explain.causes.written import Written
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
 
-#: All kinds. The kinds that explain most come first.
+#: All kinds. The kinds of causes that explain most come first.
 KINDS: Final[tuple[type[Cause], ...]] = (
     ForkedChange,
     OtherWorld,
@@ -59,7 +59,7 @@ def find(case: FailureCase) -> tuple[Cause, ...]:
 
 
 def decides(case: FailureCase, cause: Cause) -> bool:
-    """Return whether a cause says what went wrong before the failed call, rather than how things were."""
+    """Return whether a cause is a mistake before the failed call, rather than a state of the world."""
     target = case.data.get("target")
     if not isinstance(cause, UnreachedTarget) or not isinstance(target, list) or case.robot is None:
         return cause.kind in _DECIDING
@@ -80,7 +80,7 @@ def lacks_step(case: FailureCase, causes: Sequence[Cause]) -> bool:
 
 
 def _with_events(cause: Cause) -> Cause:
-    """Return a cause with the steps of the events whose handlers made its changes."""
+    """Return a cause to which the steps of events are added whose handlers made its changes."""
     values = [getattr(cause, each.name) for each in fields(cause)]
     changes = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
     events = {each.handler.cause for each in changes if isinstance(each, CausingChange) and each.handler is not None}

@@ -1,7 +1,7 @@
 """A failure with the facts about its causes, and the base class of all kinds of causes.
 
-Data, finder and text of a kind are in one file. The ``kind`` and the field names are keys of ``why --json``
-(docs/reference/causes.md), so they don't change.
+The data, the finder and the text of a kind of cause are in one file. The ``kind`` and the field names are keys of ``why
+--json`` (docs/reference/causes.md), so they must not change.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Cause:
     """A cause of a failure."""
 
     kind: ClassVar[str]
-    untestable: ClassVar[str] = "no change of a fork takes this cause away"  # why there may be no trials
+    untestable: ClassVar[str] = "no change of a fork takes this cause away"  # why a cause may have no trials
     steps: tuple[int, ...]  # sorted steps of the records that show the cause
 
     @classmethod
@@ -51,16 +51,16 @@ class Cause:
     def _words(self) -> Iterator[str]:
         raise NotImplementedError
 
-    def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds ignore it
+    def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds don't need this argument
         """Return whether another cause in ``found`` explains this cause."""
         return False
 
-    def trials(self, case: FailureCase) -> Iterator[Trial]:  # noqa: ARG002  most kinds need it
-        """Yield forks that take the cause away, the most direct fork first."""
+    def trials(self, case: FailureCase) -> Iterator[Trial]:  # noqa: ARG002  most kinds need this argument
+        """Yield trials: forks that take the cause away, the most direct fork first."""
         yield from ()
 
     def lines(self) -> Iterator[str]:
-        """Yield the text, with indented details."""
+        """Yield the text of the cause, with indented details."""
         first, *details = self._words()
         yield first
         yield from (f"  {line}" for line in details)
@@ -73,20 +73,20 @@ class CausingChange:
     step: int
     body: str
     joint: str = ""  # name of the joint; "" for the body's pose
-    #: How the body changed: a value of :class:`replay.history.blame.Blame`, or "attached", "detached", "joints",
-    #: "gravity", or "in-hand" (a command moved the body within the hand).
+    #: How the body changed: a value of ``how`` in :class:`replay.history.blame.Blame`, or "attached", "detached",
+    #: "joints", "gravity", or "in-hand" (a command moved the body within the hand).
     how: str = ""
-    task: Task | None = None  # start of the innermost motion, handler or task; None outside of tasks
+    task: Task | None = None  # start of the innermost motion, handler or task around the change; None outside of tasks
     line: Line | None = None  # the plan's line that requested the change
-    mover: str = ""  # moved body, or ``JOINT of BODY``, of a command for another body
-    distance: float = 0.0  # size of the move in m, or of a revolute joint in rad
-    angle: float = 0.0  # size of the turn in rad
-    handler: Task | None = None  # if an event handler made the change, the start of the handler's call
-    by_fork: bool = False  # the fork made the change, not the plan
+    mover: str = ""  # the body, or ``JOINT of BODY``, that a command for another body moved
+    distance: float = 0.0  # length of the motion in m, or angle of a revolute joint in rad
+    angle: float = 0.0  # angle of the turn in rad
+    handler: Task | None = None  # the start of the event handler's call that made the change, if any
+    by_fork: bool = False  # whether the fork made the change, not the plan
 
     @property
     def originator(self) -> str:
-        """The task or handler that made the change, and the plan's line."""
+        """Return the task or handler that made the change, and the plan's line, as text."""
         if self.by_fork:
             return ", by the fork"
         task, handler, by = self.task, self.handler, ""
@@ -105,12 +105,12 @@ class CausingChange:
 
     @property
     def row(self) -> str:
-        """The step and the change."""
+        """Return the step and the change as text."""
         return f"step {self.step}: {self}"
 
 
 def since(change: CausingChange | None, verb: str = "") -> str:
-    """Return ", since step N" with the originator of a change; "" without a change."""
+    """Return ", since step N" with the task or line that made a change; "" if there is none."""
     if change is None:
         return ""
     return f", {f'{verb} at' if verb else 'since'} step {change.step}{change.originator}"
@@ -129,7 +129,7 @@ class FailureCase:
     world: World | None  # world of the failure; None without an open world
     exceptions: tuple[ParsedException, ...] = field(
         default=(), repr=False
-    )  # exceptions that led to the failure, causes first
+    )  # exceptions that led to the failure, the causes first
 
     # --- the failed task ---------------------------------------------------------------------------------------------
 
@@ -147,12 +147,12 @@ class FailureCase:
 
     @cached_property
     def began(self) -> int:
-        """The step at which the failed motion began, or without a motion the step of the failure."""
+        """The step at which the failed motion began; without a motion, the step of the failure."""
         return self.motion.started.seq if self.motion is not None else self.step
 
     @cached_property
     def given(self) -> Mapping[str, Plain]:
-        """The parameters of the motion, including inferred parameters; empty without a motion."""
+        """The parameters of the motion, also inferred ones; empty without a motion."""
         if self.motion is None or self.task is None:
             return {}
         inner = self.task.parameters if self.task.kind == "process-module" else {}
@@ -187,7 +187,7 @@ class FailureCase:
 
     @cached_property
     def traced(self) -> tuple[ParsedException, ...]:
-        """The exceptions of the failure of the task, or without a task of the plan; causes first."""
+        """The exceptions of the task's failure, or without a task of the plan's failure; the causes first."""
         if self.task is not None and self.task.failure is not None and self.task.failure.traceback:
             return tuple(parse_traceback(self.task.failure.traceback, self.source))
         return self.exceptions
@@ -196,12 +196,12 @@ class FailureCase:
 
     @property
     def robot(self) -> Body | None:
-        """The robot; None without a robot."""
+        """The robot; None if the world has none."""
         return self.world.bodies.get(self.world.robot) if self.world is not None else None
 
     @cached_property
     def hands(self) -> Mapping[str, str]:
-        """The tool frames of the robot's arms by arm."""
+        """The tool frames of the robot's arms, by arm."""
         return hands(self.robot)
 
     @cached_property
@@ -212,14 +212,14 @@ class FailureCase:
         return state_at(self.log, self.began).worlds.get(self.world.name)
 
     def held_by(self, arm: str) -> Attachment | None:
-        """Return the attachment to an arm when the motion began; None for an empty hand."""
+        """Return the attachment to an arm when the motion began; None if the hand was empty."""
         if self.before is None or self.robot is None:
             return None
         held = self.before.carried(self.robot.name)
         return next((each for each in held if each.carrier_link == self.hands.get(arm, "")), None)
 
     def free_body(self, name: str) -> Body | None:
-        """Return a movable body; None for fixed bodies, the robot, and unknown names."""
+        """Return a movable body; None if it is fixed, the robot, or unknown."""
         body = self.world.bodies.get(name) if self.world is not None else None
         return None if body is None or body.fixed_base or body is self.robot else body
 
@@ -241,7 +241,7 @@ class FailureCase:
         return tuple(found)
 
     def holder(self, body: str, step: int | None = None) -> str:
-        """Return the holder of an object: the robot's arm, or the carrier with its link; "" without a holder."""
+        """Return the holder of an object: the robot's arm, or another carrier with its link; "" if there is none."""
         state = self.state if step is None else state_at(self.log, step)
         world = state.worlds.get(self.world.name) if self.world is not None else None
         held = world.carrier(body) if world is not None else None
@@ -254,28 +254,28 @@ class FailureCase:
     # --- records -----------------------------------------------------------------------------------------------------
 
     def motions(self, *names: str) -> Iterator[Node]:
-        """Yield earlier motions of this world with given names, last motion first."""
+        """Yield earlier motions of this world with given names, the latest first."""
         for motion in reversed(self.failed.motions):
             earlier = motion.last_step < self.began and motion is not self.motion
             if earlier and motion.name in names and self.is_here(motion.started):
                 yield motion
 
     def is_here(self, record: Task | Refusal | Mutation) -> bool:
-        """Return whether a record is about the world of the failure. Earlier worlds may have the same name."""
+        """Return whether a record belongs to the world of the failure. Earlier worlds may have the same name."""
         if self.world is None:
             return True
         lifetime = self.log.lifetime_at(record.world, record.seq)
         return (record.world, lifetime.number if lifetime is not None else 0) == (self.world.name, self.world.lifetime)
 
     def blame(self, target: str) -> Blame | None:
-        """Return the last change of a body or a joint (``BODY.JOINT``); None without a recorded change."""
+        """Return the last change of a body or a joint (``BODY.JOINT``); None if none is recorded."""
         try:
             return blame(self.log, target, self.step, self.world.name if self.world is not None else None)
         except NoSuchName:
             return None
 
     def changed(self, target: str) -> CausingChange | None:
-        """Return the last change of a body or joint; None before the first motion."""
+        """Return the last change of a body or joint; None if it came before the first motion."""
         last = self.blame(target)
         if last is None:
             return None
@@ -288,7 +288,7 @@ class FailureCase:
         return self.change(last.record, last.body, last.how, joint=last.joint, size=(last.distance, last.angle))
 
     def loaded(self, body: str) -> CausingChange | None:
-        """Return the loading of a body that hasn't moved since; None if another change came last."""
+        """Return the loading of a body that has not moved since then; None if another change came last."""
         last = self.blame(body)
         return None if last is None or last.how != "load" else self.change(last.record, body, "load")
 
@@ -308,7 +308,7 @@ class FailureCase:
         stack = next((each.call_stack for each in because.tasks if each.started is task), because.call_stack)
         handler = next((each for each in tasks if each.kind == HANDLER), None)
         if task is not None and task.kind != "motion":
-            stack = because.call_stack or stack  # the line of the handler or branch that made the change itself
+            stack = because.call_stack or stack  # the handler's line or branch that made the change itself
         mover = _mover(record)
         other = mover if mover != body and not joint else ""
         by_fork = isinstance(record, Mutation) and record.by_fork
@@ -318,14 +318,14 @@ class FailureCase:
     # --- lines of the plan -------------------------------------------------------------------------------------------
 
     def line_of(self, record: Task | Mutation | Refusal) -> Line | None:
-        """Return the plan's line that caused a record; None for an unknown line."""
+        """Return the plan's line that caused a record; None if it is unknown."""
         return self.line(self.source.call_stack(record))
 
     def line(self, stack: Sequence[Line]) -> Line | None:
         """Return the innermost informative line of a call stack.
 
-        Lines of helpers that only pass values on are left out. Other lines are informative if they requested a single
-        motion, or only motions of the same name.
+        Lines of helper functions that only pass values on are left out. Other lines are informative only if all motions
+        that they requested have the same name.
         """
         inner = [(line.file, line.number) for line in reversed(stack)]
         stack = stack[: len(stack) - deciding(inner, self.source.text)]
@@ -346,7 +346,7 @@ class FailureCase:
     def names_in(self, lines: Sequence[Line], context: type[ast.expr_context]) -> set[tuple[str, str]]:
         """Return the variables that statements at the given lines read (``ast.Load``), or set or fill (``ast.Store``).
 
-        A variable is a pair: the name of its function, and its own name.
+        A variable, as a pair: the name of its function, and its own name.
         """
         found: set[tuple[str, str]] = set()
         for line in lines:
@@ -361,7 +361,7 @@ class FailureCase:
         return found
 
 
-_SETTLED = 0.02, math.radians(15)  # an object with smaller changes (m, rad) in simulation only settles
+_SETTLED = 0.02, math.radians(15)  # change (m, rad) in simulation below which an object only settles
 
 
 def _mover(record: Mutation | Keyframe) -> str:
@@ -401,11 +401,11 @@ def _names_in(data: Mapping[str, Plain]) -> Iterator[str]:
         yield from reasons
 
 
-_FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods that fill containers
+_FILLING: Final = ("add", "append", "extend", "insert", "setdefault", "update")  # methods that add items to containers
 
 
 def _filled_containers(statement: ast.stmt) -> Iterator[str]:
-    """Yield the variables whose containers a statement fills."""
+    """Yield the variables of the containers to which a statement adds items."""
     for node in ast.walk(statement):
         if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Store):
             owner: ast.expr | None = node.value
@@ -418,7 +418,7 @@ def _filled_containers(statement: ast.stmt) -> Iterator[str]:
 
 
 def hands(robot: Body | None) -> dict[str, str]:
-    """Return the tool frames of a robot's arms by arm."""
+    """Return the tool frames of a robot's arms, by arm."""
     return {name: str(arm.get("tool_frame", "")) for name, arm in _arms(_description(robot)).items()}
 
 
@@ -449,7 +449,7 @@ def about(task: Node, *, body: str = "", arm: str = "") -> bool:
 
 
 def values(task: Node) -> dict[str, Plain]:
-    """Return the parameters of a motion. Resolved motions have inferred parameters, too."""
+    """Return the parameters of a motion. The parameters of resolved motions contain inferred parameters, too."""
     inferred = [part.parameters for part in task.children if part.kind == "process-module"]
     return task.parameters | (inferred[0] if inferred else {}) | task.solution
 

@@ -1,4 +1,4 @@
-"""The world had changed: an object was removed, a hand was in a wrong state, an answer or a belief was no longer true.
+"""The world had changed: an object was removed, a hand was in a wrong state, or an answer or belief was no longer true.
 
 If an answer or a perception contradicts the later failure, a fact on which it depends has changed. Changes by physics
 are explained in :mod:`replay.explain.causes.physics`.
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
-#: Queries that contradict a failure: by the answer yes, or for queries in ``_NOTHING`` by an empty answer.
+#: Queries that contradict a failure by the answer yes; those in ``_NOTHING``, by an empty answer.
 _YES: Final = {
     "Unreachable": _REACH,
     "HandleUnreachable": _REACH,
@@ -37,15 +37,15 @@ _YES: Final = {
     "PlaceFailed": ("stable",),
 }
 _NOTHING: Final = {"Blocked": ("blocking",), "HandleBlocked": ("blocking",), "PerceptionError": ("occluding",)}
-_MOVED: Final = (1e-3, 5e-3)  # smaller changes of a pose (m, rad) are ignored
-_LOADED: Final = ("load", "removed")  # these changes add or remove a body
-_IN_HAND: Final = 0.05  # smaller moves of an object in a hand are adjustments, m
-_SEARCHED: Final = 5_000  # this many records before the failure are searched
+_MOVED: Final = (1e-3, 5e-3)  # change of a pose (m, rad) below which it is ignored
+_LOADED: Final = ("load", "removed")  # changes that add or remove a body
+_IN_HAND: Final = 0.05  # distance in m below which a motion of an object in a hand is an adjustment
+_SEARCHED: Final = 5_000  # number of records before the failure that are searched
 _BELIEVED: Final = frozenset(
     ("Blocked", "GraspFailed", "LookingFailed", "ObjectNotFound", "PerceptionError", "PlaceFailed", "Unreachable")
 )
-_AWAY: Final = 0.02  # a belief with a smaller error isn't wrong, m
-#: Matches messages of WorldClosed of all releases.
+_AWAY: Final = 0.02  # error in m below which a belief isn't wrong
+#: Matches the messages that WorldClosed has in all releases.
 _GONE: Final = re.compile(r": object (.+) (?:is gone|was removed|has been removed|no longer exists)$")
 
 
@@ -55,7 +55,7 @@ class NoLonger(Cause):
 
     kind = "no-longer-true"
     asked: Query | Node  # the query with the outdated answer, or the task whose success is outdated
-    changes: tuple[CausingChange, ...]  # changes after the answer
+    changes: tuple[CausingChange, ...]  # changes since the answer
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[NoLonger]:
@@ -77,7 +77,7 @@ class NoLonger(Cause):
         return isinstance(self.asked, Node) and believed.issuperset(change.body for change in self.changes)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial with all changed bodies as they were at the answer."""
+        """Yield the trial in which all changed bodies are as they were at the answer."""
         bodies = [each.body for each in self.changes if each.how not in _LOADED]
         yield from trials.restored(case, list(dict.fromkeys(bodies)), self.steps[0], self.changes[-1].step)
         for change in self.changes:
@@ -103,7 +103,7 @@ class Misbelief(Cause):
     learned: int  # step at which the robot learned the belief; -1 before the recording
     position: tuple[float, ...]  # position in the belief, m
     distance: float  # distance between the belief and the object, m
-    change: CausingChange | None  # last change of the object since the belief; None if unknown
+    change: CausingChange | None  # last change of the object since the belief; None if it isn't known
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Misbelief]:
@@ -128,7 +128,7 @@ class Misbelief(Cause):
         return any(isinstance(each, Physics) and each.body == self.body for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials with the object where the robot believed it."""
+        """Yield the trials in which the object is where the robot believed it to be."""
         yield from trials.placed(case, self.body, self.position)
         if self.change is not None:
             yield from trials.put_back(case, self.change)
@@ -142,16 +142,16 @@ class Misbelief(Cause):
 
 @dataclass(frozen=True, slots=True)
 class Gone(Cause):
-    """The object that the plan used, or the last object of a wanted type, had been removed."""
+    """The object that the plan used, or the last object of the requested type, had been removed."""
 
     kind = "removed"
     body: str
-    change: CausingChange  # removal of the object
-    loaded: CausingChange | None = None  # later loading of another object with the same name
+    change: CausingChange  # the record that removed the object
+    loaded: CausingChange | None = None  # the record that later loaded another object with the same name
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Gone]:
-        """Yield the removal of the object that the plan used, or of the last object of a wanted type."""
+        """Yield the removal of the object that the plan used, or of the last object of the requested type."""
         name, removal = _removal(case)
         if removal is None:
             return
@@ -164,7 +164,7 @@ class Gone(Cause):
         yield Gone(steps, name, removed, loaded)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials in which the object isn't removed, or the motion uses the object that was loaded later."""
+        """Yield the trials in which the object stays, or the motion uses the object that was loaded later."""
         if self.loaded is None:
             yield from trials.put_back(case, self.change)
         elif case.holder(self.body, self.change.step - 1):
@@ -187,12 +187,12 @@ class HandState(Cause):
     precondition: str  # "held": the arm should have held the object; "hand-free": it should not have held the object
     body: str
     arm: str  # the arm of the failed motion
-    holder: str  # the holder at the failure: an arm, or ``CARRIER (LINK)``; "" without a holder
+    holder: str  # the object's holder at the failure: an arm, or ``CARRIER (LINK)``; "" if there is none
     change: CausingChange | None  # change that led to this state; None without a change
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[HandState]:
-        """Yield that a hand didn't hold the motion's object, or still held another object."""
+        """Yield the cause if a hand didn't hold the motion's object, or still held another object."""
         arm = str(case.given.get("arm") or "")
         for lack in lacking(case):
             if lack.precondition not in ("held", "hand-free") or (lack.precondition == "hand-free" and case.pairs):
@@ -271,7 +271,7 @@ def _last_perception(case: FailureCase) -> Node | None:
 
 
 def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
-    """Yield the changes since an answer that affect the answer."""
+    """Yield those changes since an answer that affect the answer."""
     step = asked.seq if isinstance(asked, Query) else asked.last_step
     then = state_at(case.log, step).worlds.get(case.world.name) if case.world is not None else None
     if then is None or case.world is None:
@@ -293,12 +293,12 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         ):
             continue
         removal = removal_of(case, name, step) if before is not None else None
-        if removal is not None:  # another body has the name now
+        if removal is not None:  # another body now has this name
             yield case.change(removal, name, "removed")
         yield from _last_change(case, name, step)
     before, after = then.bodies.get(robot), case.world.bodies.get(robot)
     if named and isinstance(asked, Query) and before is not None and after is not None:
-        # other queries choose the head's posture
+        # only some queries depend on the head's posture
         head = joints_of(after, "head") if asked.name in ("visible", "occluding") else ()
         for joint in (*joints_of(after, "torso"), *head):
             if abs(before.joints.get(joint, 0.0) - after.joints.get(joint, 0.0)) > _MOVED[1]:
@@ -310,7 +310,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
 def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingChange]:
     change = case.blame(name)
     if change is not None and change.how == "physics" and change.earlier is not None:
-        change = change.earlier  # changes by physics are another kind of cause
+        change = change.earlier  # changes by physics belong to another kind of cause
     if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
         yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
 
@@ -346,7 +346,7 @@ def _commanded_moves(case: FailureCase, name: str, start: int) -> Iterator[Causi
 def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
     """Return the name of the failure's object, and the record that removed the object.
 
-    If a hand should have held the object, the removal only counts if a hand held the object.
+    If a hand should have held the object, its removal counts only if a hand held it.
     """
     kind, sought = case.failure.type, case.data.get("name")
     for lack in lacking(case):
@@ -366,7 +366,7 @@ def _removal(case: FailureCase) -> tuple[str, Mutation | None]:
 
 
 def removal_of(case: FailureCase, name: str, start: int = 0) -> Mutation | None:
-    """Return the last record from a step on that removed an object; None without such a record."""
+    """Return the last record from a step on that removed an object; None if there is none."""
     for record in case.log.backwards(case.step, Mutation, naming=name):
         if record.seq < start:
             break

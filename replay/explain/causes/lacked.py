@@ -1,9 +1,9 @@
 """A failed motion lacked a precondition: an earlier motion failed, or a request was refused, and the plan continued.
 
 The last motion of the same object, arm or joint that should have established the precondition failed, was cancelled, or
-was skipped because a perception had found nothing. The failed motion isn't a cause if a later motion succeeded, or if
-the object or joint changed in another way. A refused request is a cause until it is fulfilled, or until the object or
-joint changes in another way.
+was skipped because a perception had found nothing. The failed motion isn't a cause if a later motion has succeeded, or
+if the object or joint has changed in another way. A refused request stays a cause until it is fulfilled, or until the
+object or joint changes in another way.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ if TYPE_CHECKING:
 _TAKING: Final = ("pick-up", "accessing")
 _OUT_OF_REACH: Final = ("Unreachable", "HandleUnreachable", "LookingFailed")
 _SHUT_IN: Final = ("Unreachable", "Blocked", "GraspFailed", "PerceptionError")
-_NEARER: Final = 0.05  # places with a smaller difference of their distances are equally near to the target, m
-_IN: Final = 0.03  # objects in a drawer are within this distance of the drawer's boxes, m
+_NEARER: Final = 0.05  # difference in m below which two places are equally near to the target
+_IN: Final = 0.03  # distance in m from the drawer's boxes within which an object is in the drawer
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
 _MISSING_VALUE: Final = (
     "DesignatorError",
     "BadArgument",
-)  # errors that a None in the plan may cause, in addition to Python's errors
-_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing value in a container causes
+)  # errors that a value None in the plan may cause, in addition to Python's errors
+_EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing item of a container may cause
 _MAX_ALSO: Final = 3
-_MAX_SETTING: Final = 100  # at most this many motions may have filled a list
-_GOES_ON: Final = 2000  # this many records are searched for the plan's next step
+_MAX_SETTING: Final = 100  # maximum number of motions that may have filled a list
+_GOES_ON: Final = 2000  # number of records in which the plan's next step is searched
 _POSES: Final = ("set_position", "set_orientation", "set_position_and_orientation")
 _JOINTS: Final = ("set_joint_position", "set_joint_positions")
 _SEEN: Final = ("PerceptionError", "LookingFailed")
 _HANDS: Final = ("held", "hand-free")
-_REFUSALS: Final = 200  # this many refusals before the failure are searched
+_REFUSALS: Final = 200  # number of refusals before the failure that are searched
 #: Phrases for missing preconditions.
 _LACKED: Final = {
     "held": "so the {arm} gripper didn't hold {subject}",
@@ -82,18 +82,18 @@ class Swallowed(Cause):
     #: object isn't in the way), "joint-moved", "at-pose" (the robot stands at its target), "posture" (of the arm),
     #: "camera-directed", "result" (of a task, in a variable)
     precondition: str
-    subject: str  # object, joint or variable, or ""
+    subject: str  # object, joint or variable of the precondition, or ""
     arm: str  # name of the arm, or ""
     failed: Node  # the earlier task
     line: Line | None  # the plan's line that requested the task
-    went_on: Line | None  # the plan's next line
+    went_on: Line | None  # the plan's next line after the failure
     also: tuple[Node, ...] = ()  # other failed attempts, for example with the other arm
     skipped: Line | None = None  # line that skipped the use of the variable, such as a loop over an empty list
     handled: Line | None = None  # line of the ``except`` that took the failure
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Swallowed]:
-        """Yield the failures whose missing effects made the motion or the plan's line fail."""
+        """Yield the failures because of whose missing effects the motion or the plan's line failed."""
         for lack in lacking(case):
             last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
             if last is not None and last.status in _UNSUCCESSFUL and not _was_done_since(case, lack, last):
@@ -106,7 +106,7 @@ class Swallowed(Cause):
         yield from _results(case)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial with the effect of the failed motion, then the trial with another arm."""
+        """Yield the trial in which the failed motion has its effect, then the trial with another arm."""
         yield from _effect(case, self.precondition, self.subject, self.arm, self.failed)
         yield from trials.other_arm(case, self.failed)
 
@@ -137,12 +137,12 @@ class RefusedRequest(Cause):
     subject: str  # the object, joint or variable
     asked: Refusal
     line: Line | None  # the plan's line that requested the task
-    went_on: Line | None  # the plan's next line
+    went_on: Line | None  # the plan's next line after the refusal
     handler: Task | None = None  # the start of the handler's call that made the request
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
-        """Yield refusals whose missing effects made the motion or line fail: the last refusal of each subject."""
+        """Yield refusals whose missing effects made the motion or line fail: for each subject, the last."""
         if not case.log.counts().get("refusal"):
             return
         found: set[tuple[str, str]] = set()
@@ -150,7 +150,7 @@ class RefusedRequest(Cause):
             if number == _REFUSALS:
                 return
             if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
-                continue  # the refusal is the failure itself, or an earlier refusal of the same attempt
+                continue  # the refusal is the failure itself, or belongs to the same attempt
             if not case.is_here(refusal):
                 continue
             for missed in _missing_effects(case, refusal):
@@ -159,7 +159,7 @@ class RefusedRequest(Cause):
                     yield _refusal(case, refusal, *missed)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial with the effect of the refused request, if it is possible."""
+        """Yield the trial in which the refused request has its effect, if that is possible."""
         given, failure = argument_values(self.asked.arguments), argument_values(self.asked.failure.data)
         hands = [arm for arm in case.hands if arm == case.given.get("arm")] or list(case.hands)
         position = given.get("position")
@@ -225,15 +225,15 @@ class Lacking:
     """A precondition that a motion lacked."""
 
     precondition: str  # as in :class:`Swallowed`
-    subject: str  # the object or joint, or ""
+    subject: str  # the object or joint of the precondition, or ""
     arm: str  # name of the arm, or ""
-    motions: tuple[str, ...]  # names of motions that establish the precondition
-    fits: Callable[[Node], bool]  # whether a motion is about the same object, joint and arm
-    owner: str = ""  # body with the joints, or the robot at a wrong place, or ""
+    motions: tuple[str, ...]  # names of motions that can establish the precondition
+    fits: Callable[[Node], bool]  # returns whether a motion is about the same object, joint and arm
+    owner: str = ""  # body with the joints, or the robot if it is at a wrong place, or ""
     joints: tuple[str, ...] = ()  # the joints that should have been moved
 
     def done_by(self, record: Mutation) -> bool:
-        """Return whether a change affected the same object or joint. Then earlier failures don't matter."""
+        """Return whether a change affected the same object or joint. If so, earlier failures don't matter."""
         if self.precondition in ("held", "hand-free"):
             return record.HasField("attach_body") and self.subject in [each.body for each in record.effect.attached]
         if self.joints:
@@ -247,7 +247,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
     if case.motion is None or case.world is None or case.robot is None:
         return
     by_hands = list(_hands(case, case.motion.name))
-    if by_hands:  # motions check the hands first
+    if by_hands:  # motions check the hands before everything else
         yield from by_hands
         return
     yield from _clear(case)
@@ -261,7 +261,7 @@ def lacking(case: FailureCase) -> Iterator[Lacking]:
 
 def _hands(case: FailureCase, name: str) -> Iterator[Lacking]:
     if case.task is None or case.task.kind != "process-module" or case.before is None:
-        return  # the arm of an unresolved motion is unknown
+        return  # the arm isn't known if the motion wasn't resolved
     arm = str(case.given.get("arm") or "")
     held = case.held_by(arm)
     body = next(iter(objects_in(case.given.get("object"))), "")
@@ -287,7 +287,7 @@ def _freed(case: FailureCase, held: Attachment) -> Lacking:
 
 
 def _clear(case: FailureCase) -> Iterator[Lacking]:
-    """Yield the obstacles that should have been moved away: colliding links, and bodies that hide the object."""
+    """Yield the obstacles that should have been moved: colliding links, and bodies that hide the object."""
     if case.world is None or case.robot is None or ("rest" in case.data and case.data["rest"] is not None):
         return
     known: set[tuple[str, str]] = set()
@@ -389,7 +389,7 @@ def _of_robot(case: FailureCase, mover: str, link: str) -> Iterator[Lacking]:
 
 
 def _at_pose(case: FailureCase) -> Iterator[Lacking]:
-    """Yield that the robot should have been at another place that is nearer to the target."""
+    """Yield the precondition that the robot is at another place, nearer to the target."""
     target = case.data.get("target")
     if isinstance(target, list) and len(target) == 3:
         goal = [float(str(part)) for part in target[:2]]
@@ -456,9 +456,10 @@ def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tupl
 def _next_step(
     case: FailureCase, end: int, around: Collection[int], thread: str, stack: Sequence[Line]
 ) -> tuple[int, Line | None]:
-    """Return the plan's first own step after a step, and its line; 0 and None without such a step.
+    """Return the first step of the plan's own code after a step, and its line; 0 and None if there is none.
 
-    ``around`` are the ids of the tasks around the step, 0 for the plan itself. ``stack`` is the call stack of the step.
+    ``around`` contains the ids of the tasks around the step; 0 stands for the plan itself. ``stack`` is the call stack
+    of the step.
     """
     for record in case.log.records((Task, Mutation), end + 1, min(case.began + 1, end + _GOES_ON)):
         if not isinstance(record, Task | Mutation) or (isinstance(record, Task) and record.phase == Task.FINISHED):
@@ -466,7 +467,7 @@ def _next_step(
         parent = record.parent if isinstance(record, Task) else record.task
         lines = case.source.call_stack(record) if parent in around else ()
         if lines and record.thread == thread:
-            if list(lines) == list(stack):  # this is the next iteration of a loop
+            if list(lines) == list(stack):  # this step belongs to the next iteration of a loop
                 return record.seq, case.line(lines)
             fresh = (line for line, before in zip(lines, stack, strict=False) if line != before)
             return record.seq, next(fresh, lines[min(len(stack), len(lines) - 1)])
@@ -476,7 +477,7 @@ def _next_step(
 def _results(case: FailureCase) -> Iterator[Swallowed]:
     """Yield the failures that left a variable of the failed line empty."""
     setting = _motions_setting_variables(case) if _lacks_value(case) else iter(())
-    if case.failure.type in _EMPTY:  # several motions may have filled the container
+    if case.failure.type in _EMPTY:  # several motions may have added items to the container
         found = list(islice(setting, _MAX_SETTING))
         succeeded = [motion.parameters for motion, _ in found if motion.status not in _UNSUCCESSFUL]
         missing = [each for each in found if each[0].status in _UNSUCCESSFUL and each[0].parameters not in succeeded]
@@ -490,7 +491,7 @@ def _results(case: FailureCase) -> Iterator[Swallowed]:
 
 
 def _motions_setting_variables(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
-    """Yield earlier motions, last motion first, with their variables that the failed line reads."""
+    """Yield earlier motions, the latest first, with those of their variables that the failed line reads."""
     for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
             names = _variables_from(case, case.source.call_stack(motion.started))
@@ -513,7 +514,7 @@ def _variables_from(case: FailureCase, setting: Sequence[Line]) -> list[str]:
     stack = case.source.call_stack(case.task.motion.started) if case.task is not None else ()
     lines = (*stack, *(line for error in case.traced for line in error.lines))
     places = [{(line.file, line.number) for line in each} for each in (lines, setting)]
-    shared = places[0] & places[1]  # lines of shared helper functions
+    shared = places[0] & places[1]  # lines of helper functions that several calls share
     read, written = (
         case.names_in([line for line in each if (line.file, line.number) not in shared], context)
         for each, context in ((lines, ast.Load), (setting, ast.Store))
@@ -558,7 +559,7 @@ def _names_below(node: ast.AST) -> set[str]:
 
 
 def _ran(case: FailureCase, motion: Node, head: Line, last: int) -> bool:
-    """Return whether the body of a head line ran after a motion. Return True if there are too many records."""
+    """Return whether the body of a head line ran after a motion. If there are too many records, return True."""
     records = list(islice(case.log.records((Task, Mutation, Query), motion.last_step + 1, case.began), _GOES_ON))
     if len(records) == _GOES_ON:
         return True
@@ -595,7 +596,7 @@ def _missing_effects(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str,
         other = next(objects_in(given.get("other")), "")
         if case.robot is not None and case.robot.name in (subject, other):  # attachments to other bodies don't matter
             yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
-    elif is_mistake(case):  # the state of the world doesn't matter
+    elif is_mistake(case):  # the state of the world doesn't matter here
         names = _variables_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []
         yield from [("result", ", ".join(names))] if names else []
     elif by_hands:
@@ -625,7 +626,7 @@ def _refused_joints(
 
 
 def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]:
-    """Yield the joints of a refused request. A misspelt name means the first suggestion."""
+    """Yield the joints of a refused request. For a misspelt name, the first suggestion counts."""
     positions = given.get("positions")
     error = argument_values(refusal.failure.data) if refusal.failure.type == "UnknownName" else {}
     near = error.get("nearest")
@@ -635,7 +636,7 @@ def _joints_meant(refusal: Refusal, given: Mapping[str, Plain]) -> Iterator[str]
 
 
 def _was_fulfilled_later(case: FailureCase, refusal: Refusal) -> bool:
-    """Return whether the request was fulfilled after its refusal, or the object was moved in another way."""
+    """Return whether the request was fulfilled later, or the object was moved in another way."""
     given = argument_values(refusal.arguments)
     subject, joints = next(objects_in(given.get("object")), ""), set(_joints_meant(refusal, given))
     for record in case.log.records(Mutation, refusal.seq + 1, case.began) if subject else ():

@@ -32,9 +32,9 @@ class ObstructingBody(Cause):
     kind = "in-the-way"
     untestable = "no fork moves fixed furniture"
     body: str
-    link: str  # name of the link; "" for a single link or an unknown link
+    link: str  # name of the link; "" if it is the only one, or unknown
     mover: str  # the link or held object that would have touched the body; "" for a body that hid an object
-    change: CausingChange | None  # the change that moved the body there; None without a change
+    change: CausingChange | None  # the change that moved the body to its place; None if there is none
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[ObstructingBody]:
@@ -61,7 +61,7 @@ class ObstructingBody(Cause):
         return any(isinstance(each, Physics) and each.body == self.body for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials without the body in the way."""
+        """Yield the trials in which the body isn't in the way."""
         if self.change is not None and self.change.how != "load":
             yield from trials.put_back(case, self.change)
         yield from trials.away(case, self.body)
@@ -83,9 +83,9 @@ class UnreachedTarget(Cause):
 
     kind = "out-of-reach"
     arm: str
-    body: str  # "" for a target that isn't a body
-    distance: float  # distance from the robot's base to the target on the ground, m
-    miss: float | None  # distance between the nearest reachable posture and the target, m
+    body: str  # name of the target body; "" if the target isn't a body
+    distance: float  # distance in m on the ground from the robot's base to the target
+    miss: float | None  # distance in m between the target and the nearest posture that the arm reaches
     orientation: tuple[float, ...]  # requested orientation of the tool, xyzw; empty for every orientation
     changes: tuple[CausingChange, ...]  # the last changes of the robot, the robot's torso and the object
 
@@ -120,7 +120,7 @@ class UnreachedTarget(Cause):
         return any(isinstance(each, _DEEPER) for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials with the robot nearer, and without the last changes."""
+        """Yield the trials with the robot nearer to the target, and without the last changes."""
         yield from trials.nearer(case, [float(str(each)) for each in case.data["target"]], self.miss or 0.0)  # type: ignore[union-attr]
         for change in reversed(self.changes):
             yield from trials.put_back(case, change) if change.how != "load" else ()
@@ -139,7 +139,7 @@ class NoCandidate(Cause):
 
     kind = "no-candidate"
     untestable = "nothing that a fork can move bars the candidates"
-    asked: Query  # the choice with its candidates and the reasons for their rejection
+    asked: Query  # the choice, with its candidates and the reasons why they were rejected
     count: int  # number of candidates
 
     @classmethod
@@ -158,7 +158,7 @@ class NoCandidate(Cause):
         return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials without the free bodies that the candidates would touch, and with the robot nearer."""
+        """Yield the trials without those free bodies that the candidates would touch, and with the robot nearer."""
         touched = [pair for each in self.asked.candidates for pair in _pairs(argument_values(each.data).get("pairs"))]
         reasons = [str(argument_values(each.data).get("reason") or "") for each in self.asked.candidates]
         bodies = case.world.bodies if case.world is not None else ()

@@ -1,4 +1,4 @@
-"""An object fell, tipped or moved in simulation; the cause lists the plan's changes that let the object move.
+"""An object fell, tipped or moved in simulation; the cause lists those changes by the plan that let the object move.
 
 The motion of an object is measured from the plan's last change of the object or the last success with the object. If
 the object wasn't at rest after the change, the change let the object move. Otherwise, later changes near the resting
@@ -28,17 +28,17 @@ from replay.state.state import Body, State
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-_MOVED: Final = 0.05  # an object that moves less only settles, m
+_MOVED: Final = 0.05  # distance in m below which a moved object only settles
 _TILTED: Final = math.radians(15)
-_FELL: Final = 0.05  # smallest downward move of an object that fell, m
-_PART: Final = 0.3  # an object has begun to fall or move after this fraction of its displacement
-_NEAR: Final = 0.6  # largest distance between the bases of an object and its possible support, m
-_ABOVE: Final = 0.15  # largest distance between the bases of stacked objects on the ground, m
-_PUSHED: Final = 0.35  # largest distance between an object and the frame of a link that may push it, m
-_QUIET: Final = STEPS_PER_SECOND // 10  # an object is at rest after this many steps without motion
+_FELL: Final = 0.05  # minimum downward distance in m of an object that fell
+_PART: Final = 0.3  # share of an object's displacement after which it has begun to fall or move
+_NEAR: Final = 0.6  # maximum distance in m between the bases of an object and its possible support
+_ABOVE: Final = 0.15  # maximum distance in m between the bases of stacked objects on the ground
+_PUSHED: Final = 0.35  # maximum distance in m between an object and the frame of a link that may push it
+_QUIET: Final = STEPS_PER_SECOND // 10  # number of steps without motion after which an object is at rest
 _WANTED: Final = ("pick-up", "place", "detecting", "world-state-detecting", "looking")
 _MAX_LETS: Final = 3
-#: Verbs for the effects of commands on the object. Other commands move the object.
+#: Verbs for the effects of commands on the object. Other commands move the object itself.
 _HOW: Final = {
     "load_body": "load",
     "detach_body": "detached",
@@ -46,8 +46,8 @@ _HOW: Final = {
     "remove_body": "detached",
     "move_joints": "along",
 }
-_FAST: Final = 0.1  # lower speeds at a release aren't mentioned, m/s
-_SPINNING: Final = 1.0  # lower angular speeds at a release aren't mentioned, rad/s
+_FAST: Final = 0.1  # speed in m/s below which a release doesn't mention it
+_SPINNING: Final = 1.0  # angular speed in rad/s below which a release doesn't mention it
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +56,18 @@ class Physics(Cause):
 
     kind = "physics"
     body: str
-    how: str  # "fell", "tipped" or "moved"
-    distance: float  # size of the move in m
-    fall: float  # downward part of the move in m
-    tilt: float  # increase of the object's lean in rad
+    how: str  # the object's motion: "fell", "tipped" or "moved"
+    distance: float  # length of the motion in m
+    fall: float  # downward part of the motion in m
+    tilt: float  # increase in rad of the object's lean
     moved_at: int  # step of the simulation in which the motion began
     line: Line | None  # the plan's line of the simulation
-    since: int  # step of the last success or change before the object moved
-    stood_on: str = ""  # moved support of the object; "" without a moved support
+    since: int  # step of the last success with the object, or of its last change, before it moved
+    stood_on: str = ""  # support of the object that was moved; "" if none was
     lets: tuple[CausingChange, ...] = ()  # changes that may have let the object move; empty if only time passed
-    speed: float | None = None  # speed at the release in m/s; None without a release
-    spin: float | None = None  # angular speed at the release in rad/s; None without a release
-    hand: str = ""  # arm that released the object; "" without a release
+    speed: float | None = None  # speed in m/s at the release; None if it wasn't released
+    spin: float | None = None  # angular speed in rad/s at the release; None if it wasn't released
+    hand: str = ""  # arm that released the object; "" if none did
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Physics]:
@@ -83,12 +83,12 @@ class Physics(Cause):
         return any(isinstance(each, Written) and each.body == self.body for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials without the changes that let the object move, and with the object at its earlier place."""
+        """Yield the trials without those changes that let the object move, and with the object at its earlier place."""
         for change in self.lets:
             yield from trials.put_back(case, change)
         if self.moved_at < case.began:
             for trial in trials.restored(case, [self.body], self.since, case.began):
-                yield replace(trial, decisive=not self.lets)  # an earlier change may have tilted the object
+                yield replace(trial, decisive=not self.lets)  # an earlier change may already have tilted the object
 
     def _words(self) -> Iterator[str]:
         size = f"by {phrases.length(self.fall if self.how == 'fell' else self.distance)}"
@@ -119,7 +119,7 @@ class Physics(Cause):
 class _Fate:
     """The motion of an object in simulation since the plan's last change of the object.
 
-    ``base`` is the record of this change. ``since`` is the step of this change or of a later success with the object.
+    ``base`` is the record of that change. ``since`` is the step of that change, or of a later success with the object.
     ``moves`` are the later simulations that moved the object.
     """
 
@@ -152,7 +152,7 @@ class _Fate:
         self.moves = [record for record in self.moves if record.seq > self.since]
 
     def explained(self) -> Iterator[Physics]:
-        """Yield a motion that is more than settling, with the changes that let the object move."""
+        """Yield a motion larger than settling, with the changes that let the object move."""
         before, after = self._pose(self.since), self._pose(self._case.step)
         if before is None or after is None or not self.moves:
             return
@@ -160,7 +160,7 @@ class _Fate:
         tilt = geometry.lean(after[1], before[1])
         is_outcome = (
             self._name in self._case.subjects and self._case.data.get("rest") is not None
-        )  # a placing settled the object
+        )  # a motion that placed the object has let it settle
         if distance < _MOVED and tilt < _TILTED and not is_outcome:
             return
         shifts = []
@@ -203,7 +203,7 @@ class _Fate:
             if record.seq == start:
                 candidates.append(case.change(record, self._name, _HOW.get(record.WhichOneof("command"), "command")))
             elif record.HasField("simulate") and record.simulate.steps >= _QUIET and record not in self.moves:
-                break  # the object rested after the change
+                break  # after the change, the object was at rest
             elif record in self.moves and record.simulate.steps >= _QUIET and not self._is_moving(record):
                 break
             else:
@@ -215,7 +215,7 @@ class _Fate:
         return tuple(candidates[:_MAX_LETS][::-1])
 
     def _support(self, first: Mutation) -> str:
-        """Return the support that was moved or removed after the object was at rest; "" without such a support."""
+        """Return the support that was moved or removed after the object was at rest; "" if there is none."""
         own = self._pose(self.since)
         world = state_at(self._case.log, self.since).worlds.get(self._world)
         if own is None or world is None:
@@ -292,7 +292,7 @@ class _Fate:
 
 
 def _shift(before: Pose | None, after: Pose) -> float:
-    """Return the size of the change of a pose in m. A radian counts as 0.1 m."""
+    """Return the size of the change of a pose in m. An angle of 1 rad counts as 0.1 m."""
     if before is None:
         return 0.0
     return math.dist(before[0], after[0]) + 0.1 * geometry.angle(before[1], after[1])

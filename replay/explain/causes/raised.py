@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 _MAX_ANSWERS: Final = 3
-_SEARCHED: Final = 1_000  # this many changes of fluents are searched
-#: A ``raise`` or ``assert`` of a line, also after the head of a compound statement.
+_SEARCHED: Final = 1_000  # number of changes of fluents that are searched
+#: ``raise`` or ``assert`` in a line, also after the head of a compound statement.
 _RAISES: Final = re.compile(r"(^|[:;]\s*)(raise|assert)\b")
-#: PyCRAM's usage errors. These errors mean a mistake in the plan's line, even if they are raised inside a motion.
+#: PyCRAM's usage errors. Errors that mean a mistake in the plan's line, even if they are raised inside a motion.
 USAGE_ERRORS: Final = frozenset(
     (
         "AssetError", "AttachmentError", "BadArgument", "BlockClosed", "ChangeRefused", "Deadlock",
@@ -47,10 +47,11 @@ class Raised(Cause):
     untestable = "the plan's own code would have to change"
     type: str  # type of the exception
     line: Line  # the plan's line
-    own: bool  # whether the line is a ``raise`` or ``assert``, and not a mistake
-    task: Node | None  # the task around the line; None outside of tasks
-    #: The answers on which the line may depend: the last queries and waits of the task. If the last motion of the task
-    #: before them failed, its end comes first. For a ``whenever``, the last change of its fluents.
+    own: bool  # whether the line is a ``raise`` or ``assert``, rather than a mistake
+    task: Node | None  # the task around the line; None if there is none
+    #: The answers on which the line may depend: the last queries and waits of its task. If the last motion of the task
+    #: before these changes failed, the end of that motion comes first. For a ``whenever``, the last change of the
+    #: fluents that it follows.
     answers: tuple[Query | Task | Fluent, ...] = ()
 
     @classmethod
@@ -131,14 +132,14 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
     if last is None or end is None or not last.lines or (last.type, last.message) == failure:
         return
     if last.type == "DeadlockedBranches":
-        return  # the others waited for the failed branch
+        return  # the other branches waited for the failed branch
     if last.own if _is_raise(last.lines[-1]) else last.type in USAGE_ERRORS or hasattr(builtins, last.type):
         line = last.lines[-1] if last.own else case.line(last.lines) or last.lines[-1]
         yield Raised((end.seq,), last.type, line, last.own and _is_raise(line), None, (end,))
 
 
 def is_mistake(case: FailureCase) -> bool:
-    """Return whether Python or PyCRAM rejects the plan's code in every state of the world."""
+    """Return whether Python or PyCRAM rejects the plan's code whatever the state of the world is."""
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 

@@ -27,16 +27,16 @@ from replay.state.state import Body
 if TYPE_CHECKING:
     from replay.explain.causes.case import CausingChange, FailureCase
 
-_MOVED: Final = 1e-6  # a joint with a larger change has moved, rad or m
-_FAR: Final = 30.0  # distance to which an obstacle is moved away, m
-_BEFORE: Final = 0.65  # distance between robot and target at which arms work well, m
-_ROOM: Final = 0.1  # the robot moves nearer by this distance and the distance that the arm lacked, m
-_LONGER: Final = 10.0  # limits of waits are multiplied by this factor
+_MOVED: Final = 1e-6  # change in rad or m above which a joint has moved
+_FAR: Final = 30.0  # distance in m to which an obstacle is moved away
+_BEFORE: Final = 0.65  # distance in m between robot and target at which arms work well
+_ROOM: Final = 0.1  # distance in m by which the robot moves nearer, plus the distance that the arm lacked
+_LONGER: Final = 10.0  # factor for the limits of waits
 NONE: Final = "none"
 _FLUENT: Final = "fluent:"
 COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
-JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # a fluent that follows a joint
-_BEYOND: Final = 0.01  # the new number exceeds a bound by this amount, or by this share of the bound
+JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # the name of a fluent that follows a joint
+_BEYOND: Final = 0.01  # difference between the new number and the bound: this amount, or this share of the bound
 _WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls without a result, in addition to setters
 
 
@@ -44,7 +44,7 @@ _WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls w
 class Trial:
     """A fork that takes a cause away."""
 
-    step: int  # the last step before the change
+    step: int  # the last step before the fork's change
     words: str  # change in words
     settings: tuple[str, ...] = ()  # values of ``fork --set``
     answers: tuple[str, ...] = ()  # values of ``fork --answer``
@@ -59,7 +59,7 @@ class TriedTrial:
     """A finished fork."""
 
     trial: Trial
-    verdict: str  # verdict on the cause from this fork alone, as in :class:`Proof`
+    verdict: str  # verdict of this fork alone on the cause, as in :class:`Proof`
     text: str  # outcome in words
     file: str = ""  # recording of the fork; "" if it was deleted
 
@@ -68,10 +68,10 @@ class TriedTrial:
 class Proof:
     """The verdict on a cause."""
 
-    #: "confirmed" (without the cause, there is no failure, or another, later failure), "refuted" (without the cause,
-    #: the same failure comes), or "untested" (no fork decides)
+    #: "confirmed" (without the cause, there is no failure, or another one later), "refuted" (without the cause, the
+    #: same failure comes), or "untested" (no fork decides)
     verdict: str
-    text: str  # the verdict in words
+    text: str  # text of the verdict
     forks: tuple[TriedTrial, ...] = ()
 
 
@@ -79,7 +79,7 @@ CONFIRMED, REFUTED, UNTESTED = "confirmed", "refuted", "untested"
 
 
 def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
-    """Yield the trial that undoes a change right after it. Other changes may have the same effect."""
+    """Yield the trial that undoes a change immediately after it. Other changes may have the same effect."""
     yield from (replace(trial, decisive=False) for trial in _undone(case, change))
 
 
@@ -102,7 +102,7 @@ def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
     else:
         text = f"{change.joint} of {change.body}" if change.joint else change.mover or change.body
         record, names = case.log[change.step], [change.body]
-        if isinstance(record, Mutation):  # the commanded body carries others along
+        if isinstance(record, Mutation):  # the body of the command carries others along
             names = [commanded(record), change.body, *(each.body for each in record.effect.bodies)]
         yield from restored(case, names, start, change.step, f"{text} is put back")
 
@@ -121,16 +121,16 @@ def restored(case: FailureCase, names: Sequence[str], then: int, step: int, word
         joints |= {f"{written(name)}.{joint}": body.joints[joint] for joint in changed}
     if poses or joints:
         where = f"{phrases.names(names)} {'is' if len(names) == 1 else 'are'} as at step {then}"
-        yield _set(case, step, words or where, joints | poses)  # joints first, because they carry bodies along
+        yield _set(case, step, words or where, joints | poses)  # joints come first, because they carry bodies along
 
 
 def downwards(case: FailureCase, step: int) -> Iterator[Trial]:
-    """Yield the trial with the earth's gravity from a step on."""
+    """Yield the trial in which the world has the earth's gravity from a step on."""
     yield _set(case, step, "gravity points down", {"gravity": (0.0, 0.0, -9.81)})
 
 
 def placed(case: FailureCase, body: str, position: Sequence[float], step: int | None = None) -> Iterator[Trial]:
-    """Yield the trial with a body at a position, by default just before the failure."""
+    """Yield the trial with a body at a position; by default, it is moved there just before the failure."""
     yield _set(case, step, f"{body} is at {phrases.vector(position)}", {f"{written(body)}.position": position})
 
 
@@ -160,13 +160,13 @@ def in_hand(case: FailureCase, body: str, arm: str) -> Iterator[Trial]:
 
 
 def joint_at(case: FailureCase, body: str, joint: str, value: float, step: int | None = None) -> Iterator[Trial]:
-    """Yield the trial with a joint at a value, by default just before the failure."""
+    """Yield the trial with a joint at a value; by default, it is set just before the failure."""
     text = f"{joint} of {body} is at {phrases.number(value)}"
     yield _set(case, step, text, {f"{written(body)}.{joint}": value})
 
 
 def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[Trial]:
-    """Yield the trials with the robot nearer to a target, and right before it, just before the failure."""
+    """Yield the trials in which, just before the failure, the robot is nearer to a target, and at it."""
     robot = case.robot
     if robot is None:
         return
@@ -218,7 +218,7 @@ def longer(started: Task, seconds: object) -> Iterator[Trial]:
 
 
 def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
-    """Yield the trial in which the condition of a wait holds: one of the fluents, perhaps compared with a number."""
+    """Yield the trial in which the condition of a wait holds for one of its fluents, perhaps compared with a number."""
     compared = COMPARED.fullmatch(started.name)
     leaf = compared[1] if compared else started.name
     if leaf not in values:
@@ -236,7 +236,7 @@ def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
 
 
 def skipped(refusal: Refusal) -> Iterator[Trial]:
-    """Yield the trial in which a refused call isn't made, if such calls have no result."""
+    """Yield the trial in which a refused call isn't made, if calls of this kind have no result."""
     if refusal.name.startswith("set_") or refusal.name in _WITHOUT_RESULT:
         subject = argument_values(refusal.arguments).get("object")
         given = (
@@ -256,7 +256,7 @@ def other_arm(case: FailureCase, task: Node) -> Iterator[Trial]:
 
 
 def _set(case: FailureCase, step: int | None, words: str, values: Mapping[str, object]) -> Trial:
-    """Return a trial with settings, by default just before the failure."""
+    """Return a trial with settings; by default, they are made just before the failure."""
     texts = (
         f"{key}={','.join(map(repr, value)) if isinstance(value, list | tuple) else value}"
         for key, value in values.items()
@@ -266,7 +266,7 @@ def _set(case: FailureCase, step: int | None, words: str, values: Mapping[str, o
 
 
 def _before(case: FailureCase) -> int:
-    """Return the step at which the failed motion began, or without a motion the step before the failure."""
+    """Return the step at which the failed motion began; without a motion, the step before the failure."""
     return case.began if case.motion is not None else case.began - 1
 
 

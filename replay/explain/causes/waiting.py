@@ -25,25 +25,25 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-_NO_LEAF: Final = "timeout"  # the only parameter of a wait that doesn't name a fluent
+_NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't the name of a fluent
 _MAX_CHANGES: Final = 5
 _MAX_TASKS: Final = 10_000
 _SETTERS: Final = ("set_value", "pulse")
-_SIMULATED_TIME: Final = "simulated"  # ``clock`` of a timeout in simulated time
+_SIMULATED_TIME: Final = "simulated"  # value of ``clock`` for a timeout in simulated time
 _MAX_TOOK: Final = 3
 _NAMES: Final = {"SIGINT": "Ctrl-C", "": "Ctrl-C"}  # early releases didn't record the signal
 _FOLLOWS: Final = re.compile(r"(pose|position|joint|holding|contact) of ")  # a fluent of the world; no plan sets it
 _JOINTS: Final = re.compile(r"joint of (\S+) of ([^\s)]+)")
-_MAX_NAMED: Final = 3  # at most this many pending tasks are named
+_MAX_NAMED: Final = 3  # maximum number of pending tasks that are named
 
 
 @dataclass(frozen=True, slots=True)
 class Fulfiller:
     """A line or task of the plan that could have made a fluent true."""
 
-    line: Line | None  # the line that sets the fluent; None if only a record shows the setter
-    task: Node | None  # the task that ran the line or should have run the line
-    step: int | None = None  # step of the task's last record that set the fluent; None without a record
+    line: Line | None  # the line that sets the fluent; None if only a record shows what set it
+    task: Node | None  # the task that ran the line, or should have run it
+    step: int | None = None  # step at which the task last set the fluent; None if it never did
     failed: Node | None = None  # the last failed motion in the task
     refused: Refusal | None = None  # the last refusal in the task
     sure: bool = True  # whether the line is known to set this fluent; otherwise it sets a fluent under another name
@@ -78,14 +78,14 @@ class Fulfiller:
 class PendingTask:
     """A task that was unfinished when its part of the plan was stopped."""
 
-    task: Node  # a wait for a fluent, a motion, or another task
-    began: bool  # whether the task began; otherwise it waited for its turn or for parts of the robot
+    task: Node  # the awaited object: a fluent, a motion, or another task
+    began: bool  # whether the task began; if not, it waited for its turn or for parts of the robot
     line: Line | None  # the plan's line
-    values: Mapping[str, Plain] = field(default_factory=dict)  # final values of awaited fluents by name
+    values: Mapping[str, Plain] = field(default_factory=dict)  # final values of awaited fluents, by name
     changed: tuple[int, ...] = ()  # the last steps that set the awaited fluents
     fulfillers: tuple[Fulfiller, ...] = ()  # lines and tasks that could have set the awaited fluents
-    holders: tuple[Node, ...] = ()  # the motions that were running, if this motion hadn't begun
-    excluded: str = ""  # limits of the awaited joint that exclude the condition, in words
+    holders: tuple[Node, ...] = ()  # if this motion hadn't begun, the motions that were running
+    excluded: str = ""  # limits of the awaited joint that exclude the condition, as text
 
     def __str__(self) -> str:
         if self.task.kind == "wait":
@@ -105,7 +105,7 @@ class PendingTask:
                 yield each.refused.seq
 
     def details(self) -> Iterator[str]:
-        """Yield the reasons for waiting: fluents with their values and setters, or running motions."""
+        """Yield why the task waited: fluents with their values and setters, or running motions."""
         if self.task.kind == "wait":
             values = ", ".join(f"{name} = {phrases.value(value)}" for name, value in self.values.items())
             steps = phrases.names([str(step) for step in self.changed])
@@ -130,11 +130,11 @@ def _doing(pending: Sequence[PendingTask]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedLine:
-    """The simulated time that a line of the plan took."""
+    """The simulated time that one line of the plan took."""
 
     line: Line | None
     seconds: float  # simulated time in s
-    steps: tuple[int, ...]  # steps of the records
+    steps: tuple[int, ...]  # steps of the line's records
 
     def __str__(self) -> str:
         at = f"{phrases.place(self.line)} simulated" if self.line is not None else "the plan simulated"
@@ -147,17 +147,17 @@ class Timeout(Cause):
     """A part of the plan missed its deadline."""
 
     kind = "timeout"
-    seconds: float  # the limit; 0 in a deadlock
-    clock: str  # "wall" or "simulated"; "" in a deadlock
+    seconds: float  # the limit in s; 0 in a deadlock
+    clock: str  # clock of the limit: "wall" or "simulated"; "" in a deadlock
     pending: tuple[PendingTask, ...]  # the pending tasks at the deadline
-    line: Line | None  # the plan's line at the stop
-    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, longest first by the limit's clock
-    simulated: tuple[SimulatedLine, ...] = ()  # lines with the longest simulations, for a limit in simulated time
+    line: Line | None  # the plan's line that was stopped
+    took: tuple[Node, ...] = ()  # the tasks that ended within the limit, the longest by the limit's clock first
+    simulated: tuple[SimulatedLine, ...] = ()  # lines with the longest simulations, if the limit is in simulated time
     joints: tuple[tuple[float, CausingChange], ...] = ()  # positions and last changes of joints, awaited in a deadlock
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Timeout]:
-        """Yield the missed deadline of a timeout, or of a wait before the plan raised the failure."""
+        """Yield the missed deadline of a timeout, or of a wait after which the plan raised the failure."""
         if case.task is not None and case.task.kind == "timeout" and case.failure.type == "TimedOut":
             tree = _tree(case, case.task.last_step + 1)
             scope = tree.nodes[case.task.id]
@@ -184,9 +184,9 @@ class Timeout(Cause):
                 yield _timeout(case, node.parameters.get("timeout"), "wall", (single,), (), case.line_of(node.started))
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials with a longer limit, and with the awaited fluents."""
+        """Yield the trials with a longer limit, and with other values of the awaited fluents."""
         limited = case.task if case.task is not None and case.task.kind == "timeout" else self.pending[0].task
-        yield from trials.longer(limited.started, self.seconds)  # none in a deadlock
+        yield from trials.longer(limited.started, self.seconds)  # a deadlock has no limit
         for each in self.pending:
             if each.task.kind == "wait":
                 yield from trials.fulfilled(each.task.started, each.values)
@@ -219,14 +219,14 @@ class Interruption(Cause):
     kind = "interrupted"
     by: str  # "Ctrl-C", "SIGTERM"; "" if the process ended without closing its recording
     pending: tuple[PendingTask, ...]  # the pending tasks
-    line: Line | None  # the plan's line at the stop
+    line: Line | None  # the plan's line that was stopped
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Interruption]:
         """Yield the interrupt of a plan, and the pending tasks."""
         end = case.log[-1]
         closed = isinstance(end, Run) and end.phase == Run.FINISHED
-        if case.failure.type != (INTERRUPT if closed else ""):  # earlier failures aren't interrupts
+        if case.failure.type != (INTERRUPT if closed else ""):  # failures before the interrupt have other causes
             return
         by = _NAMES.get(end.interrupted_by, end.interrupted_by) if isinstance(end, Run) and closed else ""
         tree = _tree(case, len(case.log))
@@ -258,7 +258,7 @@ def _interrupted(tree: Tree) -> list[Node]:
 
 
 def _tree(case: FailureCase, stop: int) -> Tree:
-    """Return the tasks before a step, or only the last tasks of many."""
+    """Return the tasks before a step; if there are many, only the last ones."""
     tree = Tree(limit=_MAX_TASKS)
     for record in case.log.records(Task, stop=stop):
         tree.apply(record)
@@ -276,7 +276,7 @@ def _stopped(tree: Tree, root: Node | None = None) -> list[Node]:
 
 
 def _pending(case: FailureCase, node: Node, tree: Tree, step: int) -> PendingTask:
-    """Return a pending task at a step. ``tree`` contains the parallel tasks."""
+    """Return a pending task at a step. ``tree`` contains the tasks that ran in parallel."""
     line = case.line_of(node.asked or node.started)
     motion = node.motion if node.motion.kind == "motion" else node
     if node.kind == "wait":
@@ -327,7 +327,7 @@ def _awaited_joints(case: FailureCase) -> Iterator[tuple[float, CausingChange]]:
 def _values(
     case: FailureCase, leaves: Mapping[str, Plain], start: int, step: int
 ) -> tuple[dict[str, Plain], tuple[int, ...]]:
-    """Return the values of fluents at a step, and the last steps from ``start`` on that set the fluents."""
+    """Return the values of fluents at a step, and the last steps that set them, searched from ``start``."""
     values, changed = dict(leaves), []
     for record in case.log.records(Fluent, start, step + 1):
         if record.name in leaves:
@@ -337,7 +337,7 @@ def _values(
 
 
 def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
-    """Yield the setters of the fluents in the plan's source, or else the recorded setters."""
+    """Yield the setters of the fluents in the plan's source; if there are none, the recorded setters."""
     found = False
     last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
     for name in leaves:
@@ -365,7 +365,7 @@ def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step
 
 
 def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
-    """Return the last failed motion with an object or parameter that the fluent's name contains."""
+    """Return the last failed motion with an object or parameter whose name the fluent's name contains."""
     words = set(name.replace("(", " ").replace(")", " ").split())
     for motion in reversed(case.failed.motions):
         if motion.last_step <= step and motion.failed:
@@ -439,7 +439,7 @@ def _is_in(number: int, task: Node) -> bool:
 
 
 def _ended(scope: Node) -> Iterator[Node]:
-    """Yield the tasks that ended within a scope, also in unfinished blocks."""
+    """Yield the tasks that ended within a scope; also those in unfinished blocks."""
     for node in scope.children:
         if node.status in (State.SUCCEEDED, State.FAILED):
             yield node

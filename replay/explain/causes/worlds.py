@@ -17,8 +17,8 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-_FORKED: Final = 10  # largest number of changes that a fork makes at a step
-#: Messages about things that move, hang or lack support.
+_FORKED: Final = 10  # maximum number of changes that a fork makes at a step
+#: Matches messages about objects that move, hang or lack support.
 _OF_GRAVITY: Final = re.compile(r"\bmoves at|\bhangs?\b|\bin the air\b|\bsupport|\brest\b|\bfall")
 
 
@@ -31,7 +31,7 @@ class OtherWorld(Cause):
     world: str  # the object's world
     needed: str  # the world of the failure
     change: CausingChange | None  # the loading of the object; None if it isn't recorded
-    opened: CausingChange | None  # the record that opened the world of the object
+    opened: CausingChange | None  # the record that opened the object's world
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[OtherWorld]:
@@ -60,7 +60,7 @@ class OtherWorld(Cause):
 
 @dataclass(frozen=True, slots=True)
 class NoGravity(Cause):
-    """Gravity is zero or points upwards, and the failure is about things that move, hang or lack support."""
+    """Gravity is zero or points upwards, and the failure is about objects that move, hang or lack support."""
 
     kind = "gravity"
     gravity: tuple[float, ...]  # in m/s^2
@@ -71,14 +71,14 @@ class NoGravity(Cause):
         """Yield an unusual gravity of the failure's world."""
         if case.world is None or case.world.gravity[2] < 0:
             return
-        of_python = hasattr(builtins, case.failure.type)  # "not supported between" has nothing to do with gravity
+        of_python = hasattr(builtins, case.failure.type)  # "not supported between" doesn't concern gravity
         if case.world.gravity[2] > 0 or (not of_python and _OF_GRAVITY.search(case.failure.message)):
             change = _last(case, case.world.name, "set_gravity")
             steps = (change.step, case.step) if change is not None else (case.step,)
             yield NoGravity(steps, tuple(case.world.gravity), change)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial with gravity, from the first change of the world on that could set it."""
+        """Yield the trial with the earth's gravity, from the first change of the world that could set it."""
         yield from trials.downwards(case, self.steps[0] if self.change is not None else case.began - 1)
 
     def _words(self) -> Iterator[str]:
@@ -111,7 +111,7 @@ class ForkedChange(Cause):
 
 
 def _last(case: FailureCase, world: str, command: str, body: str = "") -> CausingChange | None:
-    """Return the last command of a kind in a world, about a body or the world itself."""
+    """Return the last command of a kind in a world; it is about a body or the world itself."""
     for record in case.log.backwards(case.step, Mutation):
         if (record.world, record.WhichOneof("command")) == (world, command) and body in ("", record.load_body.body):
             return case.change(record, body or world, "gravity" if command == "set_gravity" else "load")
