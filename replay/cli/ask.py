@@ -52,7 +52,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _move(text: str) -> Move:
-    from replay.report.question import unquoted  # noqa: PLC0415  only this verb accepts quoted names
+    from replay.report.question import unquoted  # noqa: PLC0415  only this verb accepts names in quotes
     from replay.restore.ask import Move  # noqa: PLC0415  imports the engine
 
     body, _, pose = text.rpartition("=")

@@ -7,7 +7,7 @@ from typing import Final
 
 from replay.cli.console import print_text
 
-#: Verbs by heading. Each verb has two examples: arguments, and the result of the command.
+#: Verbs by heading. Each verb has two examples: its arguments, and the result.
 SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
     "What happened": {
         "info": (

@@ -39,7 +39,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print for each property in how many recordings it holds, and the first violations."""
+    """Print for each property the number of recordings in which it holds, and the first violations."""
     properties = _given(options)
     rows: list[tuple[str, list[CheckedProperty]]] = []
     for name in runs.folder.runs:
@@ -84,10 +84,10 @@ def _parsed(texts: Sequence[str], files: Sequence[str], log: str) -> list[Proper
 
 
 def _as_query(text: str, path: str) -> str:
-    """Return the command that asks the query in a text that isn't a property; "" if the text has no query."""
+    """Return the command for a text that isn't a property but a query; "" if the text contains no query."""
     try:
         from replay.restore.ask import BELIEVED, QUERIES  # noqa: PLC0415  imports the engine
-    except ModuleNotFoundError:  # queries need the physics engine
+    except ModuleNotFoundError:  # only queries need the physics engine
         return ""
     found = re.search(rf"\b({'|'.join((BELIEVED, *QUERIES))})\(.*\)", text)
     if found is None:

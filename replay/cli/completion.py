@@ -17,11 +17,11 @@ from recorder.user_folders import cache_folder
 if TYPE_CHECKING:
     from replay.recording import Recording
 
-_LIMIT: Final = 0.1  # names that take longer to read aren't completed, s
+_LIMIT: Final = 0.1  # time in s after which names in a recording are no longer read for completion
 
 
 def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.ArgumentParser], None]) -> None:
-    """Add the arguments of a verb from the cache, because importing the verb's module is too slow."""
+    """Add the arguments of a verb from the cache, because importing the module of the verb takes too long."""
     source, folder = Path(__file__).with_name(f"{module}.py"), cache_folder()
     file = None if folder is None else folder / f"completion-{verb}.json"
     key = [str(source), source.stat().st_mtime_ns]
@@ -41,7 +41,7 @@ def add_cached(verb: str, module: str, parser: Parser, add: Callable[[argparse.A
 
 
 def _plain(action: argparse.Action) -> tuple[list[str], dict[str, object]]:
-    """Return the flags of an argument, and the options that completion needs for ``add_argument``."""
+    """Return the flags of an argument, and the options of ``add_argument`` that completion needs."""
     options: dict[str, object] = {"choices": action.choices and [*action.choices], "metavar": action.metavar}
     if action.nargs == 0:
         options = {"action": "store_true"}
@@ -56,7 +56,7 @@ def _names(find: Callable[[Recording], Iterator[str]]) -> Callable[..., list[str
     """Return a completer for the names that a function finds in the recording."""
 
     def complete(prefix: str, parsed_args: argparse.Namespace, **_: object) -> list[str]:
-        from replay.errors import ReplayError  # noqa: PLC0415  verbs and options are completed without a recording
+        from replay.errors import ReplayError  # noqa: PLC0415  verbs and options can be completed without a recording
         from replay.recording import Recording  # noqa: PLC0415  as above
 
         try:

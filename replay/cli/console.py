@@ -1,7 +1,7 @@
 """Console output: results to stdout, messages to stderr.
 
-Control characters are printed as escapes, because recorded texts are untrusted and terminals obey control characters.
-JSON is ASCII, so that no encoding of a terminal loses characters.
+Control characters are printed as escapes, because terminals obey them, and recorded texts may come from strangers. JSON
+is ASCII, so the encoding of a terminal can't lose characters.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\
 
 
 def visible(text: str) -> str:
-    r"""Return a text with control characters as escapes, such as ``\x1b``; newlines and tabs stay."""
+    r"""Return a text with control characters as escapes, such as ``\x1b``; newlines and tabs aren't changed."""
     return _CONTROL.sub(_escape, text)
 
 
@@ -60,7 +60,7 @@ def print_json(value: object, *, flush: bool = False) -> None:
 
 
 def print_json_list(values: Iterable[object]) -> None:
-    """Print results as a JSON list, one result at a time."""
+    """Print results as a JSON list while they arrive."""
     between = "["
     for value in values:
         print(between, _json(value), sep="", end="")
@@ -128,7 +128,7 @@ def _is_descriptor_of_stdout(stream: object) -> bool:
 
 
 def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
-    """If the step is a time within a simulation, print the precision of its state."""
+    """If the step is a time within a simulation, print how exact its state is."""
     from replay.report.phrases import sampled  # noqa: PLC0415  slow to import
 
     within = log.state_at(step).sampled
@@ -139,7 +139,7 @@ def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
 def numbers(
     text: str, expected: str, *counts: int, separator: str = ",", kind: Callable[[str], float] = float
 ) -> list[float]:
-    """Parse finite numbers, such as "0.5,1,0". ``counts`` are the allowed lengths.
+    """Parse finite numbers, such as "0.5,1,0". ``counts`` contains the allowed numbers of values.
 
     Raises:
         ReplayError: The text is invalid. ``expected`` is part of the message.

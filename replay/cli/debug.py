@@ -1,7 +1,7 @@
-"""``debug``: a prompt at a step of a recording, in the plan's frame, that steps forwards and back.
+"""``debug``: a prompt in the plan's frame at a step of a recording; commands move the plan forwards and back.
 
-Commands are pdb's commands, and verbs of ``pycram-replay`` at the step. Lines come from a terminal or from a script on
-stdin.
+The commands are those of pdb, and the verbs of ``pycram-replay`` at the present step. Lines come from a terminal or
+from a script on stdin.
 """
 
 from __future__ import annotations
@@ -37,10 +37,11 @@ if TYPE_CHECKING:
     from replay.debug.guided_plan import GuidedPlan
     from replay.debug.session import Halt, Session
 
-_HISTORY: Final = 1000  # the history of commands has at most this many lines
+_HISTORY: Final = 1000  # maximum number of lines in the history of commands
 _MAIN_THREAD: Final = "MainThread"
-_AROUND: Final = 5  # ``list`` shows this many lines before and after the current line, as in pdb
-#: Verbs of ``pycram-replay`` as commands: words before and after the user's words. "STEP" is the current step.
+_AROUND: Final = 5  # number of lines before and after the current line that ``list`` shows, as in pdb
+#: Verbs of ``pycram-replay`` that are commands: words before and after the words of the user. "STEP" is replaced by the
+#: current step.
 _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
     "ask": (("STEP",), ()),
     "blame": ((), ("--at", "STEP")),
@@ -108,7 +109,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def first_step(log: Recording, step: int | str | None) -> int:
-    """Return the number of a step. The default is the step of the failure, or 0."""
+    """Return the number of a step. By default, it is the step of the failure, or 0."""
     from replay.retrace.plan_process import last_own_step  # noqa: PLC0415  needs the executor
 
     if step is not None:
@@ -117,7 +118,7 @@ def first_step(log: Recording, step: int | str | None) -> int:
 
 
 def new_session(log: Recording, plan: GuidedPlan) -> Session:
-    """Return a session. It shows the source lines that run, even if the files on the disk differ."""
+    """Return a session. The source lines that run are shown, even if the files on the disk differ."""
     from replay.debug.session import Session  # noqa: PLC0415  needs the executor
 
     for file, source in plan.recorded_files.items():
@@ -157,7 +158,7 @@ class Prompt(cmd.Cmd):
     def _history(self) -> Iterator[None]:
         folder = cache_folder() if self._asks else None
         try:
-            import readline  # noqa: PLC0415  some systems lack it
+            import readline  # noqa: PLC0415  some systems lack this module
         except ImportError:
             folder = None
         if folder is None:
@@ -186,12 +187,12 @@ class Prompt(cmd.Cmd):
         return "" if first.lstrip().startswith("#") else first.strip()
 
     def onecmd(self, line: str) -> bool:
-        """Execute a command, and print mistakes of the user."""
+        """Execute a command; mistakes of the user are printed."""
         try:
             return bool(super().onecmd(line))
         except ReplayError as error:
             self.print_error(str(error))
-        except SystemExit:  # the parser has printed a message about wrong arguments
+        except SystemExit:  # the parser has already printed a message about wrong arguments
             pass
         except KeyboardInterrupt:
             print("--KeyboardInterrupt--")
@@ -200,7 +201,7 @@ class Prompt(cmd.Cmd):
         return False
 
     def emptyline(self) -> bool:
-        """Repeat the last command at a terminal, as pdb does. In a script, do nothing."""
+        """At a terminal, repeat the last command, as pdb does. In a script, an empty line does nothing."""
         return bool(self._asks and self.lastcmd and self.onecmd(self.lastcmd))
 
     # --- output ------------------------------------------------------------------------------------------------------
@@ -215,7 +216,7 @@ class Prompt(cmd.Cmd):
             print(visible(line))
 
     def painted(self, text: str, colour: str) -> str:
-        """Return a text in a colour, or the plain text without a terminal."""
+        """Return a text in a colour, or the plain text if there is no terminal."""
         return coloured(visible(text), colour) if self._coloured else visible(text)
 
     # --- the current step ---------------------------------------------------------------------------------------------
@@ -384,7 +385,7 @@ class Prompt(cmd.Cmd):
     def do_shell(self, text: str) -> None:
         """``!`` EXPR: the value of an expression that looks like a command; a statement can't be executed.
 
-        A statement would make the plan differ from the recording that guides it.
+        A statement would let the plan differ from the recording that guides it.
         """
         if text and not _is_statement(text):
             self._evaluate(text, pretty=False)
@@ -521,7 +522,7 @@ class Prompt(cmd.Cmd):
 
     def do_view(self, text: str) -> None:
         """``view`` [--connect URL]: show the recording in the Rerun viewer, which follows each step."""
-        from replay.view import follow  # noqa: PLC0415  needs the viewer's library
+        from replay.view import follow  # noqa: PLC0415  imported here: the viewer's library may be missing
 
         url = _words(text)[-1] if text else None
         viewer, self.follow = follow(self.log, self.session.step, url)
@@ -543,7 +544,7 @@ class Prompt(cmd.Cmd):
         """``quit`` (q, exit): end the debugger."""
         return True
 
-    def do_EOF(self, _: str) -> bool:  # noqa: N802  the name that cmd expects
+    def do_EOF(self, _: str) -> bool:  # noqa: N802  cmd.Cmd expects this name
         """The end of the input: end the debugger."""
         if self._asks:
             print()
@@ -637,7 +638,7 @@ def _is_statement(text: str) -> bool:
         try:
             compile(text, "<prompt>", "exec")
         except SyntaxError:
-            return False  # the evaluation reports the error
+            return False  # evaluating the expression later reports the error
         return True
     except ValueError:
         return False

@@ -1,7 +1,7 @@
-"""``debug --dap``: the Debug Adapter Protocol, with which an editor controls a session of the debugger.
+"""``debug --dap``: a server for the Debug Adapter Protocol, by which an editor controls the debugger.
 
 The main thread executes the editor's requests in order. A second thread reads the requests, so that ``pause`` and
-``disconnect`` reach a running plan. See https://microsoft.github.io/debug-adapter-protocol/specification.
+``disconnect`` reach a plan while it runs. See https://microsoft.github.io/debug-adapter-protocol/specification.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ Message: TypeAlias = "dict[str, Any]"
 
 _STDIN, _STDOUT = 0, 1
 _LOOPBACK: Final = "127.0.0.1"
-_THREAD: Final = 1  # a single thread for all branches, because only one branch runs at a time
-_FAILURES: Final = "failure"  # the filter of exception breakpoints
-_TASK_FRAMES: Final = 1_000_000  # smallest id of a frame that is a task
+_THREAD: Final = 1  # the editor sees one thread for all branches, because only one branch runs at a time
+_FAILURES: Final = "failure"  # name of the filter for exception breakpoints
+_TASK_FRAMES: Final = 1_000_000  # smallest id of a frame that represents a task
 _CAPABILITIES: Final = {
     **dict.fromkeys(
         (
@@ -57,7 +57,7 @@ _CAPABILITIES: Final = {
     ),
     "exceptionBreakpointFilters": [{"filter": _FAILURES, "label": "Failures", "default": False}],
 }  # fmt: skip
-#: The protocol's names for the reason of a stop.
+#: The protocol's names for the reasons of stops.
 _LINE, _TASK, _DATA, _EXCEPTION = "breakpoint", "function breakpoint", "data breakpoint", "exception"
 #: Requests that move the plan, as functions of the session and the arguments of the request.
 _MOVES: Final[dict[str, Callable[[Session, Message], Halt]]] = {
@@ -76,12 +76,13 @@ _MOVES: Final[dict[str, Callable[[Session, Message], Halt]]] = {
 def serve(port: int | None, recording: str | None = None) -> int:
     """Serve an editor on stdin and stdout, or on a port of this machine.
 
-    Port 0 is a free port, which is printed on stderr. If the editor names no recording, ``recording`` is debugged.
+    With port 0, a free port is chosen, and printed on stderr. If the editor doesn't name a recording, ``recording`` is
+    debugged.
     """
     if port is None:
-        # a thread that reads sys.stdin would hold its lock when Python ends
+        # if a thread reads sys.stdin, it would hold its lock when Python ends
         reading, writing = os.fdopen(os.dup(_STDIN), "rb"), os.fdopen(os.dup(_STDOUT), "wb")
-        os.dup2(sys.stderr.fileno(), _STDOUT)  # native code and verbs print on this descriptor
+        os.dup2(sys.stderr.fileno(), _STDOUT)  # native code and verbs print to this file descriptor
         Adapter(reading, writing, recording).run()
         return FINE
     with socket.create_server((_LOOPBACK, port)) as listening:
@@ -90,13 +91,13 @@ def serve(port: int | None, recording: str | None = None) -> int:
     with connected, connected.makefile("rb") as reading, connected.makefile("wb") as writing:
         Adapter(cast("BinaryIO", reading), cast("BinaryIO", writing), recording).run()
         with contextlib.suppress(OSError):  # the editor may have closed the connection
-            connected.shutdown(socket.SHUT_RDWR)  # this ends the thread that reads requests
+            connected.shutdown(socket.SHUT_RDWR)  # this ends the thread that reads the requests
     return FINE
 
 
 @dataclass(slots=True)
 class _Variable:
-    """A line of variables in an editor; ``parts`` returns the lines below it."""
+    """A variable in an editor, in one line; ``parts`` returns the lines below it."""
 
     name: str
     value: str
@@ -118,7 +119,7 @@ class Adapter:
         self._open = contextlib.ExitStack()  # recording, plan
         self._prompt: Prompt | None = None
         self._client: Message = {}  # the editor's capabilities
-        self._start = 0  # first step at which the plan stops
+        self._start = 0  # first step at which the plan will stop
         self._then: Callable[[], None] | None = None  # a function that is called after the response
         self._recording: subprocess.Popen[str] | None = None  # the process that records a plan for this session
         self._ending = False  # whether the editor has disconnected
@@ -179,7 +180,7 @@ class Adapter:
             body = getattr(self, f"_on_{command}", partial(self._on_other, command))(given)
         except (ReplayError, KeyboardInterrupt) as error:  # a pause during an evaluation raises KeyboardInterrupt
             text = str(error) or "interrupted"
-            plain = text.replace("{", "(").replace("}", ")")  # the protocol expands {variables}
+            plain = text.replace("{", "(").replace("}", ")")  # the protocol replaces {variables} in messages
             facts = {"error": {"id": 1, "format": plain, "showUser": command in ("launch", "attach")}}
             self._send("response", success=False, message=text, body=facts, **answered)
             return
@@ -230,7 +231,7 @@ class Adapter:
         file = log or str(Path(tempfile.mkdtemp(prefix="pycram-debug-")) / f"{Path(program).stem}.mcap")
         command = [sys.executable, "-m", "pycram", "run", program, "--log", file, "--overwrite", *arguments]
         with self._progress(f"recording {Path(program).name}"):
-            self._recording = subprocess.Popen(  # noqa: S603  the user chose the plan
+            self._recording = subprocess.Popen(  # noqa: S603  the user has chosen the plan
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
             )
             if self._ending:
@@ -248,7 +249,7 @@ class Adapter:
         self._then = partial(self._move, move, "entry", f"running the plan up to step {self._start}")
 
     def _on_disconnect(self, _: Message) -> None:
-        """Do nothing, because the reading thread has ended the plan."""
+        """Do nothing, because the thread that reads requests has already ended the plan."""
 
     def _on_terminate(self, _: Message) -> None:
         self._then = partial(self._event, "terminated")
@@ -312,10 +313,10 @@ class Adapter:
         return {"targets": [{"id": step, "label": f"step {step}", "line": line} for step in found.steps]}
 
     def _on_pause(self, _: Message) -> None:
-        self._session.plan.pause(wanted=False)  # the previous request already reached its stop
+        self._session.plan.pause(wanted=False)  # the previous request has already reported its stop
 
     def _move(self, move: Callable[[], Halt], reason: str, title: str = "") -> None:
-        """Move the plan, and send the position and the reason of the stop to the editor."""
+        """Move the plan; tell the editor the position and the reason of the stop."""
         prompt, before = self._at_prompt, self._session.step
         try:
             with self._progress(title):
@@ -353,7 +354,7 @@ class Adapter:
 
     @contextlib.contextmanager
     def _progress(self, title: str) -> Iterator[None]:
-        """Report a long action to an editor that shows progress."""
+        """If an editor shows progress, report a long action to it."""
         with contextlib.ExitStack() as ending:
             if title and self._client.get("supportsProgressReporting"):
                 number = str(self._sent)
@@ -503,7 +504,7 @@ class Adapter:
         with contextlib.redirect_stdout(printed):
             try:
                 main.call("why", log, [str(self._session.step)])
-            except ReplayError:  # the plan's own code failed outside of all tasks
+            except ReplayError:  # the plan's own code failed, outside of all tasks
                 main.call("why", log, [])
         return {
             "exceptionId": failure.type,
@@ -542,7 +543,7 @@ def _file(arguments: Message) -> str:
 
 
 def _message(reading: BinaryIO) -> Message | None:
-    """Read a message; return None at the end of the input and for other input."""
+    """Read a message; return None at the end of the input, and for input that isn't a message."""
     length = 0
     while (line := reading.readline()).strip():
         name, _, value = line.partition(b":")

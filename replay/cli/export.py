@@ -1,8 +1,8 @@
 """``export``: a recording for Foxglove, its trajectories as a table, or a folder of recordings as a data set.
 
-The table has planned and driven positions of joints over time. Driven positions are the samples of simulations, 30 in a
-simulated second. Velocities of joints come from the engine. A base has no velocities, because it moves from pose to
-pose.
+The table contains planned and driven positions of joints over time. Driven positions are the samples of simulations, 30
+in a simulated second. Velocities of joints come from the engine. Bases have no velocities, because a base moves from
+pose to pose.
 """
 
 from __future__ import annotations
@@ -135,7 +135,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def _camera(frame: str) -> Draw:
-    """Return a function that draws the view from a frame of the robot, by default the camera's frame."""
+    """Return a function that draws the view from a frame of the robot; by default, from the camera's frame."""
     import numpy as np  # noqa: PLC0415  slow to import
 
     from replay.restore.render import DrawnWorld  # noqa: PLC0415  needs an extra
@@ -160,7 +160,7 @@ def _csv(table: Iterable[MotionRow]) -> str:
 
 
 def _write_parquet(table: list[MotionRow], file: str) -> None:
-    import pyarrow as pa  # noqa: PLC0415  this optional package is slow to import
+    import pyarrow as pa  # noqa: PLC0415  imported here: this optional package is slow to import
     from pyarrow import parquet  # noqa: PLC0415
 
     kinds = {str: pa.string(), int: pa.int64()}
@@ -176,14 +176,14 @@ class MotionRow(NamedTuple):
     body: str
     joint: str  # name of a joint, or "x", "y" or "yaw" of the base in the world
     source: str  # "planned" or "driven"
-    time: float  # time on the trajectory in s, which slows down after a stop
-    seconds: float  # simulated time of the world in s; planned positions ignore stops
+    time: float  # time in s on the trajectory; it passes more slowly after a stop
+    seconds: float  # simulated time in s of the world; planned positions don't consider stops
     position: float  # rad or m
     velocity: float | None
 
 
 def motion_rows(log: RecordReader) -> Iterator[MotionRow]:
-    """Yield all rows of a recording: for each trajectory the planned rows, and then the driven rows.
+    """Yield all rows of a recording: for each trajectory first the planned rows, then the driven rows.
 
     Raises:
         Damaged: A record is inconsistent.

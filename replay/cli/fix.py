@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from replay.fix.trials import Trials
 
 _BUDGET: Final = 80
-_MAX_OTHERS: Final = 3  # largest number of candidates with other failures that are listed
+_MAX_OTHERS: Final = 3  # maximum number of candidates with other failures that are listed
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Search for repairs, and print them; Ctrl-C ends the search and prints the repairs that were found."""
+    """Search for repairs, and print them; after Ctrl-C, print the repairs that were found."""
     from replay.fix.last_chance import LastChance, other_choice  # noqa: PLC0415  needs the executor
     from replay.fix.search import SearchResult, search  # noqa: PLC0415  as above
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
@@ -64,7 +64,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _choice(log: Recording, chance: LastChance) -> Iterator[str]:
-    """Yield the fork with another choice that succeeds."""
+    """Yield the command for a fork in which another choice succeeds."""
     if chance.choice:
         yield f"the plan also succeeds with another choice, {chance.choice}:"
         yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}"
@@ -132,7 +132,7 @@ def _lines(trials: Trials, found: SearchResult) -> Iterator[str]:
 
 
 def difference(trials: Trials, text: str) -> Iterator[str]:
-    """Yield the unified diff of an edited plan."""
+    """Yield the differences between a plan and its edited version, as a unified diff."""
     name = trials.program.name
     before, after = trials.text.splitlines(), text.splitlines()
     return difflib.unified_diff(before, after, f"a/{name}", f"b/{name}", lineterm="", n=2)

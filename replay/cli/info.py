@@ -19,8 +19,8 @@ from replay.state.json_data import record_data
 if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
-_MAX_WORLDS: Final = 8  # at most this many worlds are listed
-_DIGITS: Final = 12  # number of shown digits of a commit or hash
+_MAX_WORLDS: Final = 8  # maximum number of worlds that are listed
+_DIGITS: Final = 12  # number of digits of a commit or hash that are shown
 _VERSIONS: Final = ("pycram", "pybullet", "python", "platform")
 
 
@@ -60,7 +60,7 @@ def _data(log: Recording, info: Summary) -> dict[str, object]:
 
 
 def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
-    """Yield names and texts. If a fact isn't recorded, its text is empty."""
+    """Yield the names of facts, and their texts. The text of a fact that isn't recorded is empty."""
     start, metadata = info.start or Run(), info.metadata
     yield "file", f"{log.path} ({f'{info.size / 1e6:.1f} MB' if info.size >= 1e5 else f'{info.size} bytes'})"
     # recordings of older releases have a text of all arguments

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from replay.fix.trials import Trials
 
 _BUDGET: Final = 80
-_MAX_OTHERS: Final = 3  # largest number of listed choices that don't help
+_MAX_OTHERS: Final = 3  # maximum number of choices that don't help and are listed
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -21,11 +21,11 @@ from replay.recording import Recording
 from replay.report import phrases
 from replay.state.json_data import kind_of, mentions, record_data
 
-_POLL_PERIOD: Final = 0.2  # time between reads of a growing recording, s
-_FIELD_WIDTH: Final = 100  # longer values take several lines
-_MAX_IN_LINE: Final = 12  # longer lists of numbers are printed in rows
-_MANY: Final = 100  # longer lists of numbers are shortened
-_ENDS: Final = 18  # a shortened list has this many numbers from both ends
+_POLL_PERIOD: Final = 0.2  # time in s between two reads of a growing recording
+_FIELD_WIDTH: Final = 100  # number of characters above which a value takes several lines
+_MAX_IN_LINE: Final = 12  # number of values above which a list of numbers is printed in rows
+_MANY: Final = 100  # number of values above which a list of numbers is shortened
+_ENDS: Final = 18  # number of values at each end of a shortened list
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -73,10 +73,10 @@ def line_of(text: str) -> tuple[str, int | None]:
 def follow(
     log: Recording, wanted: RecordFilter, start: int, pause: Callable[[], object] | None = None
 ) -> Iterator[tuple[Record, str]]:
-    """Yield matching and new records until the recording is closed or its process ends."""
+    """Yield matching records, also new ones, until the recording is closed or its process ends."""
     wait = pause or (lambda: threading.Event().wait(_POLL_PERIOD))
     while True:
-        live = log.live  # read before the last refresh, so that no record is missed
+        live = log.live  # this is read before the last refresh, so that no record is missed
         log.refresh()
         yield from wanted.matches(log, start, len(log))
         start = len(log)
@@ -91,8 +91,8 @@ def follow(
 class RecordFilter:
     """A selection of records in a recording that may grow."""
 
-    kinds: Collection[str]  # such as "task" and "mutation"; empty for all kinds
-    task: str | None  # id of a task, or part of the name; subtasks match, too
+    kinds: Collection[str]  # kinds of records, such as "task" and "mutation"; empty for all kinds
+    task: str | None  # id of a task, or part of its name; records in its subtasks match, too
     body: str | None  # name of a body that the record mentions
     world: str | None  # name of the record's world
     text: str | None  # part of the record's line, in upper or lower case
@@ -124,7 +124,7 @@ class RecordFilter:
             return False
         file, number = self.where
         stack = [(record.source_file, record.source_line)]  # type: ignore[union-attr]
-        callers = getattr(record, "callers", ())  # records of printed output have no call stack
+        callers = getattr(record, "callers", ())  # records of printed output contain no call stack
         stack += [(caller.file or record.source_file, caller.line) for caller in callers]  # type: ignore[union-attr]
         return any(is_file(path, file) and number in (None, line) for path, line in stack)
 
@@ -213,7 +213,7 @@ def _items(values: list[Plain], indent: str) -> Iterator[str]:
 
 
 def _numbers(texts: list[str]) -> Iterator[str]:
-    """Yield rows of numbers. A long list, such as a trajectory, is shortened to its ends."""
+    """Yield the rows of a list of numbers. Of a long list, such as a trajectory, only both ends are shown."""
     if len(texts) <= _MANY:
         yield from textwrap.wrap(", ".join(texts), _FIELD_WIDTH)
         return
@@ -238,7 +238,7 @@ def run_tree(log: Recording, options: argparse.Namespace) -> int:
     elif options.dot:
         print_text(tree.to_dot(), end="")
     elif options.svg:
-        encoding = sys.stdout.encoding or "ascii"  # non-ASCII characters are written as XML references
+        encoding = sys.stdout.encoding or "ascii"  # characters outside of ASCII are written as XML references
         picture = tree.to_svg(options.depth, whole=options.all).encode(encoding, "xmlcharrefreplace")
         print_text(picture.decode(encoding), end="")
     elif not (tree.roots or tree.output):

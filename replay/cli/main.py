@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
     from replay.runs.folder import Runs
 
-#: The file of a verb is imported when the verb is called, because some verbs need further libraries.
+#: A verb's module is imported only when the verb is called, because some verbs need further libraries.
 VERBS: Final = {
     "info": "summarise a run: plan, time, outcome, worlds, versions",
     "log": "print records as lines",
@@ -58,21 +58,21 @@ VERBS: Final = {
     "stats": "report success rates, causes of failures and slow parts of a folder of recordings",
     "separate": "find facts that separate failed from successful runs in a folder of recordings",
 }
-#: Verbs in the file of another verb. Their functions have names such as ``add_fork`` and ``run_fork``.
+#: Verbs in the file of another verb. The functions of such a verb have names such as ``add_fork`` and ``run_fork``.
 _FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
 _CHEAT: Final = "cheat"  # the only verb without a recording
 _DEBUG: Final = "debug"
 _READ: Final = tuple("info log source show tree state diff blame why check sql stats separate".split())  # noqa: SIM905
-"""Verbs with a pager for their output."""
-_TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs for incomplete recordings
+"""Verbs whose output is shown by a pager."""
+_TAKE_INCOMPLETE: Final = ("debug", "resume")  # verbs that also take incomplete recordings
 _FOLDER: Final = "the folder of recordings"
 _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.fromkeys(
     ("info", "diff", "why", "check", "view", "export"), "the recording, or a folder of recordings"
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
-_PROGRESS_PERIOD: Final = 1.0  # time until the first line of progress, s
-_MAX_SKIPPED: Final = 8  # at most this many skipped files are named
+_PROGRESS_PERIOD: Final = 1.0  # time in s until the first line of progress
+_MAX_SKIPPED: Final = 8  # maximum number of skipped files that are named
 
 
 class Verb(NamedTuple):
@@ -92,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             setattr(sys, name, Path(os.devnull).open(mode, encoding="utf-8"))  # noqa: SIM115  stays open until the process ends
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")  # terminals may lack characters of names
+            stream.reconfigure(errors="backslashreplace")  # terminals may not support all characters of names
     arguments = list(sys.argv[1:] if argv is None else argv)
     code = FINE
     try:
@@ -100,7 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _command(arguments)
     except OSError as error:
         discard(sys.stdout)
-        return _report(str(error), USAGE)  # for example, the disk may be full
+        return _report(str(error), USAGE)  # the disk may be full, for example
     except KeyboardInterrupt:
         return _INTERRUPTED
     return code
@@ -125,7 +125,7 @@ def _command(arguments: list[str]) -> int:
         return _report(f"there is no verb {first!r}; {suggestion(first, (*VERBS, _CHEAT))}", USAGE)
     try:
         options = _parser([first]).parse_args([first, *rest])
-    except SystemExit as end:  # help or an error was printed
+    except SystemExit as end:  # help or an error has been printed
         return FINE if not end.code else USAGE
     if options.verb == _CHEAT:
         from replay.cli.cheat import print_sheet  # noqa: PLC0415  as verbs
@@ -188,7 +188,7 @@ def _verb(name: str) -> Verb:
 
 
 def _examples(verb: str) -> Iterator[tuple[str, str]]:
-    from replay.cli.cheat import examples  # noqa: PLC0415  only help texts need the examples
+    from replay.cli.cheat import examples  # noqa: PLC0415  imported here: only help texts need the examples
 
     return examples(verb)
 
@@ -212,7 +212,7 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         description = f"{text[0].upper()}{text[1:]}."
         examples = functools.partial(_examples, name)
         verb = verbs.add_parser(name, help=text, description=description, examples=examples, completers=completers)
-        count = "?" if name == _DEBUG else None  # an editor may name the recording later
+        count = "?" if name == _DEBUG else None  # an editor may name the recording in a later message
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
             add_cached(
@@ -243,7 +243,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
                 code = _report(str(error), INCOMPLETE if lost else USAGE)
-            except NotInstalled as error:  # some verbs need more extras
+            except NotInstalled as error:  # some verbs need more extras than others
                 code = _report(f"{options.verb}: {error}", USAGE)
             problems = log.problems
     except Unreadable as error:
@@ -252,7 +252,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
         return _report(str(error), USAGE)
     except OSError:
         raise
-    except Exception as error:  # noqa: BLE001  an unexpected exception is a defect of PyCRAM
+    except Exception as error:  # noqa: BLE001  any exception that isn't expected is a defect of PyCRAM
         return _report(_own_error(error), INTERNAL)
     if problems and options.verb not in _TAKE_INCOMPLETE:
         return _report(f"the recording is incomplete: {problems}", code or INCOMPLETE)
@@ -269,7 +269,7 @@ def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
         takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
         return _report(f"{options.log}: {options.verb} takes a single recording; verbs for folders are {takes}", USAGE)
     try:
-        with needed(), opened(options.log) as runs, _paged(options):  # a verb may need further packages
+        with needed(), opened(options.log) as runs, _paged(options):  # the verb may need a package that isn't installed
             code = verb.run_folder(runs, options)
             skipped = runs.skipped
     except NotInstalled as error:
@@ -295,7 +295,7 @@ def opened(path: str) -> Iterator[Runs]:
             print(f"\rpycram-replay: reading recordings: {done} of {of}", end="", file=sys.stderr, flush=True)
 
     with ExitStack() as opening:
-        if Path(path).is_file():  # a recording becomes a folder
+        if Path(path).is_file():  # a single recording becomes a folder of one recording
             path = opening.enter_context(_folder_of(Path(path).absolute()))
         runs = opening.enter_context(Runs(path, progress))
         if shown:
@@ -305,7 +305,7 @@ def opened(path: str) -> Iterator[Runs]:
 
 @contextmanager
 def _folder_of(file: Path) -> Iterator[str]:
-    """Make a folder with this recording and the shared models of its folder."""
+    """Make a folder that contains this recording and the shared models of its folder."""
     import tempfile  # noqa: PLC0415  slow to import
 
     with tempfile.TemporaryDirectory() as folder:

@@ -18,7 +18,7 @@ _BUDGET: Final = 200
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the file, and the limits of the search."""
+    """Add the file of the smaller plan, and the limits of the search."""
     add_output(parser, "file of the smaller plan (default: PLAN_small.py)")
     add_trials(parser, _BUDGET)
 

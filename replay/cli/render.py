@@ -89,7 +89,7 @@ def _saved(picture: Image.Image, given: str | None, name: str, *, several: bool)
 
 
 def _point(text: str | None) -> list[float] | str | None:
-    """Return the point in a text; return other texts unchanged, which are names of objects or sides."""
+    """Return the point that a text describes; return a name of an object or side unchanged."""
     if text is None or not _NUMBERS.fullmatch(text):
         return text
     return numbers(text, "a point X,Y,Z in m, or the name of an object", 3)

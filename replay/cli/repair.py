@@ -64,7 +64,7 @@ def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, 
         ReplayError: The copy can't be written.
     """
     _check(log, target, overwrite=overwrite)
-    part = target.with_name(f"{target.name}.part")  # readers never see an incomplete copy
+    part = target.with_name(f"{target.name}.part")  # readers must never see an incomplete copy
     try:
         with open_output(part) as file:
             result = write(file)

@@ -30,9 +30,9 @@ _FILM_SIZE: Final = (400, 300)
 _SIZE: Final = (640, 480)
 #: Kinds of changes that build the scene.
 _BUILDING: Final = frozenset({"open_world", "close_world", "load_body", "set_gravity", "set_color", "set_robot"})
-_MAX_TASKS: Final = 2000  # largest number of tasks in the timeline
-_MAX_LINES: Final = 1000  # largest number of lines that are shown of a file of the plan
-_MAX_LED: Final = 3  # largest number of steps that are listed at a line
+_MAX_TASKS: Final = 2000  # maximum number of tasks in the timeline
+_MAX_LINES: Final = 1000  # maximum number of lines of a file of the plan that are shown
+_MAX_LED: Final = 3  # maximum number of steps that are listed at a line
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +81,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _film(log: Recording, tree: Tree, end: int) -> list[dict[str, object]]:
-    """Return pictures of the run after changes of the scene; return no pictures if the scene can't be drawn."""
+    """Return pictures of the run after changes of the scene; none if the scene can't be drawn."""
     records = [
         record for record in log.records(Mutation, stop=end + 1) if record.WhichOneof("command") not in _BUILDING
     ]
@@ -134,7 +134,7 @@ def _moments(log: Recording, why: Why) -> list[dict[str, object]]:
 
 def _timeline(roots: Sequence[Node], last: int) -> Iterator[dict[str, object]]:
     """Yield a bar of the timeline for each task, outer tasks first; parallel branches have separate rows."""
-    free: list[int] = []  # the step after which each row is free
+    free: list[int] = []  # the step after which each row of the timeline is free
     pending = [(node, 0) for node in roots]
     count = 0
     while pending and count < _MAX_TASKS:
@@ -157,7 +157,7 @@ def _timeline(roots: Sequence[Node], last: int) -> Iterator[dict[str, object]]:
 
 
 def _files(source: PlanSource, nodes: Sequence[Node]) -> Iterator[dict[str, object]]:
-    """Yield the files of the plan, with the outermost motions, actions and blocks that each line asked for."""
+    """Yield the files of the plan; each line has the outermost motions, actions and blocks that it requested."""
     led: dict[tuple[str, int], list[Node]] = defaultdict(list)
     paths: dict[str, str] = {}
     stacks: dict[int, Sequence[Line]] = {}  # call stacks of tasks by id

@@ -110,7 +110,8 @@ def _plain(step: int, world: BulletWorld, *, exact: bool) -> Plain:
 def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, object]:
     """Return the variables of a session: ``world``, ``robot``, ``objects``, ``log``, ``step``, ``btr`` (queries).
 
-    Each object is also a variable. In its name, underscores replace characters that identifiers can't contain.
+    Each object is also a variable. In the variable's name, underscores replace characters that identifiers can't
+    contain.
     """
     from pycram import bullet_world_reasoning as btr  # noqa: PLC0415  imports the engine
 
@@ -124,7 +125,7 @@ def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, 
 
 
 def run_script(script: Path, variables: Mapping[str, object]) -> int:
-    """Run a Python file as a program with variables. Return its exit code, or 1 after an exception."""
+    """Run a Python file as a program with variables. Return the exit code of the file, or 1 after an exception."""
     before = sys.argv, list(sys.path)
     sys.argv = [str(script)]
     sys.path.insert(0, str(script.parent.resolve()))
@@ -146,7 +147,7 @@ def shell(variables: Mapping[str, object], banner: str) -> None:
     """Run an interactive Python shell until the end of the input, and print the banner on stderr."""
     local = dict(variables)
     if sys.stdin.isatty():
-        with contextlib.suppress(ImportError):  # without readline, lines can't be edited
+        with contextlib.suppress(ImportError):  # readline is imported so that lines can be edited
             import readline  # noqa: PLC0415
             import rlcompleter  # noqa: PLC0415
 
@@ -155,7 +156,7 @@ def shell(variables: Mapping[str, object], banner: str) -> None:
         code.interact(banner, local=local, exitmsg="")
         return
     prompts = getattr(sys, "ps1", None), getattr(sys, "ps2", None)
-    sys.ps1 = sys.ps2 = ""  # prompts would mix with the results
+    sys.ps1 = sys.ps2 = ""  # on stdout, prompts would mix with the results
     try:
         code.interact(banner, local=local, exitmsg="")
     finally:

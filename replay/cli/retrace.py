@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from replay.retrace.retrace import Retracing
 
 AGAIN: Final = "effects outside of the plan's worlds (files, network) happen again"
-_MAX_FIELDS: Final = 4  # at most this many fields are listed
+_MAX_FIELDS: Final = 4  # maximum number of fields that are listed
 _MAX_CALLERS: Final = 4
 
 
@@ -54,7 +54,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Retrace the recordings one after another, and return the highest exit code."""
+    """Retrace the recordings one after the other; return the highest exit code."""
     results: list[dict[str, object]] = []
     code = _retrace(log, options, results)
     for name in options.more:
@@ -102,7 +102,7 @@ def _facts(result: Retracing) -> dict[str, object]:
 
 
 def _lines(result: Retracing, of: str) -> Iterator[str]:
-    """Yield the result as text. The plan's name follows ``of``."""
+    """Yield the result as text. In the text, the name of the plan follows ``of``."""
     difference = result.difference
     of += phrases.path(str(result.plan))
     if difference is None:
@@ -121,7 +121,7 @@ def _lines(result: Retracing, of: str) -> Iterator[str]:
 
 
 def _short(line: str) -> tuple[str, str]:
-    """Return a line of the plan, and the same line with a relative path."""
+    """Return a line of the plan; its path is relative if possible."""
     file, _, number = line.rpartition(":")
     return (line, f"{phrases.path(file)}:{number}") if file else ("\0", "")
 

@@ -83,7 +83,7 @@ def _lines(runs: Runs, found: Separation, shown: tuple[Claim, ...]) -> Iterator[
 
 
 def sentence(claim: Claim, found: Separation) -> str:
-    """Return a claim in words: "arm=right at pick-up(spoon): 31 of 33 failures, 4 of 467 successes"."""
+    """Return a claim as text: "arm=right at pick-up(spoon): 31 of 33 failures, 4 of 467 successes"."""
     fact = claim.fact
     return f"{fact.text}: {fact.failed} of {found.failures} failures, {fact.succeeded} of {found.successes} successes"
 

@@ -10,7 +10,7 @@ from replay.errors import NoSuchName, ReplayError
 from replay.history.source import name_of
 from replay.recording import Recording
 
-_SHORT = 8  # number of printed digits of a hash
+_SHORT = 8  # number of digits of a hash that are printed
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -45,9 +45,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _find(keys: list[str], name: str) -> str:
-    """Return the key of an attached file by name. ``HASH/FILE`` distinguishes files with the same name."""
+    """Return the key of an attached file by name. ``HASH/FILE`` selects one of several files with the same name."""
     digits, _, file = name.rpartition("/")
-    if digits.strip("0123456789abcdef"):  # the text before "/" is a folder instead of a hash
+    if digits.strip("0123456789abcdef"):  # the text before "/" may be a folder, and not a hash
         digits = ""
     fitting = [key for key in keys if name_of(key) == file and key.startswith(digits)]
     if not fitting:
@@ -59,8 +59,8 @@ def _find(keys: list[str], name: str) -> str:
 
 
 def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
-    """Write attached files, and return their paths. Files with the same name get their hash as a prefix."""
-    # names from an untrusted recording could control the terminal that lists the folder
+    """Write attached files, and return their paths. Files with the same name get their hashes as prefixes."""
+    # names in a recording of a stranger could control the terminal that lists the folder
     names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
     written = []
     for key, name in zip(keys, names, strict=True):
@@ -68,7 +68,7 @@ def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> lis
         file = target / (f"{key[:_SHORT]}_{name}" if shared else name) if whole or target.is_dir() else target
         try:
             file.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("xb") as output:  # never replace a file of the user
+            with file.open("xb") as output:  # no file of the user may be replaced
                 output.write(log.assets[key])
         except OSError as error:
             raise ReplayError(f"{file}: {error.strerror or error}") from error

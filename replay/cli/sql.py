@@ -17,7 +17,7 @@ from replay.runs.schema import RUN, TABLES
 if TYPE_CHECKING:
     from replay.runs.folder import Answer, Runs
 
-_WIDEST: Final = 60  # cells with more characters are shortened
+_WIDEST: Final = 60  # number of characters above which a cell is shortened
 
 
 def add(parser: argparse.ArgumentParser) -> None:

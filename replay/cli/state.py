@@ -97,7 +97,7 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
 
 
 def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
-    """Yield the beliefs of robots about objects, and the distance of each belief from the true position."""
+    """Yield the beliefs of robots about objects, and how far the object is from the believed position."""
     for belief in reversed(world.believed()):
         if {belief.robot, belief.object}.isdisjoint(shown):
             continue

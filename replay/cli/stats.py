@@ -34,9 +34,9 @@ _MAX_SLOW: Final = 5
 _SIZE: Final = (320, 240)
 _COLUMNS: Final = 4
 _MAX_PICTURES: Final = 12
-_CAPTION: Final = 34  # height of a caption in pixels
-_LETTERS: Final = 52  # a line of a caption has at most this many letters
-_PICTURES: Final = 8  # at most this many causes have a picture
+_CAPTION: Final = 34  # height in pixels of a caption
+_LETTERS: Final = 52  # maximum number of letters in a line of a caption
+_PICTURES: Final = 8  # maximum number of causes that have a picture
 _CLAIMS: Final = 10
 
 
@@ -69,7 +69,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
 
 
 def data(stats: Statistics) -> dict[str, object]:
-    """Return statistics as JSON data, with the intervals of rates."""
+    """Return statistics as JSON data; rates have their intervals."""
     facts = dataclasses.asdict(stats)
     facts["success"] |= {"interval": stats.success.interval}
     facts["parameters"] = {
@@ -129,7 +129,7 @@ def _slow(title: str, slow: Sequence[Slow]) -> Iterator[str]:
 
 
 def html_report(folder: Path, stats: Statistics, found: Separation, file: Path) -> str:
-    """Return the page of the report. Links are relative to ``file``, the path of the report."""
+    """Return the page of the report. Links in the page are relative to the report's path ``file``."""
     links = quote(os.path.relpath(folder.resolve(), file.resolve().parent))
     success, left_out = stats.success, [f"{count} of plan {plan}" for plan, count in stats.others]
     left_out += [f"{each.name} ({each.reason})" for each in stats.skipped]
@@ -219,7 +219,7 @@ def _slow_rows(folder: Path, slow: Sequence[Slow]) -> Iterator[Sequence[object]]
 
 
 def _cell(text: object, value: float | None = None) -> dict[str, object]:
-    """Return a cell of a column that is sorted by numbers."""
+    """Return a cell of a table's column that is sorted by numbers."""
     return {"text": text, "value": text if value is None else value}
 
 
@@ -228,11 +228,11 @@ def _command(verb: str, *files: Path) -> str:
 
 
 def picture(folder: Path, run: str, step: int | None) -> Image.Image | None:
-    """Return a picture of a run at a step, by default at the end. Return None if no picture can be drawn."""
+    """Return a picture of a run at a step, by default at the end. If no picture can be drawn, return None."""
     with Recording(folder / run) as log:
         try:
             return log.render(log.final_step() if step is None else step, size=_SIZE)
-        except ReplayError:  # the step has no open world, or the recording lacks a model
+        except ReplayError:  # no world is open at the step, or the recording lacks a model
             return None
 
 
@@ -265,7 +265,7 @@ def png(image: Image.Image) -> bytes:
 
 
 def _pictured(causes: tuple[FailureCause, ...]) -> Iterator[tuple[FailureCause, str, int | None]]:
-    """Yield the failures with a picture: the first failure of each cause, then the second failures, and so on."""
+    """Yield the failures that get a picture: first one of each cause, then the second of each cause, and so on."""
     shown = 0
     for at in range(_MAX_PICTURES):
         for cause in causes:

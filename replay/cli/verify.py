@@ -17,7 +17,7 @@ from replay.recording import Recording
 from replay.report.phrases import plural
 from replay.state.integrity import Deviation, Verification, verify_static
 
-_PERIOD: Final = 0.2  # time between messages of progress, s
+_PERIOD: Final = 0.2  # time in s between two messages of progress
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from recorder.geometry import Vector
     from replay.runs.folder import Runs
 
-_MAX_BESIDE: Final = 3  # five or more recordings side by side would be too small
+_MAX_BESIDE: Final = 3  # with five or more recordings side by side, each would be too small
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +40,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def imagined(log: Recording) -> list[Path]:
-    """Return the recordings of a run's projections in the folder of its recording, in the order of the projections.
+    """Return the recordings of a run's projections from the folder of its recording, in the order of the projections.
 
     Raises:
         ReplayError: There is no recording of a projection.

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from replay.origins.origin import Origins
     from replay.runs.folder import Runs
 
-_COMMONEST: Final = 3  # at most this many causes of a folder are explained
+_COMMONEST: Final = 3  # maximum number of causes that are explained for a folder
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -81,7 +81,7 @@ def _proven(log: Recording, why: Why, options: argparse.Namespace) -> Why:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print the most frequent causes of failures in a folder, with an explanation of the first run of each cause."""
+    """Print the most frequent causes of failures in a folder; for each, explain its first run."""
     from replay.runs.statistics import statistics  # noqa: PLC0415  needs an extra
 
     if options.step or options.pictures or options.origins or options.prove:
@@ -134,6 +134,6 @@ def _pictures(log: Recording, why: Why, folder: str | None) -> tuple[int, list[s
         from replay.restore.render import write_pictures  # noqa: PLC0415
 
         return FINE, [str(path) for path in write_pictures(log, why, Path(folder))]
-    except (ReplayError, ModuleNotFoundError) as error:  # the explanation is printed without pictures
+    except (ReplayError, ModuleNotFoundError) as error:  # if pictures fail, the explanation is printed without them
         print_message(f"no pictures: {format_error(error)}")
         return INCOMPLETE if isinstance(error, Damaged) else USAGE, []

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class NoQuantity(ReplayError):
-    """An expression has no value in any recorded state, for example because of an unknown name."""
+    """An expression has no value in any recorded state, for example because a name is unknown."""
 
     def __init__(self, expression: str, cause: str) -> None:
         super().__init__(f"{expression}: {cause}")
@@ -26,7 +26,7 @@ class NoQuantity(ReplayError):
 
 
 class ValueChange(NamedTuple):
-    """A change of an expression's value at a step."""
+    """The change of an expression's value at a step."""
 
     step: int
     before: object
@@ -36,7 +36,7 @@ class ValueChange(NamedTuple):
 def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
     """Return the changes of an expression's value in a recording (:mod:`recorder.properties.expressions`).
 
-    Before an object is loaded, and after it is removed, values are None.
+    Values are None before an object is loaded, and after it is removed.
 
     Raises:
         NoQuantity: The expression has no value at any step.
@@ -77,7 +77,7 @@ def _differ(before: object, after: object) -> bool:
 
 
 def quantity_names(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield the names for completion of an expression at a step."""
+    """Yield the names that may complete an expression at a step."""
     state = state_at(log, step)
     yield from (f"{each}(" for each in ("holding", "distance", "upright"))
     for world in state.worlds.values():

@@ -1,8 +1,8 @@
 """A recorded plan that runs again, and stops at a step. The plan moves from step to step, forwards and back.
 
-A single process of the plan is stopped or runs. Other processes are copies that wait at earlier steps. A waiting copy
-is the parent of the process that continues from the copy. So all processes descend from the first process, and end with
-it. The first process ends with this process.
+At any moment, one process of the plan is stopped or runs. Other processes are copies that wait at earlier steps. The
+copy from which a process continues is the parent of this process. All processes are therefore descendants of the first
+process, and end with it. The first process ends with this process.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from replay.errors import Damaged, ReplayError
 from replay.retrace.plan_process import FirstDifference, PlanProcess
 from replay.retrace.retrace import likely_reasons
 
-_MAX_WAITING: Final = 64  # largest number of waiting copies
-_SHOWN: Final = 2000  # this many last characters on stderr of an ended process are shown
-_POLL: Final = 0.2  # s between checks for Ctrl-C and for the end of the process
-_PARTS: Final = 40  # copies divide a run into this many parts
-_SHORTEST: Final = 50_000_000  # shortest duration of a part in ns
-_FINEST: Final = 4  # on the way back, a new copy is at least this many steps before the target
+_MAX_WAITING: Final = 64  # maximum number of waiting copies
+_SHOWN: Final = 2000  # number of last characters on stderr of an ended process that are shown
+_POLL: Final = 0.2  # time in s between checks for Ctrl-C and for the end of the process
+_PARTS: Final = 40  # number of parts into which copies divide a run
+_SHORTEST: Final = 50_000_000  # minimum duration of a part in ns
+_FINEST: Final = 4  # minimum number of steps between a new copy and the target, on the way back
 
 
 class PlanEnded(ReplayError):
@@ -38,11 +38,11 @@ class PlanEnded(ReplayError):
 
     def __init__(self, printed: str) -> None:
         super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
-        self.printed = printed  # last text of the process on stderr
+        self.printed = printed  # last text that the process wrote to stderr
 
 
 class EndedByInterrupt(Exception):
-    """Ctrl-C was pressed twice, which ended the running process."""
+    """Ctrl-C was pressed twice, and ended the running process."""
 
 
 class PlanInterrupted(ReplayError):
@@ -51,26 +51,26 @@ class PlanInterrupted(ReplayError):
     def __init__(self, step: int) -> None:
         where = f"it is at step {step} again" if step >= 0 else "it is at no step"
         super().__init__(f"the plan reached no other step; {where}")
-        self.step = step  # the plan's step; -1 before the first step
+        self.step = step  # the plan's step; -1 if it is before its first step
 
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """The step at which a plan has stopped, and the reason for stopping."""
+    """The step at which a plan has stopped, and why it has stopped."""
 
     step: int  # the last recorded step that the plan has made
     #: "step" (the target), "watch" (a watched value has changed), "interrupted" (Ctrl-C), or "parted" (the next record
     #: differs from the recorded record).
     reason: str = "step"
-    text: str = ""  # the difference from the recording in words
+    text: str = ""  # text of the difference from the recording
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)  # step, watch's index, values before, after
 
 
 class GuidedPlan:
-    """A recorded plan, at a step.
+    """A recorded plan that runs again, and is at a step.
 
     With ``checkpoints``, copies of the process wait at some steps. Without copies, the plan runs again from its start
-    to go back.
+    when it must go back.
 
     Raises:
         Damaged: The beginning of the recording is lost.
@@ -78,13 +78,13 @@ class GuidedPlan:
 
     def __init__(self, process: PlanProcess, *, checkpoints: bool = True) -> None:
         log = process.log
-        self.recorded_files = process.recorded_files  # the recorded source by path, if it runs
+        self.recorded_files = process.recorded_files  # the recorded source by path, if the plan runs from it
         self.notes = tuple(process.notes())  # differences from the recorded conditions
-        self.step = -1  # last recorded step of the plan; -1 before the first step
+        self.step = -1  # last step that the recorded plan made; -1 before the first step
         self.last = len(log) - 1  # last step that the plan can reach
         self.parted = ""  # first difference from the recording, and its possible causes outside of the plan
         self._log = log
-        log.check_file()  # after the check, all losses of the recording are known
+        log.check_file()  # after this check, all losses of the recording are known
         gap = next(iter(log.lost()), None)
         if gap is not None:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
@@ -105,11 +105,11 @@ class GuidedPlan:
         self._copies.close()
 
     def pause(self, *, wanted: bool) -> None:
-        """Stop the plan from another thread, as Ctrl-C does. ``wanted=False`` withdraws the request."""
+        """Stop the plan from another thread, as Ctrl-C does. ``wanted=False`` withdraws an earlier request."""
         self._copies.pause_wanted = wanted
 
     def kill(self) -> None:
-        """End the plan from another thread. From then on, :meth:`go` raises `PlanEnded`."""
+        """End the plan from another thread. After that, :meth:`go` raises `PlanEnded`."""
         self._copies.killed = True
 
     @property
@@ -126,13 +126,13 @@ class GuidedPlan:
         """Move the plan to a step, forwards or back.
 
         With watched expressions, the plan continues from its present step, and stops when a value changes. With
-        ``through``, the plan doesn't stop at such changes, but notes them until the step.
+        ``through``, the plan doesn't stop at such changes, but collects them until the step.
 
         Raises:
             PlanEnded: The process ended before the step, so the plan is at no step.
-            PlanInterrupted: The user pressed Ctrl-C twice before the plan reached a step. The plan is at its previous
-                step.
-            ReplayError: The first record differs, so this is another plan.
+            PlanInterrupted: The user pressed Ctrl-C twice before the plan reached a step. After that, the plan is at
+                its previous step.
+            ReplayError: The first record already differs, so this is another plan.
         """
         copies = self._copies
         if copies.now is None and watched:
@@ -190,7 +190,7 @@ class GuidedPlan:
         """Send a question to the stopped plan (:class:`replay.debug.stopped_plan.StoppingSink`).
 
         Raises:
-            PlanEnded: its process has ended.
+            PlanEnded: the plan's process has ended.
             ReplayError: The question has no answer.
             KeyboardInterrupt: the user pressed Ctrl-C; nothing has changed.
         """
@@ -201,7 +201,7 @@ class GuidedPlan:
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
-    """Yield steps between two steps. Each step halves the remaining distance."""
+    """Yield steps between two steps. Each of them halves the remaining distance."""
     while step - start >= _FINEST:
         start += (step - start) // 2
         yield start
@@ -214,27 +214,27 @@ def _halving(start: int, step: int) -> Iterator[int]:
 class PlanCopy:
     """A process of the plan at a step."""
 
-    channel: Channel  # connection to the process
+    channel: Channel  # connection to this process
     pid: int
-    parent: PlanCopy | None  # the copy that forked the process; None for the first process
+    parent: PlanCopy | None  # the copy from which this process was forked; None for the first process
     step: int = -1  # last known step of the process
     parted: bool = False  # whether the next record differs from the recorded record
-    can_wait: bool = False  # whether the process can be copied at this step
-    between: bool = False  # whether the process has stopped between the step's record and the next record
+    can_wait: bool = False  # whether a copy of the process can be made at this step
+    between: bool = False  # whether the process has stopped after a step's record, before the next record
 
 
 class PlanCopies:
-    """The processes of a plan, with a copy every ``spacing`` ns of the recording, or without copies (None)."""
+    """The processes of a plan; copies are ``spacing`` ns of the recording apart; None for no copies."""
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[PlanCopy] = []  # waiting copies, each after its parent
-        self.now: PlanCopy | None = None  # the stopped process, which may be a waiting copy; None while a process runs
-        self.runs = 0  # number of starts of the first process
+        self.now: PlanCopy | None = None  # the stopped process, which may be a waiting copy; None while the plan runs
+        self.runs = 0  # number of times that the first process was started
         self._process = process
         self._spacing = spacing
         self._root: subprocess.Popen[bytes] | None = None
         self._ending = False
-        self._interrupts = 0  # number of Ctrl-C since the last message to the plan
+        self._interrupts = 0  # number of times that Ctrl-C was pressed since the last message to the plan
         self.pause_wanted = False  # whether another thread wants the plan to stop
         self.killed = False  # whether another thread wants the plan to end
         with ExitStack() as undoing:
@@ -256,7 +256,7 @@ class PlanCopies:
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def start(self) -> Message:
-        """Run the plan from its start to its first record, and return the process's message about the stop."""
+        """Run the plan from its start to its first record; return the message of its process about the stop."""
         self.end_all()
         self.runs += 1
         folder = Path(self._folder) / f"run-{self.runs}"
@@ -314,7 +314,7 @@ class PlanCopies:
 
     @contextmanager
     def _noting_interrupts(self) -> Iterator[None]:
-        """Count Ctrl-C in a block, so that no KeyboardInterrupt comes between a message and its answer."""
+        """Count Ctrl-C in the ``with`` block, so that no KeyboardInterrupt separates a message from its answer."""
         self._interrupts = 0
         if threading.current_thread() is not threading.main_thread():
             yield
@@ -358,13 +358,13 @@ class PlanCopies:
                 if not passed_on:
                     passed_on = True
                     running.channel.send({"do": "interrupt"})
-                # a process without records reads no message, so it gets signals; it ignores early signals
+                # a process that makes no records reads no messages, so it gets signals; it ignores early signals
                 with suppress(ProcessLookupError):
                     os.kill(running.pid, PAUSE)
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
         """Accept the child that continues from a copy."""
-        if running is not None:  # the parent process reports that it waits
+        if running is not None:  # the parent process then sends the message that it waits
             message = _received(running.channel)
             if message is None:
                 self._lost(running)
@@ -390,7 +390,7 @@ class PlanCopies:
         return self._errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
 
     def end(self, copy: PlanCopy | None) -> None:
-        """End a process without children. The end of the first process ends all processes."""
+        """End a process that has no children. The end of the first process ends all processes."""
         if copy is None or copy.parent is None:
             self.end_all()
             return
@@ -414,7 +414,7 @@ class PlanCopies:
         self.waiting.clear()
 
     def thin_out(self, step: int) -> None:
-        """If there are too many waiting copies, end the copies that are farthest from a step."""
+        """If too many copies wait, end those that are farthest from a step."""
         while len(self.waiting) > _MAX_WAITING:
             parents = {each.parent for each in (*self.waiting, self.now) if each is not None}
             ends = [each for each in self.waiting if each not in parents and each is not self.now]
@@ -426,7 +426,7 @@ class PlanCopies:
 
 
 def _received(channel: Channel) -> Message | None:
-    """Return the next message. Skip answers to late interrupts."""
+    """Return the next message. Answers to late interrupts are skipped."""
     while True:
         message = channel.receive()
         if message is None or "interrupt" not in message:

@@ -1,8 +1,9 @@
-"""A session of the debugger: a guided plan, its breakpoints, and the targets of commands.
+"""A session of the debugger: a guided plan, its breakpoints, and the steps to which commands lead.
 
 The steps of a breakpoint are read from the recording when it is set. But a watch on the plan's own variables has no
-steps: recordings don't contain variables, so the plan must run. The level of a step is the innermost task that encloses
-it; the start and the end of a task are on the level around it. So ``next`` goes from the start of a task to its end.
+steps: recordings don't contain variables, so the plan must run. The level of a step is the innermost task around it;
+    the start and the end of a task itself are on the level outside. Therefore ``next`` goes from the start of a task to
+    its end.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     from replay.debug.guided_plan import Arrival, GuidedPlan
     from replay.recording import Recording
 
-Site: TypeAlias = "tuple[str, int]"  # a file and a line number
+Site: TypeAlias = "tuple[str, int]"  # a file, and the number of a line
 _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
@@ -41,11 +42,11 @@ class NoFurther(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """The step at which the plan has stopped, and the breakpoints that stopped it."""
+    """The step at which the plan has stopped, and the breakpoints that stopped it there."""
 
     arrival: Arrival
-    met: list[Breakpoint] = field(default_factory=list)  # breakpoints at the step
-    #: Values of watched variables before and after the step, by number of the watch.
+    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints at that step
+    #: Values of watched variables before and after the step, by the watch's number.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
 
@@ -112,7 +113,7 @@ class Session:
     # --- from step to step ------------------------------------------------------------------------------------------
 
     def forward(self, target: int | None = None) -> Halt:
-        """Continue to a step, by default the last step, or to the first breakpoint before it.
+        """Continue to a step (by default the last), or to the first breakpoint before it.
 
         Raises:
             NoFurther: The plan is at the last step that it can reach.
@@ -126,7 +127,7 @@ class Session:
         return self._halted(self.plan.go(min([goal, *hits]), watched), enabled)
 
     def back(self, target: int = 0) -> Halt:
-        """Go back to a step, by default the first step, or to the last breakpoint after it.
+        """Go back to a step (by default the first), or to the last breakpoint after it.
 
         Raises:
             NoFurther: The plan is at the first step.
@@ -178,7 +179,7 @@ class Session:
     ) -> tuple[int, dict[int, tuple[str, str]]]:
         """Return the last step between two steps at which a watched value changed, and the changes there by index.
 
-        If no value changed, the step is ``after``. The plan runs from the nearest waiting copy, then from earlier
+        If no value changed, return the step ``after``. The plan runs from the nearest waiting copy, then from earlier
         copies.
         """
         end = before - 1
@@ -213,9 +214,9 @@ class Timeline:
     def __init__(self, log: RecordReader) -> None:
         self.steps = len(log)  # number of steps
         self.paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by step of the start
-        self.kinds: dict[int, str] = {}  # kinds of tasks by step of the start
+        self.kinds: dict[int, str] = {}  # kinds of tasks, by the step of the start
         self.failures: list[int] = []  # steps with a failure
-        self.events: dict[str, list[int]] = defaultdict(list)  # steps of events by name
+        self.events: dict[str, list[int]] = defaultdict(list)  # steps of events, by name
         self._levels = [0] * self.steps
         self._starts: dict[int, int] = {}
         self._parents: dict[int, int] = {}
@@ -224,7 +225,7 @@ class Timeline:
         self._stacks: list[tuple[Site, ...]] = [()] * self.steps
         self._lines: dict[Site, list[int]] = defaultdict(list)
         task_stacks: dict[int, tuple[Site, ...]] = {}
-        latest: dict[str, tuple[Site, ...]] = {}  # call stacks of the latest records by thread or branch
+        latest: dict[str, tuple[Site, ...]] = {}  # call stacks of the latest records, by thread or branch
         for record in log.records():
             self._note(record)
             own = _own_stack(record)
@@ -313,8 +314,8 @@ class Timeline:
     def line(self, file: str, number: int) -> tuple[int, list[int]]:
         """Return the first line, from a given line on, that made a record, and the steps at which the plan reached it.
 
-        Each execution of the line counts once, at its first record. Repeated calls in one line count once if no other
-        line made a record between them.
+        Each execution of the line counts once: its first record is used. Repeated calls in one line count once if no
+        other line made a record between them.
         """
         numbers = sorted(line for named, line in self._lines if named == file)
         at = bisect_left(numbers, number)
@@ -346,25 +347,25 @@ class NoSuchPlace(ReplayError, LookupError):
 
     def __init__(self, place: str, cause: str) -> None:
         super().__init__(f"{place}: {cause}")
-        self.place = place  # text of the place from the user
+        self.place = place  # text of the place, as the user wrote it
 
 
 @dataclass(slots=True)
 class Breakpoint:
     """A breakpoint, or a watch."""
 
-    number: int  # number of the breakpoint in commands, from 1
+    number: int  # number of the breakpoint, which commands use; it starts at 1
     text: str  # description of the breakpoint for the user
     steps: list[int] = field(default_factory=list)  # sorted steps at which the breakpoint stops the plan
-    temporary: bool = False  # whether the breakpoint is removed after its first stop
+    temporary: bool = False  # whether the breakpoint is removed when it has stopped the plan
     enabled: bool = True  # whether the breakpoint is switched on
-    line: tuple[str, int] | None = None  # for a breakpoint at a line of the plan: its file and number
+    line: tuple[str, int] | None = None  # for a breakpoint at a line of the plan: its file and line number
     changes: dict[int, ValueChange] = field(default_factory=dict)  # for a watch on recorded states: the changes by step
     watched: WatchedExpression | None = None  # for a watch on the plan's variables: the expression
 
     @property
     def counted(self) -> str:
-        """The steps of the breakpoint in words."""
+        """The text of the breakpoint's steps."""
         if self.watched is not None:
             return "the plan must run to find its changes"
         count = len(self.steps)
@@ -373,7 +374,7 @@ class Breakpoint:
 
 
 def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -> Breakpoint:
-    """Return a breakpoint: at a step, ``failure``, ``event [NAME]``, FILE:LINE, or tasks by path or kind.
+    """Return a breakpoint at a step, ``failure``, ``event [NAME]``, FILE:LINE, or tasks by path or kind.
 
     Raises:
         NoSuchPlace: the recording doesn't have this place.

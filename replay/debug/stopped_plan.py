@@ -1,7 +1,7 @@
 """The process of a debugged plan: it compares each record with the recorded record, and stops the plan at a step.
 
-While the plan is stopped, its process answers messages from the prompt, which are JSON on a socket. When the
-plan continues, either the process continues, or a forked child continues and the process stays for later.
+While the plan is stopped, its process answers messages from the prompt, which are JSON on a socket. When the plan
+continues, its process continues, or a forked child continues and the process waits as a copy.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from replay.retrace.plan_process import FirstDifference, Guidance
 
 Message: TypeAlias = "dict[str, Any]"
 
-PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems with fork have SIGURG
-"""This signal stops a plan without records, which reads no messages. Without a handler, it is ignored."""
+PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have SIGURG
+"""This signal stops a plan without records, which reads no messages. Without a handler, the signal is ignored."""
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # types of a module's imports and definitions
-_MAX_NAMES: Final = 200  # largest number of completions of a text
+_MAX_NAMES: Final = 200  # maximum number of completions of a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
 _NS: Final = 10**9
 
@@ -57,8 +57,8 @@ class Channel(Connection):
     """One end of a connection."""
 
     def send(self, message: Message) -> None:
-        """Send a message unless the other end is closed."""
-        with suppress(OSError):  # then the next receive() returns None
+        """Send a message, if the other end isn't closed."""
+        with suppress(OSError):  # after that, receive() returns None
             self.send_bytes(json.dumps(message).encode())
 
     def receive(self) -> Message | None:
@@ -80,7 +80,7 @@ class PlanFrame(NamedTuple):
     line: int
 
     def facts(self, moved: tuple[str, str] | None) -> dict[str, object]:
-        """Return file, line, function and its first line. The path is in the plan's own folder."""
+        """Return file, line, function and its first line. The path of the file is in the plan's own folder."""
         code = self.frame.f_code
         return {
             "file": code.co_filename.replace(*moved or ("", "")),
@@ -91,10 +91,10 @@ class PlanFrame(NamedTuple):
 
 
 def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool) -> list[PlanFrame]:
-    """Return the plan's frames, innermost first. Frames that wait for a branch come after the branch.
+    """Return the plan's frames, innermost first. Frames that wait for a branch come after the frames of the branch.
 
-    ``parents`` has the id of each task's parent. With ``failing``, the frames through which an error has passed come
-    first.
+    ``parents`` contains the id of each task's parent. With ``failing``, the frames through which an error has passed
+    come first.
     """
     own = [PlanFrame(each, each.f_lineno) for each in plan_frames(frame)]
     error = sys.exception() if failing else None
@@ -109,7 +109,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
         task = context.get(journal.current_task)
         waiting[task.id if task is not None else 0] = suspended
     number: int | None = journal.task_id()
-    while number is not None:  # 0 means outside of tasks
+    while number is not None:  # 0 stands for code outside of tasks
         number = parents.get(number)
         if number in waiting:
             own += [PlanFrame(each, each.f_lineno) for each in plan_frames(waiting[number])]
@@ -117,7 +117,7 @@ def stack(frame: FrameType | None, parents: Mapping[int, int], *, failing: bool)
 
 
 def variables(frame: FrameType, *, arguments: bool = False) -> list[dict[str, str | int]]:
-    """Return the variables of a frame without definitions of a module, or only the ``arguments``."""
+    """Return the variables of a frame, except definitions of a module; or only the ``arguments``."""
     values = dict(frame.f_locals)
     if arguments:
         info = inspect.getargvalues(frame)
@@ -144,7 +144,7 @@ def parts(frame: FrameType, expression: str) -> list[dict[str, str | int]]:
 
 def _described(name: str, expression: str, value: object) -> dict[str, str | int]:
     count = 0
-    if not is_future(value):  # isinstance() would wait for the result
+    if not is_future(value):  # isinstance() would wait for a future's result
         count = len(value) if isinstance(value, dict | list | tuple) else len(_attributes(value))
     kind = type(value).__name__
     return {"name": name, "value": _repr(value), "type": kind, "expression": expression, "parts": count}
@@ -164,7 +164,7 @@ def evaluate(frame: FrameType, expression: str, *, pretty: bool = False) -> dict
         try:
             value = value_of(frame, expression)
             answer["value"] = pprint.pformat(value) if pretty else repr(value)
-        except BaseException as error:  # noqa: BLE001  the user's expression may raise any error
+        except BaseException as error:  # noqa: BLE001  an expression of the user may raise any error
             answer["error"] = format_error(error)
     return {**answer, "printed": printed.getvalue()}
 
@@ -189,21 +189,21 @@ def _repr(value: object) -> str:
 
 
 class PausableClock:
-    """Replaces Python's clocks. The clocks stop with the plan, so that no deadline passes at the prompt."""
+    """Replaces Python's clocks. The clocks stop with the plan, so that no deadline passes while the prompt waits."""
 
     def __init__(self) -> None:
         self._now_ns = time.monotonic_ns
         self._paused_ns = 0
 
     def install(self) -> None:
-        """Replace the functions of ``time``."""
+        """Replace the functions of the module ``time``."""
         for name in _CLOCKS:
             setattr(time, f"{name}_ns", self._without(getattr(time, f"{name}_ns")))
             setattr(time, name, self._in_seconds(getattr(time, name)))
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Stop the clocks in a block, even if a forked child leaves the block."""
+        """Stop the clocks in the ``with`` block, even if a forked child leaves the block."""
         since = self._now_ns()
         try:
             yield
@@ -224,7 +224,7 @@ def _refuse(error: Exception) -> NoReturn:
 
 
 def _can_be_copied() -> bool:
-    """Return whether a copy would behave like this process. A copy has neither threads nor child processes."""
+    """Return whether a copy would behave like this process. Copies have neither threads nor child processes."""
     return not obstacle() and not has_children()
 
 
@@ -233,11 +233,11 @@ class WatchedExpression:
     """An expression that is watched while a function of the plan runs."""
 
     expression: str
-    file: str  # file of the function
-    first: int  # number of the function's first line
+    file: str  # file that contains the function
+    first: int  # number of the first line of the function
 
     def value(self, frames: list[PlanFrame]) -> str | None:
-        """Return the value as text; None outside of the function or without a value."""
+        """Return the value as text; None outside of the function, or if there is no value."""
         function = (self.file, self.first)
         codes = ((each.frame, each.frame.f_code) for each in frames)
         frame = next((one for one, code in codes if (code.co_filename, code.co_firstlineno) == function), None)
@@ -246,18 +246,18 @@ class WatchedExpression:
 
 @dataclass(slots=True)
 class StopConditions:
-    """The conditions that stop a continuing plan."""
+    """The conditions that stop a plan when it continues."""
 
     until: int  # step at which the plan stops
-    checkpoints: frozenset[int] = frozenset()  # steps at which a copy stays
-    watched: tuple[WatchedExpression, ...] = ()  # a change of any value stops the plan
-    through: bool = False  # whether changes are noted without stopping the plan
-    #: Step, index in ``watched``, value before, value after.
+    checkpoints: frozenset[int] = frozenset()  # steps at which a copy is left
+    watched: tuple[WatchedExpression, ...] = ()  # watched expressions; a change of any value stops the plan
+    through: bool = False  # whether changes are collected without stopping the plan
+    #: For each change: step, index in ``watched``, value before, value after.
     changes: list[tuple[int, int, str, str]] = field(default_factory=list)
 
     @classmethod
     def of(cls, message: Message, moved: tuple[str, str] | None) -> StopConditions:
-        """Return the conditions in a message. Files in the message are relative to the plan's own folder."""
+        """Return the conditions that a message contains. Files in the message are relative to the plan's own folder."""
         new, old = moved or ("", "")
         watched = tuple(
             WatchedExpression(expression, file.replace(old, new), first)
@@ -269,9 +269,9 @@ class StopConditions:
 class StoppingSink(NullSink):
     """A sink that stops a guided run, after :attr:`guided` has compared the record.
 
-    The socket of the prompt has the ``address``. The clock pauses while the plan is stopped. The plan stops for the
-    first time at the step ``until``. ``spacing`` is the time between checkpoints in ns of the recording; None without
-    checkpoints.
+    The prompt listens at the socket with the ``address``. While the plan is stopped, the clock stands still. The plan
+    stops for the first time at the step ``until``. ``spacing`` is the time between checkpoints, in ns of the recording;
+    None without checkpoints.
     """
 
     def __init__(
@@ -290,7 +290,7 @@ class StoppingSink(NullSink):
         self._values: list[str | None] = []
         self._failing = False
         self._step = -1
-        self._frame: FrameType | None = None  # the frame that made the record, while the plan is stopped
+        self._frame: FrameType | None = None  # while the plan is stopped, the frame that made the record
         self._serving = False
         signal.signal(PAUSE, self._pause)
         self._channel = self._connected(parent=0)
@@ -311,7 +311,7 @@ class StoppingSink(NullSink):
             self._frame = None
 
     def close(self) -> None:
-        """Stop for the last time if the plan ended before its recording."""
+        """Stop once more if the plan ended before its recording."""
         if not self._over:
             self.guided.guide.close()
             self._end()
@@ -319,7 +319,7 @@ class StoppingSink(NullSink):
     def _report(self, equal: int, difference: FirstDifference | None) -> None:
         self._difference = difference
         if difference is None and equal <= self._step + 1:
-            self._over = True  # the recording is cut off
+            self._over = True  # the recording was cut off
 
     def _end(self) -> None:
         self._over = True
@@ -357,7 +357,7 @@ class StoppingSink(NullSink):
         return bool(changes)
 
     def _watched_values(self) -> list[str | None]:
-        """Return the watched values without records and without random numbers of the plan."""
+        """Return the watched values; this makes no records, and uses no random numbers of the plan."""
         stack = self._stack()
         dice = random.getstate()
         with journal.unrecorded():
@@ -382,7 +382,7 @@ class StoppingSink(NullSink):
             self._serve()
 
     def _went_on_in_child(self) -> bool:
-        """Fork, and return True in the child, which continues."""
+        """Fork, and return True in the child process, which continues."""
         parent = os.getpid()
         if forking.fork_continuation():
             return False
@@ -453,7 +453,7 @@ class StoppingSink(NullSink):
         return self._in_copy(doing[message["do"]])
 
     def _in_copy(self, work: Callable[[], Any]) -> Message:
-        """Work in a forked copy, so that the plan's process stays unchanged."""
+        """Work in a forked copy, so that the plan's process doesn't change."""
         if not hasattr(os, "fork"):
             return {"answer": work()}
         child = Child(lambda: json.dumps({"answer": work()}).encode())
@@ -475,7 +475,7 @@ class StoppingSink(NullSink):
 def main() -> None:
     """Run a plan up to a step, as requested in JSON by :class:`replay.debug.guided_plan.PlanCopies`."""
     request = json.loads(sys.argv[1])
-    gc.freeze()  # garbage collection writes to all objects, which copies then no longer share
+    gc.freeze()  # garbage collection writes to all objects; copies would then no longer share their memory
     os.setsid()  # Ctrl-C at the prompt doesn't reach the plan
     die_with(request.pop("parent"))
     clock = PausableClock()

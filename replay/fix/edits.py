@@ -39,11 +39,11 @@ _NOT_AGAIN: Final = (
 class Edit:
     """An edited plan."""
 
-    cost: float  # likely edits have a low cost; edits of the same kind have the same cost
+    cost: float  # cost: low for probable edits, equal for edits of the same kind
     line: int  # number of the edited line
-    what: str  # the edit, in words
-    text: str  # the whole edited source
-    asks: bool = False  # whether a value or name changes, rather than how values are computed
+    what: str  # text of the edit
+    text: str  # the whole source after the edit
+    asks: bool = False  # whether a value or name changes, rather than the way in which values are computed
     chance: bool = False  # whether nothing but a success speaks for the edit
 
 
@@ -65,8 +65,8 @@ class Editor:
 
         Args:
             line: its number.
-            alternatives: sets of texts that can replace each other, such as arms.
-            stale: whether the line has values that were true earlier, so that its statement comes too early.
+            alternatives: sets of texts that can replace each other, such as names of arms.
+            stale: whether the line uses values that were true only earlier, so that its statement comes too early.
         """
         sets = [set(each) for each in alternatives]
         plan = self.plan
@@ -172,7 +172,7 @@ class Editor:
                 yield f"line {statement.lineno} before the loop", 0.6, self._moved(statement, parent, after=False)
 
     def _is_check(self, statement: ast.stmt) -> bool:
-        """Return whether a statement asserts something, itself or by a call."""
+        """Return whether a statement contains an assertion, directly or in a called function."""
         names = (getattr(each, "id", "") for each in ast.walk(statement))
         return any(map(asserts, ast.walk(statement))) or not self.plan.checks.isdisjoint(names)
 

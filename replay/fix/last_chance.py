@@ -1,8 +1,8 @@
-"""The last step from which a failed plan could still have succeeded, and the step that closed this chance.
+"""The last step from which a failed plan could still have succeeded, and the change after it.
 
-The closing step is found by forks just before the failed motion: in each, all objects are as they were at an earlier
-step. If these forks succeed up to a step and fail after it, a bisection needs few of them. Then forks force other
-choices on record before that step, latest choice first. Without a choice that helps, a repair is searched
+Forks just before the failed motion find the closing step: in each, all objects are where they were at an earlier step.
+If these forks succeed up to a step and fail after it, a bisection finds the step with few forks. Then other choices on
+record before that step are forced, the latest choice first. If no choice helps, a repair is searched
 (:mod:`replay.fix.search`).
 """
 
@@ -37,7 +37,7 @@ from replay.report.question import written
 from replay.retrace.decisions import candidate_names
 from replay.retrace.prove import Prover
 
-_ALTERNATIVES: Final = 2  # largest number of other candidates of a choice, except places, that are forced
+_ALTERNATIVES: Final = 2  # maximum number of other candidates of a choice, except places, that are forced
 _SHARES: Final = (2, 1, 3)  # places at these quarters of the order of distances from the taken place are forced
 _FIRST: Final = 4  # number of choices that are forced before a repair is searched
 _PROBES: Final = 2  # number of forks that check whether the bisection was right
@@ -47,14 +47,15 @@ _PROBES: Final = 2  # number of forks that check whether the bisection was right
 class LastChance:
     """The result of a search."""
 
-    step: int | None = None  # the last step from which the plan still succeeds; None without such a step
-    closed: int | None = None  # the step that closed the last chance; None if it is unknown
-    line: Line | None = None  # the plan's line of this step
-    choice: str = ""  # the decision with which the plan succeeds, as ``fork --answer`` takes it; "" without a decision
-    repair: Repair | None = None  # the repair with which the plan succeeds; None without a repair
-    recording: Path | None = None  # the recording of the success
+    step: int | None = None  # the last step from which the plan still succeeds; None if there is none
+    closed: int | None = None  # the step that closed the last chance; None if unknown
+    line: Line | None = None  # the plan's line that made this step
+    choice: str = ""  # the decision with which the plan succeeds, as a text for ``fork --answer``; "" if there is none
+    repair: Repair | None = None  # the repair with which the plan succeeds; None if there is none
+    recording: Path | None = None  # the recording of the successful run
     runs: int = 0  # number of whole runs
-    #: Steps at which the objects were as in a run that fails, although they were right at a later step, or vice versa.
+    #: Steps at which the objects have the positions of a failing run, although a later step doesn't, or the other way
+    #: round.
     exceptions: list[int] = field(default_factory=list)
     others: list[str] = field(default_factory=list)  # tried choices that don't help, with their outcomes
 
@@ -62,7 +63,7 @@ class LastChance:
 def last_chance(
     trials: Trials, log: Recording, folder: Path, found: LastChance, *, holds: Sequence[str] = (), budget: int
 ) -> None:
-    """Search the last chance of a failed plan, and add it to ``found``, which keeps the result after an interrupt.
+    """Search the last chance of a failed plan; the result is added to ``found``, which survives an interrupt.
 
     Args:
         trials: the plan.
@@ -70,7 +71,7 @@ def last_chance(
         folder: folder for the recording of the success.
         found: the result.
         holds: properties that must hold in a successful run.
-        budget: largest number of whole runs.
+        budget: maximum number of whole runs.
 
     Raises:
         ReplayError: the plan succeeded, or it doesn't end as recorded.
@@ -104,7 +105,7 @@ def last_chance(
 
 
 def other_choice(trials: Trials, log: Recording, folder: Path, holds: Sequence[str], budget: int) -> LastChance:
-    """Force a few other choices before the failed motion, latest choice first, until the whole plan succeeds."""
+    """Force a few other choices before the failed motion, the latest first, until the whole plan succeeds."""
     found = LastChance(runs=trials.runs)
     if log.why().task is not None:
         chances = _Chances(trials, log, folder, found, holds, min(_FIRST, budget // 4))
@@ -147,7 +148,7 @@ class _Chances:
         needed = {case.world.robot, *held.intersection(case.subjects)}
         names = [name for name in case.world.bodies if name not in needed]
         changes = [each.seq for each in self._log.records(Mutation, 0, self._end) if self._changes(each, {*names})]
-        known: dict[int, bool] = {len(changes): False}  # by number of kept changes
+        known: dict[int, bool] = {len(changes): False}  # results by number of kept changes
 
         def helps(kept: int) -> bool:
             if kept not in known and self._left():
@@ -162,7 +163,7 @@ class _Chances:
         if not changes or not helps(kept):
             return
         kept = self._bisected(kept, known, helps)
-        for _ in range(_PROBES):  # is it right again at a step between later steps at which it is wrong?
+        for _ in range(_PROBES):  # is this step right again, between later steps that are wrong?
             later = sorted(each for each in known if each > kept)
             gaps = [(after - before, (before + after) // 2) for before, after in pairwise(later)]
             width, probe = max(gaps, default=(0, 0))
@@ -174,7 +175,7 @@ class _Chances:
         self.close(changes[kept])
 
     def _bisected(self, kept: int, known: dict[int, bool], helps: Callable[[int], bool]) -> int:
-        """Return the largest number of kept changes that helps, up to the next number that is known not to help."""
+        """Return the largest number of kept changes that helps, below the next number that is known not to help."""
         wrong = min(number for number, right in known.items() if number > kept and not right)
         while wrong - kept > 1 and self._left():
             middle = (kept + wrong) // 2
@@ -192,7 +193,7 @@ class _Chances:
         return same_world and not record.HasField("load_body") and not names.isdisjoint(moved)
 
     def close(self, step: int) -> None:
-        """Note the step that closed the chance, with the plan's line."""
+        """Store the step that closed the chance, with the plan's line."""
         record = self._log[min(step, len(self._log) - 1)]
         stack, task = self._source.call_stack(record), self._tasks.get(record.task) if hasattr(record, "task") else None
         while not stack and task is not None:
@@ -205,10 +206,10 @@ class _Chances:
     # --- choices -----------------------------------------------------------------------------------------------------
 
     def find_choice(self) -> None:
-        """Force other choices before the closing step, latest choice first, until the whole plan succeeds."""
+        """Force other choices before the closing step, the latest first, until the whole plan succeeds."""
         choices = list(self._choices())
         with ThreadPoolExecutor(usable_cores()) as pool, ExitStack() as undoing:
-            undoing.callback(self._prover.stop)  # otherwise an interrupted block would wait for its forks
+            undoing.callback(self._prover.stop)  # without this, an interrupted block would wait for its forks
             while choices and self._left():
                 size = min(usable_cores(), self._budget - self._found.runs)
                 wave, choices = choices[:size], choices[size:]
@@ -237,7 +238,7 @@ class _Chances:
         return isinstance(end, Run) and end.succeeded and reaches_goal(Path(tried.file), self._properties)
 
     def _choices(self) -> Iterator[Trial]:
-        """Yield decisions with other values, latest decision first."""
+        """Yield decisions with other values, the latest decision first."""
         closed = self._found.closed
         if closed is not None:
             yield from self._skipped(closed)
@@ -268,7 +269,7 @@ class _Chances:
 
 
 def _put_back(case: FailureCase, names: Sequence[str], then: int, end: int) -> Trial:
-    """Return the fork in which objects are as after an earlier step, also in the robot's hands."""
+    """Return the fork in which objects, also in the robot's hands, are where they were after an earlier step."""
     hands = {name: case.holder(name, then) for name in names if case.holder(name, then) != case.holder(name, end - 1)}
     freed = [f"{written(name)}.hand={NONE}" for name in hands]
     taken = [f"{written(name)}.hand={arm}" for name, arm in hands.items() if arm in case.hands]

@@ -1,7 +1,7 @@
 """A smaller plan with the same failure: delta debugging of statements (Zeller and Hildebrandt 2002).
 
-Removed lines stay as empty lines until the end, so that the failing line keeps its number. The search also removes
-statements that load objects.
+Until the end, removed lines are replaced by empty lines, so that the failing line keeps its number. The search also
+removes statements that load objects.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class Minimised:
     """A smaller plan that fails like the recorded one."""
 
     text: str
-    lines: tuple[int, int]  # numbers of lines with code, before and after the search
-    objects: tuple[int, int]  # numbers of objects at the end of the run, before and after the search
+    lines: tuple[int, int]  # number of lines with code, before and after the search
+    objects: tuple[int, int]  # number of objects at the end of the run, before and after the search
     runs: int  # number of runs
     failure: str  # failure of the smaller plan
-    exhausted: bool  # whether the search stopped at its largest number of runs
+    exhausted: bool  # whether the search stopped because its runs were used up
 
 
 def minimise(trials: Trials, budget: int) -> Minimised:
@@ -41,7 +41,7 @@ def minimise(trials: Trials, budget: int) -> Minimised:
 
     Args:
         trials: the plan.
-        budget: largest number of runs.
+        budget: maximum number of runs.
 
     Raises:
         ReplayError: the plan succeeded, or doesn't end as recorded.
@@ -64,7 +64,7 @@ def minimise(trials: Trials, budget: int) -> Minimised:
                 break
     short = _short(text)
     ending = trials.one(short).ending
-    if not alike(_without_line(ending), _without_line(reference)):  # the plan reads its own lines
+    if not alike(_without_line(ending), _without_line(reference)):  # the plan may read its own lines
         short, ending = text, reference
     return Minimised(
         short,
@@ -77,7 +77,7 @@ def minimise(trials: Trials, budget: int) -> Minimised:
 
 
 def _reduced(trials: Trials, budget: int, text: str, block: Sequence[_Span], objects: int) -> tuple[str, int]:
-    """Remove as many statements of a block as possible: first half of them together, at last each alone."""
+    """Remove as many statements of a block as possible: first half of them together, finally each alone."""
     lines = text.splitlines()
     left = [span for span in block if lines[span.start - 1].strip() not in ("", "pass")]
     size = len(left)
@@ -107,7 +107,7 @@ class _Span:
 
 
 def _levels(text: str) -> Iterator[list[_Span]]:
-    """Yield the statements of each block of a plan, outer blocks first; statements that share a line are left out."""
+    """Yield the statements of each block of a plan, outer blocks first; statements that share a line don't count."""
     blocks: list[Sequence[ast.stmt]] = [ast.parse(text).body]
     while blocks:
         block = blocks.pop(0)
@@ -130,7 +130,7 @@ def _span(statement: ast.stmt) -> _Span:
 
 
 def _unwrapped(text: str, node: ast.AST) -> str:
-    """Return a plan with the body of an `if`, `with` or `try` in place of the whole statement; "" for other nodes."""
+    """Return a plan in which the body of an `if`, `with` or `try` replaces the whole statement; "" for other nodes."""
     if not isinstance(node, ast.If | ast.With | ast.Try):
         return ""
     lines, body = text.splitlines(), node.body
@@ -142,7 +142,7 @@ def _unwrapped(text: str, node: ast.AST) -> str:
 
 
 def _is_apart(lines: Sequence[str], span: _Span) -> bool:
-    """Return whether a statement shares no line with another statement, unlike `if x: y` or in `x; y`."""
+    """Return whether a statement has its lines for itself, unlike those in `if x: y` or `x; y`."""
     try:
         ast.parse(textwrap.dedent("\n".join(lines[span.start - 1 : span.end])))
     except SyntaxError:
@@ -151,7 +151,7 @@ def _is_apart(lines: Sequence[str], span: _Span) -> bool:
 
 
 def _without(text: str, spans: Iterable[_Span]) -> str:
-    """Return a plan without the given statements; other lines keep their numbers."""
+    """Return a plan without the given statements; the numbers of other lines don't change."""
     lines = text.splitlines()
     for span in spans:
         indent = _INDENT.match(lines[span.start - 1])
@@ -161,7 +161,7 @@ def _without(text: str, spans: Iterable[_Span]) -> str:
 
 
 def _first_alike(trials: Trials, texts: Sequence[str]) -> tuple[int, str, int] | None:
-    """Return the index and text of the first version that ends like the plan, and its number of objects."""
+    """Return the index and text of the first version that ends like the plan, with its number of objects."""
     tidied = {index: _tidied(text) for index, text in enumerate(texts)}
     tried = [index for index, text in tidied.items() if text not in trials.failed]
     ends: dict[int, int] = {}
@@ -175,7 +175,7 @@ def _first_alike(trials: Trials, texts: Sequence[str]) -> tuple[int, str, int] |
 
 
 def _tidied(text: str) -> str:
-    """Return a plan without unneeded `pass` statements; other lines keep their numbers."""
+    """Return a plan without unneeded `pass` statements; the numbers of other lines don't change."""
     lines = text.splitlines()
     blocks = [ast.parse(text).body]
     while blocks:

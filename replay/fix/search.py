@@ -1,7 +1,7 @@
 """Search for a repair: the smallest edit after which the whole plan succeeds and its properties hold.
 
-Each candidate is a whole run of an edited plan. Edits of lines that computed values of the failure come first
-(:mod:`replay.origins`). A repair runs a second time to be recorded, then under other seeds, and with objects elsewhere.
+Each candidate is a whole run of an edited plan. Edits of lines that computed the values in the failure come first
+(:mod:`replay.origins`). A repair runs again to be recorded, then with other seeds, and with displaced objects.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ if TYPE_CHECKING:
     from replay.explain.why import Why
 
 CHECKS: Final = (5, 3)  # a repair is checked in this many runs with other seeds, and with displaced objects
-_AWAY: Final = 0.1  # largest final distance of a placed object from its target, m
-_MAX_LINES: Final = 12  # largest number of lines that are edited
+_AWAY: Final = 0.1  # maximum distance in m between a placed object and its target at the end
+_MAX_LINES: Final = 12  # maximum number of lines that are edited
 _LIKELY: Final = 2  # number of lines that come before handlers of errors
-_LATER: Final = 0.12  # additional cost of a line for each likelier line
+_LATER: Final = 0.12  # additional cost of a line for each line that is more probable
 _GUESSED: Final = 0.2  # by how much another value is likelier where a number of the scene speaks for it
 _ELSEWHERE: Final = 0.5  # additional cost of edits of lines without values of the failure
 _ANOTHER: Final = 0.8  # additional cost for each earlier edit of the same kind on the same line
-_MAX_MARKED: Final = 2  # largest number of marked repairs that are shown
-_MORE: Final = 24  # number of runs that search for another repair after a marked repair
-_SETTLED: Final = 0.001  # objects that settle again come to rest within this distance, m
+_MAX_MARKED: Final = 2  # maximum number of marked repairs that are shown
+_MORE: Final = 24  # number of runs in which another repair is searched after a marked repair
+_SETTLED: Final = 0.001  # distance in m within which objects come to rest when they settle again
 _GOALS: Final = ("place", "transporting", "placing")
 
 
@@ -58,9 +58,9 @@ class Repair:
 
     edit: Edit
     recording: Path  # the recording of its run
-    seeds: int  # number of runs under other seeds that succeeded (:data:`CHECKS`)
-    elsewhere: int  # number of runs with loose objects 1 cm elsewhere that succeeded (:data:`CHECKS`)
-    mark: str  # reason why the plan's author may reject the repair; "" without a reason
+    seeds: int  # number of successful runs with other seeds, of :data:`CHECKS` runs
+    elsewhere: int  # number of successful runs in which loose objects are displaced by 1 cm, of :data:`CHECKS` runs
+    mark: str  # why the author of the plan may reject the repair; "" if there is no reason
     checks: tuple[int, int] = (0, 0)  # number of these runs, fewer than :data:`CHECKS` at the end of the budget
 
 
@@ -68,17 +68,17 @@ class Repair:
 class SearchResult:
     """The result of a search."""
 
-    asked: str  # the requirements on a repair, in words
+    asked: str  # text of the requirements on a repair
     repairs: list[Repair] = field(default_factory=list)  # the best first
     tried: int = 0  # number of candidates
-    runs: int = 0  # number of whole runs, including the checks of repairs
-    others: dict[str, str] = field(default_factory=dict)  # candidates' other failures by edit
+    runs: int = 0  # number of whole runs, including those that check repairs
+    others: dict[str, str] = field(default_factory=dict)  # other failures of candidates, by edit
 
 
 def search(
     trials: Trials, log: Recording, folder: Path, found: SearchResult, *, holds: Sequence[str] = (), budget: int
 ) -> None:
-    """Search for repairs of a failed plan, and add them to ``found``, which keeps them after an interrupt.
+    """Search for repairs of a failed plan; they are added to ``found``, which survives an interrupt.
 
     Args:
         trials: the plan.
@@ -86,7 +86,7 @@ def search(
         folder: folder for recordings of repairs.
         found: the result.
         holds: properties that must hold in a repaired run.
-        budget: largest number of whole runs.
+        budget: maximum number of whole runs.
 
     Raises:
         ReplayError: the plan succeeded and its properties hold, or it doesn't end as recorded.
@@ -106,7 +106,7 @@ def search(
             "what it places stays at its target",
         ]
     )
-    unlikely: list[Repair] = []  # repairs with a mark; they are shown if there is no other
+    unlikely: list[Repair] = []  # marked repairs; they are shown if there is no other
     try:
         _try_all(trials, _candidates(trials, log, why, checked), found, unlikely, budget, folder, properties, failed)
         for at, each in enumerate(unlikely[:_MAX_MARKED] if not found.repairs else ()):
@@ -164,7 +164,7 @@ def required(log: Recording, holds: Sequence[str]) -> list[str]:
 
 
 def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty]) -> Iterator[Edit]:
-    """Yield edits of the plan, likeliest edits first: small edits of lines that computed values of the failure."""
+    """Yield edits of the plan, the most probable first: small edits of lines that computed values in the failure."""
     editor = Editor(trials.text)
     alternatives = []
     if why.world is not None:
@@ -194,7 +194,7 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
 def _lines(
     trials: Trials, log: Recording, why: Why, checked: Sequence[CheckedProperty], editor: Editor
 ) -> tuple[list[int], set[int], set[int]]:
-    """Return lines of the plan's main file, likeliest lines first; those with guesses, and those with stale values."""
+    """Return lines of the plan's main file, the most probable first; lines with guesses; lines with outdated values."""
     name = trials.program.name
     ranked: list[int] = []
     guessed: set[int] = set()
@@ -223,7 +223,7 @@ def _is_python(text: str) -> bool:
 
 
 def reaches_goal(file: Path, properties: Sequence[str]) -> bool:
-    """Return whether properties hold in a run, and whether objects stay where the run placed them."""
+    """Return whether properties hold in a run, and whether placed objects stay in their places."""
     with Recording(file) as log:
         placed: dict[str, Sequence[float]] = {}
         for node in log.tree().find(status=State.SUCCEEDED):
@@ -293,7 +293,7 @@ def _commanded(log: RecordReader) -> set[str]:
 
 
 def _is_near(one: list[Plain], other: Plain) -> bool:
-    """Return whether two targets are the same, although objects may have settled a little differently."""
+    """Return whether two targets are the same, even if objects have settled a little differently."""
     try:
         return math.dist(one, other) < _SETTLED  # type: ignore[arg-type]
     except (TypeError, ValueError):  # they aren't points
@@ -301,13 +301,13 @@ def _is_near(one: list[Plain], other: Plain) -> bool:
 
 
 def _asked(nodes: Sequence[Node]) -> list[Node]:
-    """Return the motions for which the plan itself asked."""
+    """Return the motions that the plan itself requested."""
     motions = (node for node in nodes if node.kind == "motion")
     return [node for node in motions if all(each.kind != "action" for each in node.around())]
 
 
 def changed_goal(before: Sequence[Node], done: Sequence[Node], failed: Node, edit: Edit) -> str:
-    """Return how a repaired run differs from what the plan had asked for; "" if it did the same."""
+    """Return how a repaired run differs from the requests of the plan; "" if it doesn't."""
     alike = [node for node in done if (node.kind, node.name) == (failed.kind, failed.name)]
     thing = failed.parameters.get("object")
     if not alike:

@@ -34,20 +34,20 @@ from replay.retrace.guided_run import run_plan, spec_of
 from replay.retrace.plan_process import CantRetrace, PlanProcess, lay
 
 _DISPLACED: Final = 0.01  # m
-LIMIT: Final = 10.0  # longest duration of a trial, as a multiple of the recorded run's duration,
+LIMIT: Final = 10.0  # maximum duration of a trial: a multiple of the recorded run's duration,
 LEAST: Final = 20.0  # but at least this many seconds of wall-clock time
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
-#: Audit events of Python for access to other processes and machines.
+#: Python's audit events for access to other processes and machines.
 _REACHING: Final = frozenset(
     {"subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind"}
 )
-#: Audit events for changes of files, with the index of the path among the event's arguments.
+#: Python's audit events for changes of files, with the index of the path among the event's arguments.
 _CHANGING: Final = {"os.remove": 0, "os.rename": 1, "os.rmdir": 0, "os.mkdir": 0, "shutil.rmtree": 0}
 _WRITES: Final = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
 
 
 class OutsideEffect(BaseException):
-    """A trial has an effect outside of its folder. Plans don't catch this error, because it is no ``Exception``."""
+    """A trial has an effect outside of its folder. Plans don't catch this error, because it isn't an ``Exception``."""
 
 
 class PlanHasEffects(ReplayError):
@@ -62,12 +62,12 @@ class PlanHasEffects(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Version:
-    """A version of a plan, and the conditions of its run that differ from the recorded ones."""
+    """A version of a plan, and how the conditions of its run differ from the recorded conditions."""
 
     text: str  # the source of the plan's main file
     file: Path | None = None  # its recording
     seed: int | None = None
-    elsewhere: int = 0  # seed of a 1 cm displacement of each loose object; 0: no displacement
+    elsewhere: int = 0  # seed for displacing each loose object by 1 cm; 0 for no displacement
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class EditedRun:
 
     ending: Ending
     seconds: float  # wall-clock time
-    recording: Path | None = None  # its recording, if requested
+    recording: Path | None = None  # the trial's recording, if the caller requested one
 
 
 class Trials:
@@ -91,11 +91,11 @@ class Trials:
         if not isinstance(began, Run):
             raise CantRetrace(f"{log.path}: its start is lost")
         self.log = log
-        self.program = process.program  # the plan's main file
+        self.program = process.program  # the main file of the plan
         self.text = PlanSource(log).text(str(process.program))  # its recorded source
         self.runs = 0  # number of started runs
-        self.failed: set[str] = set()  # versions that a search has rejected
-        self.reference = Ending("")  # the ending of the unchanged plan
+        self.failed: set[str] = set()  # versions that a search has already rejected
+        self.reference = Ending("")  # the ending of the run of the unchanged plan
         self._spec = spec_of(log, process.program, process.arguments)  # children must not read the recording's file
         self._began = began
         self._allow_effects = allow_effects
@@ -160,7 +160,7 @@ class Trials:
             if sinks:
                 return NullSink()  # only the plan's first recording counts
             sinks.append(EndingSink(None if file is None else McapSink(file, metadata(began))))
-            if not self._allow_effects:  # not earlier, because the recorder runs git to get the plan's revision
+            if not self._allow_effects:  # not earlier, because the recorder runs git to read the plan's revision
                 allowed = [
                     each for each in (plan.parents[1], store.folder(), folder, cache_folder()) if each is not None
                 ]
@@ -179,11 +179,11 @@ class Trials:
 
 
 def _watch_effects(allowed: Sequence[Path], outside: list[str]) -> None:
-    """Reject effects of this process outside of the given folders, and keep the first rejected effect."""
+    """Reject effects of this process outside of the given folders, and store the first rejected effect."""
 
     def is_inside(path: object) -> bool:
         if isinstance(path, int):
-            return True  # a file descriptor that is already open
+            return True  # a file descriptor of a file that is already open
         with suppress(OSError, ValueError, TypeError):
             target = Path(os.fsdecode(path)).resolve()  # type: ignore[arg-type]
             return target == Path(os.devnull) or any(target.is_relative_to(folder) for folder in allowed)
@@ -209,7 +209,7 @@ def _watch_effects(allowed: Sequence[Path], outside: list[str]) -> None:
 
 @contextmanager
 def _loose_objects_elsewhere(draw: int) -> Iterator[None]:
-    """Load objects that aren't robots or furniture 1 cm elsewhere on the ground plane, in this process."""
+    """In this process, load loose objects 1 cm away from where the plan loads them, on the ground plane."""
     if not draw:
         yield
         return

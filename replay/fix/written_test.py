@@ -23,15 +23,15 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 _DIGITS: Final = 6  # number of significant digits of poses and joint positions
-_ZERO: Final = 1e-6  # joint positions below this value (rad or m) are left out
-_LEVEL: Final = 1e-3  # rotations below this angle (rad) are left out
+_ZERO: Final = 1e-6  # joint position in rad or m below which it is left out
+_LEVEL: Final = 1e-3  # angle in rad below which a rotation is left out
 _WIDTH: Final = 110
 
 
 def of_plan(log: Recording, spec: RunSpec, file: Path, holds: Sequence[str] = ()) -> str:
     """Return a test that runs the plan, and asserts that the plan succeeds and that properties hold.
 
-    The properties are ``holds``, and the recorded properties that the run violated.
+    The asserted properties are ``holds``, and those recorded properties that the run violated.
 
     Raises:
         ReplayError: the plan succeeded, and there is no property.
@@ -63,7 +63,7 @@ def of_moment(log: Recording, task: Node, holds: Sequence[str] = ()) -> str:
     """Return a test that rebuilds the world before a motion or action, performs it, and asserts properties.
 
     Raises:
-        ReplayError: the task is no motion or action, or its world can't be rebuilt.
+        ReplayError: the task isn't a motion or action, or its world can't be rebuilt.
     """
     if task.kind not in ("motion", "action"):
         raise ReplayError(f"{phrases.node(task)} is no motion or action; give the step of a motion or action")
@@ -98,7 +98,7 @@ def _text(what: str, log: Recording, imports: Sequence[str], head: str, body: Se
 
 
 def _without_unused_name(line: str, body: Sequence[str]) -> str:
-    """Return a statement without its variable if no other statement uses the variable."""
+    """Return a statement; its variable is left out if no other statement uses it."""
     name, _, call = line.partition(" = ")
     used = any(re.search(rf"\b{name}\b(?!['\"])", other) for other in body if other != line)
     return call if call and name.isidentifier() and not used else line
@@ -134,7 +134,7 @@ def _body(body: Body, name: str) -> Iterator[str]:
 
 
 def _arguments(task: Node, names: dict[str, str]) -> dict[str, str]:
-    """Return the task's arguments as Python code; an argument for each arm becomes a mapping."""
+    """Return the task's arguments as Python code; if there is an argument for each arm, they become a mapping."""
     found: dict[str, str] = {}
     arms: dict[str, Plain] = {}
     for slot, value in task.parameters.items():

@@ -21,15 +21,15 @@ from replay.origins.origin import Origin
 if TYPE_CHECKING:
     Facts: TypeAlias = Iterator[Origin]
 
-_MAX_FACTS: Final = 400  # largest number of facts of a value
-_MAX_SEARCHED: Final = 64  # largest number of evaluations of an expression that are searched
-_MAX_BEFORE: Final = 2  # largest number of listed statements before a call
-_TAKING: Final = ("pop", "popitem", "popleft", "setdefault")  # methods that change a container and return an item
-_TRIVIAL: Final = (0, 1, None)  # numbers that nobody mistypes
+_MAX_FACTS: Final = 400  # maximum number of facts about a value
+_MAX_SEARCHED: Final = 64  # maximum number of evaluations of an expression that are searched
+_MAX_BEFORE: Final = 2  # maximum number of statements before a call that are listed
+_TAKING: Final = ("pop", "popitem", "popleft", "setdefault")  # methods that change a container and also return an item
+_TRIVIAL: Final = (0, 1, None)  # numbers that are hardly ever mistyped
 _SCOPES: Final = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
 _EXITS: Final = ast.Return | ast.Break | ast.Continue
 _LEFT: Final = {ast.Return: "returned", ast.Break: "ended the loop", ast.Continue: "began the next iteration"}
-_MAX_CHANGES: Final = 3  # largest number of listed changes of a container
+_MAX_CHANGES: Final = 3  # maximum number of changes of a container that are listed
 _PLAIN: Final = (bool, int, float, str, type(None), list, tuple, dict)
 _COMPREHENSIONS: Final = ast.ListComp | ast.SetComp | ast.DictComp | ast.GeneratorExp
 
@@ -53,11 +53,11 @@ class Tracer:
         self._of_node: dict[int, list[Note]] = defaultdict(list)
         self._binds: dict[tuple[int, str], list[tuple[Note, int]]] = defaultdict(list)
         self._returns: dict[int, Note] = {}
-        self._modules: dict[str, int] = {}  # number of the module's frame, by file
-        self._changes: dict[int, list[Note]] = defaultdict(list)  # by id of the changed object
-        self._made: dict[int, Note] = {}  # the first call that returned an object, by its id
-        self._entered: dict[int, Note] = {}  # the beginning of the plan's function, by the time of its call
-        self._inner: dict[int, list[Note]] = defaultdict(list)  # calls within a call, by its time
+        self._modules: dict[str, int] = {}  # number of the module's frame, for each file
+        self._changes: dict[int, list[Note]] = defaultdict(list)  # changes by id of the changed object
+        self._made: dict[int, Note] = {}  # the first call that returned an object, by the object's id
+        self._entered: dict[int, Note] = {}  # the beginning of a function of the plan, by the time of its call
+        self._inner: dict[int, list[Note]] = defaultdict(list)  # the calls within a call, by the time of the outer call
         for note in notes.all:
             self._sort_in(note)
         self._seen: set[tuple[int, str]] = set()
@@ -128,7 +128,7 @@ class Tracer:
         return self._fact("call", node, ast.unparse(node.func), note.result, note.step, facts)
 
     def line(self, file: str, line: int, frame: int) -> Origin | None:
-        """Return the statement at a line, which raised an error, with the values that it used."""
+        """Return the statement at a line that raised an error, with the values that the statement used."""
         self._begin()
         every = ast.walk(self._notes.trees[file])
         found = [each for each in every if isinstance(each, ast.stmt) and each.lineno <= line <= (each.end_lineno or 0)]
@@ -137,7 +137,7 @@ class Tracer:
         statement, place = found[-1], Evaluation(frame, len(self._notes.all))
         within = {self._numbers[id(each)] for each in ast.walk(statement) if id(each) in self._numbers}
         others = (note.time for note in reversed(self._notes.all) if note.frame == frame and note.number not in within)
-        self._latest = within, next(others, -1)  # parts that weren't reached have older notes
+        self._latest = within, next(others, -1)  # parts that weren't reached have notes from earlier
         inner = ast.iter_child_nodes(statement) if hasattr(statement, "body") else ()
         parts = [each for each in inner if not isinstance(each, ast.stmt)] or [statement]
         facts = [fact for each in parts for fact in self._inputs(each, place)]
@@ -174,7 +174,7 @@ class Tracer:
                     return
 
     def _done(self, statement: ast.stmt, place: Evaluation) -> Facts:
-        """Yield the calls of a statement, its branch, a loop that didn't run, or an error that it handled."""
+        """Yield the calls of a statement; or its branch, a loop that didn't run, or an error that it handled."""
         called = getattr(statement, "value", None)
         if isinstance(called, ast.Call) and (note := self._noted(called, place)) and note.function is not print:
             handled = next((each for each in self._parents(statement) if isinstance(each, ast.Try)), None)
@@ -189,7 +189,7 @@ class Tracer:
             yield from (fact for each in statement.body[-_MAX_BEFORE:] for fact in self._done(each, place))
 
     def _within(self, note: Note) -> Facts:
-        """Yield the branches of a called function that left something out, and its last call."""
+        """Yield the branches of a called function in which something was left out, and its last call."""
         entered = self._entered.get(note.time)
         if entered is None or self._is_known(note.time, "within"):
             return
@@ -202,7 +202,7 @@ class Tracer:
             yield self._fact("before", self._node(last), "", None, last.step, joined(parts, self._within(last)))
 
     def _untaken(self, statement: ast.If | ast.While | ast.For, place: Evaluation) -> Facts:
-        """Yield the condition of statements with calls that didn't run: of a branch, of a loop, or after an exit."""
+        """Yield the condition of statements whose calls didn't run: in a branch, in a loop, or after an exit."""
         looped = isinstance(statement, ast.For)
         test = statement.iter if isinstance(statement, ast.For) else statement.test
         evaluated = self._noted(test, place)
@@ -215,7 +215,7 @@ class Tracer:
         else:
             taken = _truth(held.copy)
         before = [each for each in self._of_node[self._numbers[id(test)]] if evaluated and each.time < evaluated.time]
-        if isinstance(statement, ast.While) and not taken:  # a loop ends like this, also if it ran
+        if isinstance(statement, ast.While) and not taken:  # a loop ends in this way even if it ran
             earlier = before[-1].result if before and before[-1].frame == place.frame else None
             taken = earlier is not None and _truth(earlier.copy)
         left, done = (statement.orelse, statement.body) if taken else (statement.body, statement.orelse)
@@ -258,7 +258,7 @@ class Tracer:
     # --- values ---------------------------------------------------------------------------------------------------
 
     def _noted(self, node: ast.AST, place: Evaluation) -> Note | None:
-        """Return the last note of a node at a place; comprehensions and functions within it have other frames."""
+        """Return the last note of a node at a place; comprehensions and functions inside have other frames."""
         number, since = self._numbers[id(node)], self._latest[1]
         notes = self._of_node.get(number, [])
         until = bisect_right(notes, place.time, key=lambda note: note.time)
@@ -269,7 +269,7 @@ class Tracer:
         return None if found is None or (number in self._latest[0] and found.time < since) else found
 
     def value(self, node: ast.AST, place: Evaluation) -> Held | None:
-        """Return the value of an expression at a place; None if it is unknown."""
+        """Return the value of an expression at a place; None if unknown."""
         if isinstance(node, ast.Constant):
             return Held(node.value)
         if isinstance(node, ast.Name):
@@ -282,7 +282,7 @@ class Tracer:
         return None if note is None else note.result
 
     def _bind(self, node: ast.Name, place: Evaluation) -> tuple[Note, int] | None:
-        """Return the note of a name's value, and the index of the value."""
+        """Return the note that contains a name's value, and the index of the value in it."""
         for around in self._parents(node):
             if isinstance(around, _COMPREHENSIONS):
                 for each in around.generators:
@@ -328,7 +328,7 @@ class Tracer:
                 yield from self._inputs(operand, place)
                 held = self.value(operand, place)
                 if held is None or (type(held.copy) in _PLAIN and bool(held.copy) is isinstance(node.op, ast.Or)):
-                    return  # the others weren't evaluated
+                    return  # the other parts weren't evaluated
         elif isinstance(node, ast.IfExp):
             test = self.value(node.test, place)
             yield from self._condition(node.test, place)
@@ -343,7 +343,7 @@ class Tracer:
         yield from self._bound(node.id, *bound, place) if bound is not None else ()
 
     def _bound(self, name: str, note: Note, at: int, place: Evaluation) -> Facts:
-        """Yield how a name got its value, and later changes of this value."""
+        """Yield how a variable got its value, and later changes of the value."""
         node, held = self._node(note), note.values[at]
         if isinstance(held.ref, ModuleType | type | FunctionType) or self._is_known(note.time, name):
             return
@@ -423,7 +423,7 @@ class Tracer:
             kept = "kept from earlier calls" if changes else ""
             yield self._fact("default", default, name, held, note.step, joined(changes, made), remark=kept)
         elif len(given) == 1 and isinstance(given[0], ast.Name) and given[0].id == name:
-            yield from joined(changes, inner)  # the caller has the same name for it
+            yield from joined(changes, inner)  # the caller has the same name for this value
         else:
             located = given[0] if len(given) == 1 else passed
             yield self._fact("argument", located, name, held, note.step, joined(changes, inner))
@@ -451,7 +451,7 @@ class Tracer:
             yield from self._inputs(node.func.value, place)
 
     def _called(self, node: ast.Call, place: Evaluation) -> Facts:
-        """Yield what a call returned, or what was made from its arguments."""
+        """Yield the value that a call returned, or that was made from its arguments."""
         note = self._noted(node, place)
         if note is None:
             yield from self._arguments(node, place, receiver=False)
@@ -496,7 +496,7 @@ class Tracer:
         yield from self._inputs(node.value, place)
 
     def _field(self, node: ast.Attribute, name: str, owner: Any, held: Held, place: Evaluation) -> Facts:
-        """Yield how an attribute of the plan's own object, or a class's attribute, got its value."""
+        """Yield how an attribute of an object of the plan, or of a class, got its value."""
         made = self._made.get(id(owner))
         if made is not None and isinstance(made.function, type):
             given = _given(self._node(made), made.function, node.attr)
@@ -534,7 +534,7 @@ class Tracer:
                 made = joined(changes, self._inputs(node.slice, place), self._inputs(element, at))
                 yield self._fact("item", element, name, note.result, note.step, made, remark=remark)
                 return
-        elif owner is not None:  # there is no such item
+        elif owner is not None:  # the container has no such item
             yield from islice(self._changed(owner.ref, -1, place.time), _MAX_BEFORE)
         for each in parts:
             yield from self._inputs(each, place)
@@ -550,7 +550,7 @@ class Tracer:
 
 
 def nearest(origin: Origin, count: int) -> dict[str, Any]:
-    """Return an origin as JSON data, with those of its parts that are nearest to it."""
+    """Return an origin as JSON data, with the parts that are nearest to it."""
     chosen, waiting = {id(origin)}, deque([origin])
     while waiting and len(chosen) < count:
         parts = waiting.popleft().parts[: count - len(chosen)]
@@ -565,7 +565,7 @@ def nearest(origin: Origin, count: int) -> dict[str, Any]:
 
 
 def shown(value: Any) -> str:
-    """Return a short text of a value: numbers have 4 digits."""
+    """Return a short text of a value: numbers are cut to 4 digits."""
     if type(value) is float:
         return f"{value:.4g}" if math.isfinite(value) and abs(value) < 1e4 else repr(value)
     if type(value) in (list, tuple) and len(value) <= 8:
@@ -576,7 +576,7 @@ def shown(value: Any) -> str:
 
 
 def _own_nodes(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes of an expression or of a statement without its body."""
+    """Yield the nodes of an expression, or of a statement without its body."""
     yield node
     for each in ast.iter_child_nodes(node):
         if not isinstance(each, ast.stmt):
@@ -602,10 +602,10 @@ def _truth(value: Any) -> bool:
 
 
 def _holds(test: Callable[[], Any], *, otherwise: bool) -> bool:
-    """Return the truth of a test's result; ``otherwise`` if a method of the plan's objects raises an error."""
+    """Return whether a test's result is true; ``otherwise`` if a method of the plan's objects raises an error."""
     try:
         return bool(test())
-    except Exception:  # noqa: BLE001  such a method may raise any error
+    except Exception:  # noqa: BLE001  a method of the plan may raise any error
         return otherwise
 
 
@@ -623,7 +623,7 @@ def _runs(function: Any, code: Any) -> bool:
 
 
 def _given(call: ast.Call, function: Any, name: str) -> list[ast.expr]:
-    """Return the expressions of a call that a parameter may have its value from."""
+    """Return the expressions in a call that may be the source of a parameter's value."""
     first = next((at for at, each in enumerate(call.args) if isinstance(each, ast.Starred)), len(call.args))
     keywords = {each.arg: each.value for each in call.keywords if each.arg is not None}
     try:
@@ -645,7 +645,7 @@ def _default(node: Any, name: str) -> ast.expr | None:
 
 
 def _matching(target: ast.AST, value: ast.AST, name: str) -> ast.AST:
-    """Return the part of an assigned tuple that a name gets."""
+    """Return the part of an assigned tuple that a variable gets."""
     if isinstance(target, ast.Tuple | ast.List) and isinstance(value, ast.Tuple | ast.List):
         names = [each.id if isinstance(each, ast.Name) else "" for each in target.elts]
         if name in names and len(names) == len(value.elts):

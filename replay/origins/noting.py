@@ -1,7 +1,7 @@
 """Notes of a running plan: the values of names, calls, attributes, items, conditions and returns.
 
-The plan's files are compiled with calls of :class:`ValueNotes` around these expressions. The values, lines and names of
-the plan stay the same, so the plan makes the same records.
+The plan's files are compiled with added calls of :class:`ValueNotes` around these expressions. The values, lines and
+names of the plan stay the same, so the plan makes the same records.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from typing import Any, Final
 #: Functions that read the frame of their caller.
 _OF_FRAMES: Final = frozenset({"super", "locals", "globals", "vars", "eval", "exec", "dir", "breakpoint"})
 _UNHELD: Final = (GeneratorType, CoroutineType, AsyncGeneratorType, FrameType, TracebackType, BaseException)
-_MAX_ITEMS: Final = 64  # largest number of items of a container that is copied
+_MAX_ITEMS: Final = 64  # maximum number of items of a container that is copied
 _MAX_DEPTH: Final = 4
 _MAX_NOTES: Final = 1_000_000
-#: Fields of nodes that stay as they are: targets, types and patterns.
+#: Fields of nodes that aren't changed: targets, types and patterns.
 _UNCHANGED: Final = frozenset({"target", "targets", "optional_vars", "annotation", "returns", "pattern", "ctx", "op"})
 _NOTED: Final = (
     *(ast.Call, ast.Attribute, ast.Subscript, ast.BinOp, ast.UnaryOp, ast.BoolOp, ast.Compare, ast.IfExp),
@@ -32,7 +32,7 @@ FUNCTIONS: Final = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
 
 class Held:
-    """A value at a moment: the value itself, and a copy if it is a container that may change later."""
+    """A value at a moment: the value itself, and a copy if it is a container that can change later."""
 
     __slots__ = ("copy", "ref")
 
@@ -58,20 +58,20 @@ def _copied(value: Any, depth: int = 0) -> Any:
 class Note:
     """The values of a node of the plan's source at a moment."""
 
-    kind: str  # "call", "value", "bind", "store" or "return"
+    kind: str  # kind of the note: "call", "value", "bind", "store" or "return"
     number: int  # of the node
-    frame: int  # number of the frame
-    parent: Note | None  # the call around it
-    step: int  # the last step before it
+    frame: int  # number of the frame in which the node was evaluated
+    parent: Note | None  # the call of the plan around it
+    step: int  # the last recorded step before it
     time: int  # its index
     values: tuple[Held, ...] = ()  # one value; of "bind": for each name; of "store": the object and the key
-    function: Any = None  # the function of a call
-    end: int = sys.maxsize  # time of a call's end
-    last_step: int = -1  # the last step before a call's end
+    function: Any = None  # the function that is called, for a "call"
+    end: int = sys.maxsize  # time at which a call ended
+    last_step: int = -1  # the last recorded step before a call ended
 
     @property
     def result(self) -> Held | None:
-        """The first value; None if a call hasn't returned."""
+        """The first value; None if the call has not returned."""
         return self.values[0] if self.values else None
 
 
@@ -83,15 +83,15 @@ class ValueNotes:
         self.nodes: list[tuple[str, ast.AST]] = []  # file and node by number; these trees are as written
         self.trees: dict[str, ast.Module] = {}  # by file
         self.texts: dict[str, list[str]] = {}  # lines by file
-        self.codes: list[CodeType] = []  # code by number of the frame
-        self.step = -1  # the last step of the run
+        self.codes: list[CodeType] = []  # code, by number of the frame
+        self.step = -1  # the last recorded step of the run
         self._is_plan = is_plan
-        self._frames: dict[int, int] = {}  # numbers of frames by their ids
+        self._frames: dict[int, int] = {}  # numbers of frames, by their ids
         self._current: ContextVar[Note | None] = ContextVar("noted_call", default=None)
 
     @property
     def current(self) -> Note | None:
-        """The innermost running call of the plan, also around a branch or thread."""
+        """The innermost running call of the plan; it may be around a branch or thread."""
         return self._current.get()
 
     def install(self) -> None:
@@ -148,7 +148,7 @@ class ValueNotes:
         return values[-1] if values else None
 
     def _noted_call(self, number: int, function: Any, /, *args: Any, **kwargs: Any) -> Any:
-        """Call a function for the plan."""
+        """Call a function on behalf of the plan."""
         note = self._note("call", number, self.frame_of(sys._getframe(1)))  # noqa: SLF001  as above
         note.function = function
         self._current.set(note)
@@ -176,7 +176,7 @@ def bound_names(node: ast.AST) -> list[str]:
 
 
 class _Noting(ast.NodeTransformer):
-    """Adds calls of :class:`ValueNotes` to a tree."""
+    """Adds calls of :class:`ValueNotes` to a syntax tree."""
 
     def __init__(self, numbers: dict[int, int]) -> None:
         self._numbers = numbers
@@ -190,7 +190,7 @@ class _Noting(ast.NodeTransformer):
             if name in _UNCHANGED:
                 continue
             if name == "func" and isinstance(value, ast.Attribute):
-                value.value = self.visit(value.value)  # the call has a note
+                value.value = self.visit(value.value)  # the call itself has a note
             elif isinstance(value, ast.AST):
                 setattr(node, name, self.visit(value))
             elif isinstance(value, list):
@@ -200,7 +200,7 @@ class _Noting(ast.NodeTransformer):
             node.test = self._call("value", test, node.test)  # type: ignore[attr-defined]
         return self._with_note(node)
 
-    def _with_note(self, node: ast.AST) -> Any:  # noqa: C901  one case after the other
+    def _with_note(self, node: ast.AST) -> Any:  # noqa: C901  the cases are tried one after the other
         match node:
             case ast.Call(func=ast.Name(id=name)) if name in _OF_FRAMES:
                 return node
@@ -248,7 +248,7 @@ class _Noting(ast.NodeTransformer):
 
 
 def _is_plain(node: ast.expr) -> bool:
-    """Return whether an expression has only names, constants, attributes and signs."""
+    """Return whether an expression consists only of names, constants, attributes and signs."""
     parts = (each for each in ast.walk(node) if isinstance(each, ast.expr))
     return all(isinstance(each, ast.Name | ast.Constant | ast.Attribute | ast.UnaryOp) for each in parts)
 

@@ -28,24 +28,24 @@ _WORDS: Final = {"default": " by default", "read": ", read after step {}", "answ
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """A value of the plan, the line that made it, and the values that it was made from."""
+    """A value of the plan, the line that made it, and the values from which it was made."""
 
     #: "call", "value", "argument", "default", "item" (of a container or loop), "returned", "condition", "change" (of a
     #: container or object), "read" (of an object's state) or "answer" (of a query or motion),
     #: or "before" (a call in the statements just before)
     kind: str
     name: str  # the expression
-    value: str  # its value as text; "" if it is unknown
-    number: Any  # its value, if it is a number or a list of numbers
+    value: str  # the value as text; "" if unknown
+    number: Any  # the value, if it is a number or a list of numbers
     file: str
     line: int
-    text: str  # text of the line
-    step: int  # the last step before it; -1 if unknown
+    text: str  # text of the line that made the value
+    step: int  # the last recorded step before it; -1 if unknown
     own: float  # how much of its own the line has: 1 for numbers, 0.5 for texts, 0 if it only passes values on
     body: str  # name of the object that was read
     remark: str  # what is unusual about the value, in words
-    parts: tuple[Origin, ...]  # the values that it was made from
-    moved: str = ""  # how the object that was read has moved since then, in words
+    parts: tuple[Origin, ...]  # the values from which it was made
+    moved: str = ""  # text: how the object has moved since it was read
 
     @property
     def place(self) -> tuple[str, int]:
@@ -79,27 +79,27 @@ class PossibleMistake:
 class Origins:
     """The origins of a failure's values."""
 
-    failed: Origin | None  # the call or line that failed; None if it isn't in the plan's files
-    earlier: tuple[Origin, ...]  # calls of the plan that led to it
-    program: str  # the plan's file; lines of other files come later
-    decided: int = 0  # how many of these made a cause that explains the failure
+    failed: Origin | None  # the call or line that failed; None if it isn't in the files of the plan
+    earlier: tuple[Origin, ...]  # calls of the plan that led to the failure
+    program: str  # the plan's main file; lines of other files come later
+    decided: int = 0  # how many of these calls made a cause that explains the failure
     guesses: tuple[PossibleMistake, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
     lacks_step: bool = False  # whether a step before the failed call is missing, so the call's own line counts
     checked: bool = False  # whether the failed line checks a value, and the call that wrote the value is known
 
     def lines_of(self, name: str) -> list[int]:
-        """Return the numbers of the lines of a file that made the values, the likeliest first."""
+        """Return the numbers of the lines of a file that made the values, the most probable first."""
         return [line for file, line in self._ranked()[0] if PurePath(file).name == name]
 
     def stale_of(self, name: str) -> set[int]:
-        """Return the numbers of the lines of a file with values that were true earlier."""
+        """Return the numbers of the lines of a file that use outdated values."""
         facts = [each for call in (self.failed, *self.earlier) if call is not None for _, each in _walk(call, 0.0)]
         stale = (each for each in facts if each.moved or "since then" in each.remark or _returns_stale(each))
         return {each.line for each in stale if PurePath(each.file).name == name}
 
     def _ranked(self) -> tuple[list[tuple[str, int]], dict[tuple[str, int], list[Origin]]]:
-        """Return the places of lines, the likeliest first, and the facts about each."""
+        """Return the places of lines, the most probable first, and the facts about each line."""
         ranks: dict[tuple[str, int], float] = {}
         facts: dict[tuple[str, int], list[Origin]] = defaultdict(list)
         guessed = {each.place: _SLIP if each.source else _SUSPECT for each in self.guesses if each.likely}
@@ -110,7 +110,7 @@ class Origins:
             decided = 0 < number <= self.decided
             for rank, each in _walk(call, start + _LATER * number, decided=decided) if call is not None else ():
                 place = each.place
-                if place not in known:  # an earlier call had other values there
+                if place not in known:  # an earlier call had other values at this place
                     facts[place].append(each)
                 raised = (each.file != self.program) - guessed.get(place, 0.0)
                 if each is self.failed:
@@ -119,7 +119,7 @@ class Origins:
         return sorted(ranks, key=lambda place: ranks[place]), facts
 
     def lines(self) -> Iterator[str]:
-        """Yield the plan's lines that made the values, the likeliest first, and the guesses."""
+        """Yield the plan's lines that made the values, the most probable first, and the guesses."""
         ranked, facts = self._ranked()
         if self.failed is not None and self.failed.place not in ranked[: _MAX_ROWS - 1]:
             ranked[_MAX_ROWS - 1 :] = [self.failed.place]
@@ -138,7 +138,7 @@ class Origins:
 
 
 def _walk(origin: Origin, rank: float, *, decided: bool = False) -> Iterator[tuple[float, Origin]]:
-    """Yield the facts with their ranks: far from the failure, and what only passes values on, comes last."""
+    """Yield the facts with their ranks: those far from the failure, or that only pass values on, come last."""
     strange = origin.remark.partition(" ")[0] not in _HARMLESS or _returns_stale(origin)
     own = rank - _SUSPECT * (strange or bool(origin.moved)) + _LOADING * ("Object(" in origin.text)
     if origin.kind == "change":
@@ -151,7 +151,7 @@ def _walk(origin: Origin, rank: float, *, decided: bool = False) -> Iterator[tup
 
 
 def _returns_stale(origin: Origin) -> bool:
-    """Return whether a value is from a call that read an object which has moved since then."""
+    """Return whether a value comes from a call that read an object which has moved since then."""
 
     def is_stale(part: Origin) -> bool:
         return bool(part.moved) or any(map(is_stale, part.parts) if part.kind in ("value", "returned") else ())
@@ -160,7 +160,7 @@ def _returns_stale(origin: Origin) -> bool:
 
 
 def _said(origin: Origin) -> str:
-    """Return the value of a fact, unless its line says it."""
+    """Return the value in a fact; "" if the text of its line already shows it."""
     if origin.kind in ("call", "change", "before") or not origin.value:
         return ""
     said = f"{origin.name} = {origin.value}" + _WORDS.get(origin.kind, "").format(origin.step)

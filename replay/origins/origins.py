@@ -1,7 +1,7 @@
-"""Where the values of a failure come from: ``pycram-replay why --origins``.
+"""Where the values in a failure come from: ``pycram-replay why --origins``.
 
-The plan runs again, guided by its recording, with notes of its values (:mod:`.noting`). From the call that failed, and
-from the calls that made its causes, each value is followed back to the lines that made it (:mod:`.chain`).
+The plan runs again, guided by its recording, while its values are noted (:mod:`.noting`). From the failed call, and
+from calls that made its causes, each value is followed back to the lines that made it (:mod:`.chain`).
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from replay.retrace.plan_process import CantRetrace, PlanProcess
 if TYPE_CHECKING:
     from replay.explain.why import Why
 
-_MAX_CAUSES: Final = 3  # largest number of causes whose calls are explained
+_MAX_CAUSES: Final = 3  # maximum number of causes whose calls are explained
 _SHOWN: Final = 2000
-_MOVED: Final = 0.001  # position of a joint that isn't closed, rad or m
+_MOVED: Final = 0.001  # position in rad or m above which a joint isn't closed
 
 
 def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Origins:
-    """Run the plan again, and follow the values of its failure back.
+    """Run the plan again, and follow the values in its failure back.
 
     Raises:
         CantRetrace: the plan can't be run again.
@@ -85,7 +85,7 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
 
 
 def _steps(log: RecordReader, why: Why) -> dict[int, bool]:
-    """Return the steps that led to the failure, and whether they decided it; these steps come first."""
+    """Return the steps that led to the failure, and whether they decided it; deciding steps come first."""
     causes = [(each, why.case is not None and decides(why.case, each)) for each in why.causes[:_MAX_CAUSES]]
     causes.sort(key=lambda each: not each[1])
     found = [(step, decided) for cause, decided in causes for step in (*_made_by(cause), *_moved_joints(why, cause))]
@@ -106,7 +106,7 @@ def _made_by(cause: Any) -> Iterator[int]:
 
 
 def _moved_joints(why: Why, cause: Cause) -> Iterator[int]:
-    """Yield the last step that moved a joint of the furniture in the way."""
+    """Yield the last step that moved a joint of the furniture that is in the way."""
     case = why.case
     if isinstance(cause, ObstructingBody) and cause.change is None and case is not None and case.world is not None:
         body = case.world.bodies[cause.body]

@@ -23,20 +23,20 @@ from replay.state.state import Body, World
 if TYPE_CHECKING:
     from replay.explain.why import Why
 
-_MOVED: Final = 0.001  # in m; smaller moves are ignored
-_CLOSE: Final = 0.15  # in m, near an object
-_FAR: Final = 0.5  # in m, away from all objects
-_ROOM: Final = 3.0  # in m, outside of the scene
-_TILTED: Final = 0.5  # smaller cosines of a lean mean that nothing stands like that
-_POSITION: Final = 3  # number of its coordinates
+_MOVED: Final = 0.001  # distance in m below which a motion is ignored
+_CLOSE: Final = 0.15  # distance in m at which a point is near an object
+_FAR: Final = 0.5  # distance in m at which a point is away from all objects
+_ROOM: Final = 3.0  # distance in m at which a point is outside of the scene
+_TILTED: Final = 0.5  # cosine of a lean below which no object stands like that
+_POSITION: Final = 3  # number of coordinates of a position
 _UNITS: Final = ((100.0, "centimetres"), (1000.0, "millimetres"))
-_DEGREES: Final = 5.0  # smaller angles are rarely in degrees
-_LEAST: Final = 50.0  # a number in a unit is at least this part of 1 m
+_DEGREES: Final = 5.0  # angle below which a number is rarely in degrees
+_LEAST: Final = 50.0  # smallest share of 1 m that a number in a unit can be
 _NUMBER: Final = re.compile(r"(?<![\w.])\d+(?:\.\d*)?(?![\w.])")
 
 
 def with_moves(log: RecordReader, origin: Origin, why: Why) -> Origin:
-    """Return a fact with the moves of the objects that it and its parts read."""
+    """Return a fact, with the motions of those objects that it or its parts read."""
     parts = tuple(with_moves(log, each, why) for each in origin.parts)
     return replace(origin, parts=parts, moved=_moved_since(log, origin, why) if origin.kind == "read" else "")
 
@@ -61,7 +61,7 @@ def _moved_since(log: RecordReader, origin: Origin, why: Why) -> str:
 
 
 def guesses(why: Why, failed: Origin | None) -> Iterator[PossibleMistake]:
-    """Yield mistakes that would explain a number of the failed call, each because of numbers of the scene."""
+    """Yield mistakes that would explain a number of the failed call; each is supported by numbers of the scene."""
     if failed is None or why.world is None:
         return
     facts = [failed]
@@ -100,7 +100,7 @@ def slips(source: PlanSource, calls: Iterable[Origin]) -> Iterator[PossibleMista
 
 
 def _in_degrees(data: Mapping[str, Plain], facts: Sequence[Origin]) -> Iterator[PossibleMistake]:
-    """Yield the line of a joint's value that would be within the joint's limits if it were in radians."""
+    """Yield the line of a joint's value, if the value would be within the limits as a number of degrees."""
     value, lower, upper = (data.get(key) for key in ("value", "lower", "upper"))
     if isinstance(value, int | float) and isinstance(lower, int | float) and isinstance(upper, int | float):
         angle = math.radians(value)
@@ -147,7 +147,7 @@ def _of_rotation(rotation: Sequence[float]) -> str:
     x, y, z, w = rotation
     if abs(math.hypot(*rotation) - 1) > _CLOSE or 1 - 2 * (x * x + y * y) > _TILTED:
         return ""
-    if 1 - 2 * (y * y + z * z) < 1 - _CLOSE:  # the lean of the rotation whose w comes first
+    if 1 - 2 * (y * y + z * z) < 1 - _CLOSE:  # the lean of a rotation whose w is the first component
         return ""
     return f"has w first; in the order x, y, z, w it tilts by {phrases.degrees(2 * math.acos(min(1.0, abs(w))))}"
 

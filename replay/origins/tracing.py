@@ -1,4 +1,4 @@
-"""The process in which a plan runs again with notes of its values; :mod:`.origins` starts it."""
+"""The process in which a plan runs again while its values are noted; :mod:`.origins` starts it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from replay.origins.noting import Note, ValueNotes
 from replay.retrace.guided_run import GuidedRun
 from replay.retrace.plan_process import FirstDifference, Guidance
 
-_MAX_FACTS = 40  # largest number of facts about a step
+_MAX_FACTS = 40  # maximum number of facts about a step
 
 
 class _NotingSink(NullSink):
-    """Notes which calls of the plan run at certain steps, and ends the process after the last of these steps."""
+    """Stores which calls of the plan run at certain steps; ends the process after the last of these steps."""
 
     def __init__(self, guidance: Guidance, folder: Path, steps: list[int], result: str) -> None:
         own = str(Path(json.loads(sys.argv[1])["plan"]).parent)
@@ -36,7 +36,7 @@ class _NotingSink(NullSink):
         self._difference: FirstDifference | None = None
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  as sinks are called
-        """Note the plan's call that made a record."""
+        """Store the plan's call that made a record."""
         step = self.notes.step = record.seq
         call = self.notes.current
         if self._difference is not None:

@@ -1,8 +1,8 @@
 """A folder of recordings as tables, for read-only SQL statements.
 
 An update reads only new and changed recordings. In the folder, ``tables/`` has ``contents.json``, the list of
-recordings, and parts: subfolders with Parquet files of some recordings. An update adds a part and merges small parts. A
-single rename replaces the contents, so a killed update leaves the old contents or the new contents. Readers hold a
+recordings, and parts: subfolders with Parquet files of some recordings. An update adds one part, and merges small
+parts. The contents are replaced by a single rename, so after a killed update they are either old or new. Readers hold a
 shared lock on their parts, so obsolete parts stay until the last reader closes.
 """
 
@@ -37,12 +37,12 @@ if TYPE_CHECKING:
     import polars as pl
 
 _RUN_FIELD: Final = pa.field(RUN.name, pa.string())
-_MODELS: Final = "models-"  # prefix of shared models of a sweep
+_MODELS: Final = "models-"  # prefix of the names of a sweep's shared models
 _CONTENTS: Final = "contents.json"
-_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # name of a part; incomplete parts begin with a dot
-_BATCH: Final = 200  # rows of at most this many recordings are in memory
-_PARTS: Final = 8  # this many small parts are merged
-_SMALL: Final = 2000  # a part with fewer recordings is small
+_PART: Final = re.compile(r"\.?(\d{6,})(\..*)?", re.ASCII)  # name of a part; names of incomplete parts begin with a dot
+_BATCH: Final = 200  # maximum number of recordings whose rows are in memory
+_PARTS: Final = 8  # number of small parts that are merged
+_SMALL: Final = 2000  # number of recordings below which a part is small
 
 
 class NotRead(ReplayError):
@@ -56,7 +56,7 @@ class NotRead(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A file in the folder without rows in the tables."""
+    """A file in the folder whose rows the tables don't contain."""
 
     name: str
     reason: str
@@ -79,7 +79,7 @@ class Folder:
         self._held = contextlib.ExitStack()
 
     def close(self) -> None:
-        """Release the tables. Other processes may then remove obsolete parts."""
+        """Release the tables. Then other processes may remove obsolete parts."""
         self._held.close()
 
     @property
@@ -100,18 +100,18 @@ class Folder:
 
     def files(self, table: str) -> list[str]:
         """Return the Parquet files of a table."""
-        tables = self.tables.absolute()  # the working directory may change
+        tables = self.tables.absolute()  # absolute, because the working directory may change
         return [str(tables / part / f"{table}.parquet") for part in sorted(self._contents.parts)]
 
     def recordings(self) -> dict[str, os.stat_result]:
-        """Return the recordings in the folder by name. A name of an incomplete file begins with a dot."""
+        """Return the recordings in the folder by name. The name of an incomplete file begins with a dot."""
         found = {}
         with os.scandir(self.path) as entries:
             for entry in entries:
                 ours = entry.name.endswith(".mcap") and not entry.name.startswith((".", _MODELS))
                 if not ours:
                     continue
-                if entry.is_symlink():  # a broken link is reported as unreadable
+                if entry.is_symlink():  # a broken link is reported as an unreadable file
                     if not Path(entry.path).is_dir():
                         found[entry.name] = entry.stat(follow_symlinks=Path(entry.path).is_file())
                 elif entry.is_file():
@@ -121,12 +121,12 @@ class Folder:
     def update(self, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
         """Update the tables.
 
-        Arguments of ``progress`` are the number of recordings that were read, and of all new recordings.
+        ``progress`` is called with the number of recordings that were read, and that of all new recordings.
 
         Raises:
-            NotRead: The tables are outdated, and can't be written.
+            NotRead: The tables are out of date, and can't be written.
         """
-        if self.tables.is_symlink():  # the target may be anywhere
+        if self.tables.is_symlink():  # the link's target may be anywhere
             raise NotRead(self.path, f"{self.tables} is a link; remove it and try again")
         self.close()
         try:
@@ -135,7 +135,7 @@ class Folder:
                 self._update(progress)
                 self._hold()
         except OSError as error:
-            self._contents = Contents.read(self.tables)  # a read-only disk may have up-to-date tables
+            self._contents = Contents.read(self.tables)  # on a read-only disk, the tables may be up to date
             if any(self._changed(self.recordings())):
                 reason = error.strerror or str(error)
                 cause = f"its tables can't be written ({reason}); copy the folder to a writable place"
@@ -143,7 +143,7 @@ class Folder:
             self._hold()
 
     def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
-        """Return the recordings in the tables that have changed or are gone, and the recordings that must be read."""
+        """Return the recordings in the tables that have changed or are gone, and those that must be read."""
         known = self._contents.files
         stale = [
             name
@@ -245,13 +245,13 @@ class Folder:
         try:
             for name, table in tables.items():
                 parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
-            shutil.rmtree(self.tables / part, ignore_errors=True)  # left from a killed update
+            shutil.rmtree(self.tables / part, ignore_errors=True)  # a killed update has left this
             mask = os.umask(0)
             os.umask(mask)
             partial.chmod(0o777 & ~mask)
             partial.rename(self.tables / part)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)  # the folder may still have its old name
+            shutil.rmtree(partial, ignore_errors=True)  # the folder may exist under its old name
         return part
 
     # --- locks -------------------------------------------------------------------------------------------------------
@@ -262,14 +262,14 @@ class Folder:
         self.tables.mkdir(exist_ok=True)
         (self.tables / NEW).mkdir(exist_ok=True)
         with (self.tables / ".lock").open("w") as lock:
-            with contextlib.suppress(OSError):  # some systems have no locks
+            with contextlib.suppress(OSError):  # some systems don't support locks
                 system.lock(lock.fileno(), wait=True)
             yield
 
     def _hold(self) -> None:
-        """Lock these tables until :meth:`close`, so that other processes don't remove them."""
+        """Lock these tables until :meth:`close`, so that other processes keep them."""
         for part in self._contents.parts:
-            with contextlib.suppress(BlockingIOError):  # another process is removing the part
+            with contextlib.suppress(BlockingIOError):  # another process is just removing the part
                 self._held.enter_context(flocked(self.tables / part, exclusive=False))
 
 
@@ -286,13 +286,13 @@ def empty_tables() -> dict[str, pa.Table]:
 class Contents:
     """The contents of the tables."""
 
-    #: Facts about each recording: size and time, and the part or the reason why the recording can't be read.
+    #: Facts about each recording: size and time, and its part, or why it can't be read.
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
-    next: int = 1  # number of the next part
+    next: int = 1  # number that the next part will get
 
     @property
     def parts(self) -> dict[str, list[str]]:
-        """Names of the recordings by part."""
+        """Names of the recordings, by part."""
         found = defaultdict(list)
         for name, facts in self.files.items():
             if "part" in facts:
@@ -303,11 +303,11 @@ class Contents:
     def read(cls, tables: Path) -> Contents:
         """Return the contents of a folder of tables. Unreadable contents and contents of other releases are empty."""
         numbers = [int(found[1]) for name in parts_there(tables) if (found := _PART.fullmatch(name))]
-        nothing = cls(next=max(numbers, default=0) + 1)  # no number is reused, because readers may use old parts
+        nothing = cls(next=max(numbers, default=0) + 1)  # part numbers aren't reused, because readers may use old parts
         try:
             content = json.loads((tables / _CONTENTS).read_text(encoding="utf-8"))
             contents = cls(dict(content["files"]), int(content["next"]))
-            decimal = all(part.isdecimal() for part in contents.parts)  # no name leads out of the folder
+            decimal = all(part.isdecimal() for part in contents.parts)  # no name may lead out of the folder
             ours = content["version"] == VERSION and decimal
             intact = ours and all(
                 (tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
@@ -328,19 +328,19 @@ class Contents:
 
 
 def parts_there(tables: Path) -> set[str]:
-    """Return the names of all parts, also of obsolete parts."""
+    """Return the names of all parts, including obsolete ones."""
     found = tables.iterdir() if tables.is_dir() else ()
     return {each.name for each in found if _PART.fullmatch(each.name) and each.is_dir() and not each.is_symlink()}
 
 
 @contextlib.contextmanager
 def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """Lock a folder in a block, without waiting. On systems without locks, do nothing.
+    """Lock a folder in the ``with`` block; don't wait for the lock. On systems without locks, nothing is locked.
 
     Raises:
         BlockingIOError: Another process holds the lock.
     """
-    if not system.HAS_LOCKS:  # systems without locks don't open folders
+    if not system.HAS_LOCKS:  # systems without locks can't open folders
         yield
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -349,7 +349,7 @@ def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
             system.lock(descriptor, shared=not exclusive)
         except BlockingIOError:
             raise
-        except OSError:  # some network file systems have no locks
+        except OSError:  # some network file systems don't support locks
             pass
         yield
     finally:
@@ -360,7 +360,7 @@ def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
 
 
 class Refused(ReplayError):
-    """A statement is more than a selection, or can't be executed."""
+    """A statement is not only a selection, or can't be executed."""
 
     def __init__(self, sql: str, cause: str) -> None:
         super().__init__(cause)
@@ -373,7 +373,7 @@ class Answer:
 
     def __init__(self, table: pa.Table) -> None:
         names: list[str] = []
-        for name in table.column_names:  # JSON objects and data frames need unique names
+        for name in table.column_names:  # Names of columns must be unique in JSON objects and data frames
             others = (f"{name}_{number}" for number in range(1, len(table.column_names)))
             names.append(name if name not in names else next(each for each in others if each not in names))
         self._table = table.rename_columns(names)
@@ -416,9 +416,9 @@ class Answer:
 
 
 class Runs:
-    """A folder of recordings as tables, a context manager, which :func:`replay.open_runs` opens.
+    """A folder of recordings as tables; :func:`replay.open_runs` opens it; a context manager.
 
-    Arguments of ``progress`` are the number of recordings that were read, and of all new recordings.
+    ``progress`` is called with the number of recordings that were read, and that of all new recordings.
 
     Raises:
         NotALog: There is no such folder.
@@ -477,7 +477,7 @@ class Runs:
             raise Refused(statement, str(error)) from error
         if len(found) != 1 or found[0].type != duckdb.StatementType.SELECT:
             raise Refused(statement, "give a single SELECT statement; the tables of runs are read-only")
-        with ThreadPoolExecutor(1) as executor:  # the database ignores Ctrl-C
+        with ThreadPoolExecutor(1) as executor:  # the database doesn't react to Ctrl-C
             selected = executor.submit(lambda: self._database.sql(statement, params=list(values)).to_arrow_table())
             try:
                 return Answer(selected.result())

@@ -1,9 +1,9 @@
-"""Runs as a data set in LeRobot's format v3.0. An episode is a run, with 30 frames per second of simulated time.
+"""Runs as a data set in LeRobot's format v3.0. Each episode is a run, with 30 frames per second of simulated time.
 
 ``observation.state`` of a frame is the robot's base pose and joints, ``action`` is the state of the next frame, and
 ``observation.environment_state`` has the poses of all bodies that move in a run. Only runs with ``--motion continuous``
-have trajectories, because nothing moves between two changes. Every second frame of a video is a key frame, because
-training reads single frames.
+have trajectories; in others, nothing moves between two changes. Every second frame of a video is a key frame, because
+training reads single frames at random.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ if TYPE_CHECKING:
     from replay.runs.folder import Runs
 
 FPS: Final = 30
-_FILE_SIZE: Final = 100  # size of a data file in MB
-_FILES: Final = 1000  # number of files in a folder
+_FILE_SIZE: Final = 100  # maximum size of a data file in MB
+_FILES: Final = 1000  # maximum number of files in a folder
 _DATA: Final = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _VIDEO: Final = "observation.images.camera"
 _VIDEO_PATH: Final = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-_MAX_VIDEO: Final = 200  # after a video file of this size in MB, the next episode begins a new file
-_PICTURE: Final = (320, 240)  # width and height in pixels
+_MAX_VIDEO: Final = 200  # size in MB of a video file after which the next episode begins a new file
+_PICTURE: Final = (320, 240)  # width and height of pictures in pixels
 _FORMAT: Final = "yuv420p"
 _CODECS: Final = {"libsvtav1": {"g": "2", "crf": "30", "preset": "8"}, "libx264": {"g": "2", "crf": "23"}}
 _EPISODES: Final = "meta/episodes/chunk-000/file-000.parquet"
@@ -50,8 +50,9 @@ _POSE: Final = ("x", "y", "z", "qx", "qy", "qz", "qw")
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
 
-#: A function that draws the picture of a camera: (recording, step, world, moment within the next step or None, size).
-#: The moment is simulated time in s, the size is in pixels. This package doesn't import rendering.
+#: A function that draws a camera's picture, from: recording, step, world, moment within the next step or None, size.
+#: The moment is simulated time in s; the size is in pixels. It is an argument, because this package doesn't import
+#: rendering.
 Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"
 
 
@@ -60,7 +61,7 @@ class Exported:
     """A written data set."""
 
     folder: Path
-    episodes: tuple[str, ...]  # names of the recordings in the order of the episodes
+    episodes: tuple[str, ...]  # names of the recordings, in the order of the episodes
     frames: int
     left_out: tuple[str, ...]  # names of recordings in which no robot moves
 
@@ -94,14 +95,14 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
             partial.chmod(0o755)
             partial.rename(folder)
         finally:
-            shutil.rmtree(partial, ignore_errors=True)  # the folder may still have its old name
+            shutil.rmtree(partial, ignore_errors=True)  # the folder may exist under its old name
     except OSError as error:
         raise ReplayError(f"{folder}: can't be written: {error.strerror or error}") from error
     return Exported(folder, tuple(robots), frames, tuple(name for name in names if name not in robots))
 
 
 def _robots(runs: Runs, names: Sequence[str]) -> dict[str, str]:
-    """Return the last robot with recorded joints of each run."""
+    """Return for each run the last robot that has recorded joints."""
     rows = runs.sql(
         "SELECT run, arg_max(body, step) FROM mutations m WHERE command = 'set_robot' AND body <> '' "
         "AND EXISTS (SELECT 1 FROM joints j WHERE j.run = m.run AND j.body = m.body) GROUP BY run ORDER BY run"
@@ -119,7 +120,7 @@ class _Writer:
         self.environment = [f"{body}.{axis}" for body in self.bodies for axis in _POSE]
 
     def write(self) -> int:
-        """Write everything, and return the number of frames."""
+        """Write the data set, and return the number of frames."""
         tables: list[pa.Table] = []
         episodes: list[dict[str, Any]] = []
         index = file = 0
@@ -169,7 +170,7 @@ class _Writer:
         return str(plan)
 
     def _common(self, what: str, table: str, condition: str, values: Sequence[object]) -> list[str]:
-        """Return the names that all runs have in a table."""
+        """Return the names in a table that all runs have."""
         rows = self.runs.sql(
             f"SELECT {what} FROM {table} WHERE {condition} AND list_contains(?, run) "  # noqa: S608  the names are ours
             f"GROUP BY 1 HAVING count(DISTINCT run) = ? ORDER BY 1",
@@ -178,7 +179,7 @@ class _Writer:
         return [name for (name,) in rows.rows()]
 
     def _moving(self) -> list[str]:
-        """Return the bodies that all runs have and that move in a run, without the robot."""
+        """Return the bodies that all runs have, and that move in any run; the robot is left out."""
         in_all = self._common("body", "poses", "body <> ?", [self.robot])
         rows = self.runs.sql(
             "SELECT DISTINCT body FROM (SELECT run, body FROM poses WHERE list_contains(?, run) GROUP BY run, body "
@@ -212,7 +213,7 @@ class _Writer:
     def _series(
         self, run: str, table: str, key: str, columns: Sequence[str], body: str | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return times and values by name. The last value at a time counts."""
+        """Return times and values, by name. If there are several values at a time, the last one counts."""
         rows = self.runs.sql(
             f"SELECT {key}, sim_seconds, {', '.join(columns)} FROM {table} WHERE run = ? AND (? IS NULL OR body = ?) "  # noqa: S608  the names are ours
             "ORDER BY step, sim_seconds",
@@ -284,7 +285,7 @@ class _Writer:
 
 
 def _at(series: tuple[np.ndarray, np.ndarray], moments: np.ndarray) -> np.ndarray:
-    """Return the values at moments. Moments before the first value have the first value."""
+    """Return the values at moments. Before the first value, moments have the first value."""
     times, values = series
     return values[np.maximum(np.searchsorted(times, moments + 1e-9, side="right") - 1, 0)]
 
@@ -301,7 +302,7 @@ def _table(frames: Mapping[str, np.ndarray]) -> pa.Table:
 
 
 def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[float]]]:
-    """Return LeRobot's statistics for normalisation: lists with a number for each component of a feature."""
+    """Return LeRobot's statistics for normalisation: each is a list with a number for each component of a feature."""
     found = {}
     for name, values in columns.items():
         rows = values.astype(np.float64).reshape(len(values), -1)
@@ -315,15 +316,15 @@ def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[f
 
 
 class _Videos:
-    """A writer of a data set's videos, with views of the robot's camera; a context manager."""
+    """Writes a data set's videos, with the view of the robot's camera; a context manager."""
 
     def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
         self._folder, self._runs, self._robot, self._draw = folder, runs, robot, draw
         self._file = -1
-        self._frames = 0  # number of frames in the file
+        self._frames = 0  # number of frames in the present file
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
-        self._counts = np.zeros((3, 256), np.int64)  # numbers of pixels by channel and value in all episodes
+        self._counts = np.zeros((3, 256), np.int64)  # number of pixels by channel and value, in all episodes
         import av  # noqa: PLC0415  an extra
 
         self._av = av
@@ -336,9 +337,9 @@ class _Videos:
         self._close()
 
     def write(self, run: str, moments: np.ndarray) -> dict[str, Any]:
-        """Write the frames of a run at moments (simulated time in s).
+        """Write the frames of a run at some moments (simulated time in s).
 
-        Return the run's columns in the table of episodes.
+        Return the run's entries for the table of episodes.
 
         Raises:
             ReplayError: The robot has no camera, or the view isn't recorded.
@@ -405,7 +406,7 @@ class _Videos:
         with RecordReader(self._runs.path / run) as log:
             for moment in moments:
                 at = max(int(np.searchsorted(times, moment + 1e-9, side="right")) - 1, 0)
-                moves = at + 1 < len(times) and bool(times[at] < moment - 1e-9)  # within the next change
+                moves = at + 1 < len(times) and bool(times[at] < moment - 1e-9)  # moment within the next change
                 if drawn is None or moves or at != still:
                     drawn = self._draw(log, steps[at], world, float(moment) if moves else None, _PICTURE)
                     still = -1 if moves else at
@@ -434,9 +435,9 @@ class _Videos:
 
 
 def _picture_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, Any]:
-    """Return LeRobot's statistics for the normalisation of pictures, for each channel, 0 to 1.
+    """Return LeRobot's statistics for the normalisation of pictures, for each channel; values are 0 to 1.
 
-    ``counts`` is the number of pixels for each channel and value 0..255.
+    ``counts`` has the number of pixels for each channel and value 0..255.
     """
     values, of = np.arange(256) / 255, counts.sum(1, keepdims=True)
     mean = (counts * values).sum(1, keepdims=True) / of

@@ -2,8 +2,8 @@
 
 The process that made a recording calls :func:`write_rows` at the end; readers make the rows of all other recordings.
 Two failures have the same cause if their types, their first colliding pairs of links, and the names of the tasks around
-them are equal. Without links, the first line of the message without numbers is compared, so coordinates and seeds don't
-split a cause.
+them are equal. Without links, the first line of the message is compared without its numbers, so coordinates and seeds
+don't split a cause.
 """
 
 from __future__ import annotations
@@ -48,19 +48,19 @@ from replay.runs.schema import COLUMNS, TABLES, VERSION, arrow_schema
 FOLDER: Final = "tables"  # name of the subfolder with the tables in a folder of recordings
 NEW: Final = "new"  # name of the subfolder with new rows in the folder of tables
 _PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the cores
-_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas, which must be before forks
-_NO_EVENT: Final = Event()  # for the fields that records of fluents lack
+_NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas, which must be imported before a fork
+_NO_EVENT: Final = Event()  # default for the fields that records of fluents lack
 _STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 _OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
 _NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
 _LIST: Final = re.compile(r"[\[(]#(?:, #)*[\])]")
-_MAX_PATH: Final = 500  # paths have at most this many characters, because tasks may be nested a thousand levels deep
-_MAX_NAMED: Final = 3  # labels have at most this many objects
+_MAX_PATH: Final = 500  # maximum number of characters of a path, because tasks may be nested a thousand levels deep
+_MAX_NAMED: Final = 3  # maximum number of objects in a label
 
 
 def write_rows(path: Path) -> None:
-    """Write the rows of a finished recording for readers of its folder.
+    """Write the rows of a finished recording, for readers of its folder.
 
     Raises:
         ReplayError: The recording can't be read.
@@ -77,7 +77,7 @@ def write_rows(path: Path) -> None:
                 marked = table.replace_schema_metadata(_marks(name, state))
                 with pa.ipc.new_stream(file, marked.schema, options=_PACKED) as stream:
                     stream.write_table(marked)
-        with suppress(FileNotFoundError):  # a reader has removed the file
+        with suppress(FileNotFoundError):  # a reader has already removed the file
             partial.replace(rows)
     finally:
         partial.unlink(missing_ok=True)
@@ -103,13 +103,13 @@ def written_rows(path: Path) -> Path:
 
 
 def partial_rows(path: Path) -> Path:
-    """Return the file of incomplete rows, which a killed writer leaves."""
+    """Return the file of incomplete rows, which remains after a killed writer."""
     rows = written_rows(path)
     return rows.with_name(f".{rows.name}")
 
 
 def _marks(table: str, state: os.stat_result) -> dict[str, str]:
-    """Return metadata of a row file: recording, table and version."""
+    """Return the metadata of a file of rows: recording, table and version."""
     return {"table": table, "version": str(VERSION), "file": f"{state.st_size} {state.st_mtime_ns}"}
 
 
@@ -145,9 +145,9 @@ class _Rows:
         self.start: Run | None = None
         self.end: Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
-        self._tasks: dict[int, list[Any]] = {}  # rows of tasks by id
+        self._tasks: dict[int, list[Any]] = {}  # rows of tasks, by id
         self._violated: set[str] = set()
-        self._failing: set[int] = set()  # ids of tasks with a failed part
+        self._failing: set[int] = set()  # ids of tasks in which a part failed
 
     def add(self, record: Record) -> None:
         """Add the rows of a record."""
@@ -200,7 +200,7 @@ class _Rows:
         if record.phase in (Task.STARTED, Task.ASKED):
             self._begin(record)
             return
-        if record.task not in self._tasks:  # the beginning of the task isn't recorded
+        if record.task not in self._tasks:  # the recording doesn't contain the beginning of the task
             self._begin(record)
         if record.phase == Task.LEFT:
             return
@@ -223,7 +223,7 @@ class _Rows:
                 self._failure(record, "task", record.failure)
 
     def _begin(self, record: Task) -> None:
-        """Add the row of a task. The start of a requested task only changes the time in its row."""
+        """Add the row of a task. When a requested task starts, only the time in its row changes."""
         known = self._tasks.get(record.task)
         if known is not None:
             at = COLUMNS["tasks"]
@@ -396,7 +396,7 @@ class _Rows:
     # --- the run -----------------------------------------------------------------------------------------------------
 
     def finish(self, log: RecordReader) -> None:
-        """Add the row of the run after all records."""
+        """Add the row of the run, after all records."""
         first, last, end = self.first, self.last, self.end
         if first is None or last is None:
             return
@@ -455,7 +455,7 @@ class _Rows:
 
 
 def parameters(start: Run) -> list[tuple[str, str]]:
-    """Return the parameters of a run, or without parameters the options among the arguments."""
+    """Return the parameters of a run; if it has none, the options among its arguments."""
     given = {each.name: each.value_json for each in start.parameters}
     return list((given or _options(start.arguments)).items())
 
@@ -474,7 +474,7 @@ def _options(arguments: Sequence[str]) -> Mapping[str, str]:
 
 
 def json_of(arguments: Sequence[Argument]) -> str:
-    """Return named values as a JSON object, or ""."""
+    """Return named values as a JSON object; "" if there are none."""
     if not arguments:
         return ""
     return "{" + ",".join([f"{_key(each.name)}:{each.json or 'null'}" for each in arguments]) + "}"
@@ -486,7 +486,7 @@ def _key(name: str) -> str:
 
 
 def label(name: str, arguments: Sequence[Argument]) -> str:
-    """Return a name with the objects among the arguments, or without objects with the type of object."""
+    """Return a name with the objects among the arguments; without objects, with the type of object."""
     found: dict[str, None] = {}
     for argument in arguments:
         if '{"object":' in argument.json:
@@ -498,23 +498,23 @@ def label(name: str, arguments: Sequence[Argument]) -> str:
 
 
 def source(record: Task | Query | Mutation | Event | Fluent | Refusal | Check) -> str:
-    """Return the plan's line that caused a record, ``file:line``, or ""."""
+    """Return the plan's line that caused a record, as ``file:line``; "" if unknown."""
     return f"{record.source_file}:{record.source_line}" if record.source_file else ""
 
 
 def without_numbers(text: str) -> str:
-    """Return the first line of a text with # instead of each number and each list of numbers."""
+    """Return the first line of a text; # replaces each number and each list of numbers."""
     return _LIST.sub("#", _NUMBER.sub("#", text.strip().partition("\n")[0]))
 
 
 def pairs_of(failure: Failure) -> list[str]:
-    """Return the colliding pairs of links in words."""
+    """Return the text of colliding pairs of links."""
     recorded = argument_values(failure.data).get("pairs") if failure.data else None
     return [pair_text(pair) for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
 
 
 def cause_of(failure: Failure, path: str) -> str:
-    """Return the cause of a failure. ``path`` has the names of the tasks around the failure."""
+    """Return the cause of a failure. ``path`` contains the names of the tasks around the failure."""
     pairs = pairs_of(failure)
     what = pairs[0] if pairs else without_numbers(failure.message)
     where = f" at {without_numbers(path)}" if path else ""

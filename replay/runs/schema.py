@@ -1,6 +1,6 @@
 """The tables of a folder of recordings: columns and meanings. The documentation is generated from this module.
 
-Values of users' types are JSON, as in recordings. Times are seconds since the beginning of the recording.
+Values of types that users define are JSON, as in recordings. Times are seconds since the beginning of the recording.
 ``sim_seconds`` is the simulated time of the record's world.
 """
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION: Final = 2  # version of the tables. Tables of other versions are made again from the recordings.
+VERSION: Final = 2  # version of the tables. Tables of another version are made again from the recordings.
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Table:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the columns without ``run``."""
+        """Names of the columns, except ``run``."""
         return tuple(column.name for column in self.columns)
 
 
@@ -248,13 +248,13 @@ TABLES: Final = (
 )
 
 COLUMNS: Final = {table.name: {name: at for at, name in enumerate(table.names)} for table in TABLES}
-"""Index of each column in a row without ``run``."""
+"""Index of each column in a row that doesn't contain ``run``."""
 
 
 @cache
 def arrow_schema(table: Table) -> pa.Schema:
     """Return the Arrow schema of a table without ``run``."""
-    import pyarrow as pa  # noqa: PLC0415  the documentation needs no pyarrow
+    import pyarrow as pa  # noqa: PLC0415  the documentation works without pyarrow
 
     kinds = {
         "text": pa.string(),

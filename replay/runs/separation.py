@@ -1,12 +1,12 @@
 """The facts that separate failed from successful runs, from the tables of their folder.
 
 A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or the order of two events. A
-*fact* is a statement about a site's values before the failure that is true of some runs and false of others (Liblit et
-al. 2005). Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones and
-Harrold 2005). Facts that are true of the same runs are a *claim*, which must be stronger than a random result. To test
-it, the failures are assigned to the runs at random, many times, and the strongest evidence of all facts is kept
-(Westfall and Young 1993, the single-step maximum). The evidence is the log-likelihood ratio of two failure rates
-against a single rate. Facts that only reflect a run's progress are listed last (:attr:`Fact.how_far`).
+*fact* is a statement about the values of a site before the failure; it is true of some runs, and false of others
+(Liblit et al. 2005). Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007;
+Jones and Harrold 2005). Facts that are true of the same runs form a *claim*; its evidence must be stronger than random
+results. As a test, the failures are assigned to the runs at random, many times; each time, the strongest evidence of
+all facts is kept (Westfall and Young 1993, the single-step maximum). The evidence is the log-likelihood ratio of two
+failure rates against a single rate. Facts that only reflect a run's progress are listed last (:attr:`Fact.how_far`).
 """
 
 from __future__ import annotations
@@ -31,19 +31,19 @@ if TYPE_CHECKING:
 LEVEL: Final = 0.01  # probability of a claim if nothing separates the runs
 PRESENT: Final = frozenset({"happened", "reached"})  # kinds of sites without values
 _ORDER: Final = ("parameter", "pose", "choice", "motion", "query", "order", "event", "happened", "reached")
-#: Parameters of these kinds of tasks repeat the parameters of a motion, or describe the structure of the plan.
+#: Kinds of tasks whose parameters repeat those of a motion, or describe the structure of the plan.
 _STRUCTURE: Final = frozenset({"process-module", "plan", "branch", "block", "cleanup"})
 _AXES: Final = ("x", "y", "z")
 _MAX_SITES: Final = 20_000
-_MAX_MARKS: Final = 60  # the order of at most this many events of a run is compared
-_MAX_TEXT: Final = 80  # values have at most this many characters
-_MAX_VALUES: Final = 12  # sites with more different texts aren't compared
-_CUTS: Final = 16  # the values of a number are split into ranges at no more than this many bounds
-_LARGE: Final = 0.71  # probability that a number exceeds another number: a large effect (Vargha and Delaney 2000)
+_MAX_MARKS: Final = 60  # maximum number of events of a run whose order is compared
+_MAX_TEXT: Final = 80  # maximum number of characters of a value
+_MAX_VALUES: Final = 12  # number of different texts above which a site isn't compared
+_CUTS: Final = 16  # maximum number of bounds that split the values of a number into ranges
+_LARGE: Final = 0.71  # probability that a number exceeds another one; this is a large effect (Vargha and Delaney 2000)
 _ROUNDS: Final = 1000  # number of random permutations of the failures
-_LEAST: Final = 200  # smallest number of permutations for many facts about many runs
-_WORK: Final = 2e10  # largest number of multiplications, which limits the permutations
-_ROWS: Final = 1000  # this many facts are evaluated together
+_LEAST: Final = 200  # minimum number of permutations, for many facts about many runs
+_WORK: Final = 2e10  # maximum number of multiplications, which limits the number of permutations
+_ROWS: Final = 1000  # number of facts that are evaluated together
 
 Truth: TypeAlias = NDArray[np.bool_]
 RunNumbers: TypeAlias = NDArray[np.intp]
@@ -54,11 +54,11 @@ class Claim:
     """A fact that separates the runs, and other facts that are true of the same runs."""
 
     fact: Fact  # the first fact; facts that don't reflect progress come first
-    also: tuple[str, ...]  # the other facts in words
-    ochiai: float  # score, 0 to 1
-    chance: float  # probability of such a strong claim if nothing separates the runs
-    failure: str  # name of a failed run for which the fact is true
-    success: str  # name of a similar successful run for which the fact is false, or ""
+    also: tuple[str, ...]  # texts of the other facts
+    ochiai: float  # score, from 0 to 1
+    chance: float  # probability of a claim as strong as this although nothing separates the runs
+    failure: str  # name of a failed run of which the fact is true
+    success: str  # name of a similar successful run of which the fact is false; "" if there is none
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +66,9 @@ class Separation:
     """The facts that separate failures from successes."""
 
     cases: tuple[ComparedRun, ...]
-    claims: tuple[Claim, ...]  # strongest claims first; claims that reflect progress come last
-    compared: int  # number of compared facts
-    explained: int  # number of failed runs for which a claim is true
+    claims: tuple[Claim, ...]  # the strongest claims first; claims that reflect progress last
+    compared: int  # number of facts that were compared
+    explained: int  # number of failed runs of which a claim is true
 
     @property
     def failures(self) -> int:
@@ -82,9 +82,9 @@ class Separation:
 
 
 def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None = None) -> Separation:
-    """Return the facts that separate failed from successful runs, by default of all runs and all causes of failures.
+    """Return the facts that separate failed from successful runs; by default of all runs, for all causes of failures.
 
-    Runs that succeeded but violated a watched property are failures.
+    Runs that succeeded but violated a watched property count as failures.
     """
     cases = _cases(runs, names, cause)
     return _separation(cases, list(compared_of(sites(runs, cases), cases)))
@@ -97,7 +97,7 @@ def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[
         "LEFT JOIN "
         "(SELECT f.run, max(f.step) AS step FROM failures f JOIN failures t USING (run, task, type, message) "
         "WHERE f.of = 'query' AND t.root AND f.step <= t.step GROUP BY 1) q USING (run) "
-        "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure doesn't cause the failure
+        "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure isn't its cause
     )
     return tuple(
         ComparedRun(run, not succeeded, records if succeeded or step is None else step)
@@ -158,7 +158,7 @@ def _pair(fact: Fact, facts: Sequence[Fact], cases: Sequence[ComparedRun]) -> tu
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """A value of a site in a run."""
+    """The value of a site in a run."""
 
     value: str | float | bool
     step: int
@@ -170,7 +170,7 @@ class Site:
 
     kind: str  # "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`
     name: str  # name of the site, such as "arm at pick-up(spoon)"
-    #: The values in order by number of the run, for runs that reached the site.
+    #: The values in their order, by number of the run, for runs that reached the site.
     values: dict[int, list[Value]] = field(default_factory=lambda: defaultdict(list))
 
 
@@ -180,7 +180,7 @@ class ComparedRun:
 
     run: str  # name of the file
     failed: bool
-    end: int  # the step at which the failure began, or the last step of a successful run
+    end: int  # the step at which the failure began; in a successful run, the last step
 
 
 def sites(runs: Runs, cases: Sequence[ComparedRun]) -> list[Site]:
@@ -204,7 +204,7 @@ class _Sites:
         self.branches: list[dict[int, str]] = [{} for _ in cases]
 
     def add(self, kind: str, name: str, number: int, value: Plain, step: int) -> None:
-        """Add a simple value, or the coordinates of a position. Ignore other values."""
+        """Add a single value, or the coordinates of a position. Ignore other values."""
         for suffix, simple in _simple(value):
             key = kind, f"{suffix} of {name}" if suffix else name
             if key not in self.sites and len(self.sites) >= _MAX_SITES:
@@ -213,7 +213,7 @@ class _Sites:
             site.values[number].append(Value(simple, step))
 
     def before(self, run: str, step: int) -> int | None:
-        """Return the number of a run; None for steps that don't count."""
+        """Return the number of a record's run; None for steps that don't count."""
         number = self.numbers.get(run)
         return number if number is not None and step <= self.cases[number].end else None
 
@@ -230,7 +230,7 @@ class _Sites:
                     self.add("parameter", name, number, from_json(text), 0)
 
     def poses(self, runs: Runs) -> None:
-        """Add the first positions of bodies, and the first positions to which the plan moved them."""
+        """Add the positions of bodies at first, and the first positions to which the plan moved them."""
         put = runs.sql(
             "SELECT p.run, p.step, p.body, p.x, p.y, p.z, m.command FROM poses p JOIN mutations m USING (run, step) "
             "WHERE m.body = p.body AND m.command IN ('load_body', 'move_body') ORDER BY p.run, p.step"
@@ -261,12 +261,12 @@ class _Sites:
             if step > self.cases[number].end:
                 continue
             if not self.cases[number].failed or (last is not None and last < self.cases[number].end):
-                # tasks that the failure ended only repeat the place of the failure
+                # tasks that the failure ended only show where the failure was
                 self.add("reached", f"{label} {kind}" if kind in _STRUCTURE else label, number, True, step)
             if kind not in _STRUCTURE:
                 self.mark(number, f"the start of {label}", step, task)
                 slots: dict[str, Plain] = {}
-                for text in values:  # slots of the solution replace given slots
+                for text in values:  # slots of the solution replace those that the plan gave
                     slots |= _object(text)
                 for slot, value in slots.items():
                     self.add("motion", f"{slot} at {label}", number, value, step)
@@ -321,9 +321,9 @@ class _Sites:
     def orders(self) -> None:
         """Add the order of two events of different branches.
 
-        If only a single event happened before the failure, it was the first. A pair only counts if its order is known
-        in nearly all failures, because otherwise the failures would select the pairs. Both events must
-        happen in at least half of the successful runs.
+        If only one of both events happened before the failure, it was the first. A pair counts only if its order is
+        known in nearly all failures; otherwise the failures would select the pairs. Both events must have happened in
+        at least half of the successful runs.
         """
         failures = sum(case.failed for case in self.cases)
         usual: Counter[str] = Counter()
@@ -350,7 +350,7 @@ class _Sites:
 
 
 def _apart(a: str, b: str) -> bool:
-    """Return whether two branches are separate: no branch contains the other."""
+    """Return whether two branches are separate: neither contains the other."""
     return a != b and not f"{a}/".startswith(f"{b}/") and not f"{b}/".startswith(f"{a}/")
 
 
@@ -363,7 +363,7 @@ def _object(text: str) -> Mapping[str, Plain]:
 
 
 def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
-    """Yield the simple values of a value, with the coordinate or ""."""
+    """Yield the single values of a value, each with its coordinate or ""."""
     if isinstance(value, bool):
         yield "", value
     elif isinstance(value, int | float):
@@ -392,32 +392,32 @@ class Fact:
     """A statement that is true of some runs that reached a site, and false of others."""
 
     kind: str  # kind of the site
-    text: str  # such as "arm=right at pick-up(spoon)"
+    text: str  # text of the fact, such as "arm=right at pick-up(spoon)"
     site: str  # name of the site
-    failed: int  # number of failed runs with the fact
+    failed: int  # number of failed runs of which the fact is true
     failures: int  # number of failed runs that reached the site
-    succeeded: int  # number of successful runs with the fact
+    succeeded: int  # number of successful runs of which the fact is true
     successes: int  # number of successful runs that reached the site
-    step: float  # median of the first steps with the value
-    evidence: float  # strength of the correlation with failure
-    true: frozenset[int]  # numbers of the runs with the fact
+    step: float  # median of the first steps at which the runs had the value
+    evidence: float  # strength of the correlation between the fact and failure
+    true: frozenset[int]  # numbers of the runs of which the fact is true
     known: frozenset[int]  # numbers of the runs that reached the site
     how_far: bool  # whether the fact may only reflect the progress of failed runs
 
     def ochiai(self, failures: int) -> float:
-        """Return the score of Ochiai, 0 to 1. ``failures`` is the number of all failed runs."""
+        """Return the score of Ochiai, from 0 to 1. ``failures`` is the number of all failed runs."""
         return self.failed / math.sqrt(failures * (self.failed + self.succeeded)) if self.failed else 0.0
 
     @property
     def tarantula(self) -> float:
-        """The score of Tarantula, 0 to 1."""
+        """The score of Tarantula, from 0 to 1."""
         failed = self.failed / self.failures if self.failures else 0.0
         succeeded = self.succeeded / self.successes if self.successes else 0.0
         return failed / (failed + succeeded) if failed else 0.0
 
     @property
     def effect(self) -> float:
-        """The failure rate of runs with the fact minus the failure rate of other runs."""
+        """The failure rate of runs with the fact, minus that of other runs."""
         others = len(self.known) - len(self.true)
         false = (self.failures - self.failed) / others if others else 0.0
         return self.failed / len(self.true) - false
@@ -435,15 +435,15 @@ class Compared:
 
     site: Site
     known: RunNumbers  # numbers of the runs that reached the site
-    true: Truth  # whether a fact (row) is true of a run (column)
-    text: Callable[[int], str]  # a function that returns a fact in words
-    #: A function that returns the index (from 1) of the value that makes a fact true of a run.
+    true: Truth  # array: whether a fact (row) is true of a run (column)
+    text: Callable[[int], str]  # a function that returns the text of a fact
+    #: A function that returns the index, from 1, of the value by which a fact is true of a run.
     turn: Callable[[int, int], int] = lambda _row, _run: 1
-    best: bool = False  # whether only the strongest fact counts, as for ranges of a number
-    whole: Site | None = None  # the site with all values, if only last values are compared
+    best: bool = False  # whether only the strongest fact counts, as with ranges of a number
+    whole: Site | None = None  # the site with all values, if only the last values are compared
 
     def facts(self, failed: Truth) -> Iterator[Fact]:
-        """Yield the compared facts."""
+        """Yield the facts that are compared."""
         here = failed[self.known]
         found = evidence(self.true, here)[:, 0]
         for row in [int(found.argmax())] if self.best else range(len(found)):
@@ -481,7 +481,7 @@ class Compared:
 
 
 def compared_of(found: Sequence[Site], cases: Sequence[ComparedRun]) -> Iterator[Compared]:
-    """Yield the facts of sites that are true of some runs that reached the site, and false of others."""
+    """Yield the facts of sites; each is true of some runs that reached its site, and false of others."""
     for each in found:
         for site in (each, _last(each)):
             if site is None:
@@ -530,7 +530,7 @@ def _reached(site: Site, runs: int) -> Compared:
 
 
 def _values(site: Site, simple: Sequence[str | float | bool]) -> Compared:
-    """Compare for each value of a site whether a run had this value."""
+    """For each value of a site, compare whether a run had this value."""
     known = sorted(site.values)
     had = [{each.value for each in site.values[number]} for number in known]
     true = np.array([[value in values for values in had] for value in simple])
@@ -559,11 +559,11 @@ def _value_text(site: Site, value: str | float | bool) -> str:
 
 
 def _ranges(site: Site) -> Compared:
-    """Compare ranges of a number, whose ends are between values."""
+    """Compare ranges of a number; their ends are between values."""
     known = np.array(sorted(site.values))
     first = np.array([float(site.values[number][0].value) for number in known.tolist()])
     values = np.sort(first)
-    starts = np.flatnonzero(np.diff(values)) + 1  # indices of new values
+    starts = np.flatnonzero(np.diff(values)) + 1  # indices at which new values begin
     if len(starts) > _CUTS:
         starts = starts[np.unique(np.linspace(0, len(starts) - 1, _CUTS).round().astype(int))]
     cuts = [0, *starts.tolist(), len(values)]
@@ -573,7 +573,7 @@ def _ranges(site: Site) -> Compared:
 
 
 def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:
-    """Return a range in words. The ends are halfway between values."""
+    """Return the text of a range. The ends of a range are halfway between values."""
     name, at, where = site.name.partition(" at ")
     if values[low] == values[high - 1]:
         return f"{name}={values[low]:g}{at}{where}"
@@ -584,7 +584,7 @@ def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:
 
 
 def _between(a: float, b: float) -> str:
-    """Return the number with the fewest digits between two numbers."""
+    """Return that number between two numbers that has the fewest digits."""
     texts = (f"{(a + b) / 2:.{digits}g}" for digits in range(2, 17))
     return next((text for text in texts if a < float(text) < b), repr((a + b) / 2))
 
@@ -593,11 +593,11 @@ def _between(a: float, b: float) -> str:
 
 
 def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
-    """Return the strength of correlations with failure; 0 if the failure rate isn't higher with the fact.
+    """Return the strength of each correlation with failure; 0 if the failure rate isn't higher with the fact.
 
     Args:
-        true: Whether a fact (row) is true of a run (column).
-        failed: Whether a run (row) failed in a permutation (column).
+        true: Array: whether a fact (row) is true of a run (column).
+        failed: Array: whether a run (row) failed in a permutation (column).
     """
     count, inside = true.shape[1], true.sum(axis=1, dtype=np.int64)[:, None]
     labels = failed.reshape(count, -1)
@@ -612,9 +612,9 @@ def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
 
 
 class Chance:
-    """The strongest evidence in random permutations of the failures.
+    """The strongest evidence of all facts in each random permutation of the failures.
 
-    ``facts`` are, for each site, the numbers of the runs that reached it, and a row for each fact.
+    ``facts`` contains, for each site, the numbers of the runs that reached it, and a row for each fact.
     """
 
     def __init__(self, facts: Iterable[tuple[RunNumbers, Truth]], failed: Truth) -> None:
@@ -626,7 +626,7 @@ class Chance:
         ]
         work = sum(true.size for _, true in groups)
         rounds = int(min(_ROUNDS, max(_LEAST, _WORK / max(work, 1))))
-        dice = np.random.default_rng(0)  # fixed, so that the result is reproducible
+        dice = np.random.default_rng(0)  # a fixed seed, so that the result is reproducible
         dealt = dice.permuted(np.tile(failed, (rounds, 1)), axis=1).T
         strongest: NDArray[Any] = np.zeros(rounds)
         for known, true in groups:
@@ -636,6 +636,6 @@ class Chance:
         self._strongest = np.sort(strongest)
 
     def of(self, strength: float) -> float:
-        """Return the probability of a fact with this evidence in a random assignment of failures."""
+        """Return the probability that a fact has this evidence when failures are assigned at random."""
         as_strong = len(self._strongest) - int(np.searchsorted(self._strongest, strength - 1e-9))
         return (1 + as_strong) / (1 + len(self._strongest))

@@ -1,7 +1,7 @@
-"""Statistics of many runs: success rates, causes of failures, and slow parts. Also a comparison of two folders.
+"""Statistics of many runs: success rates, causes of failures, and slow parts. The module also compares two folders.
 
-A comparison pairs runs of both folders with the same number, seed and parameters. The ends of a pair differ because
-something changed between the sweeps, or because a seed doesn't determine everything.
+A comparison pairs runs of both folders that have the same number, seed and parameters. Ends of paired runs differ
+because something changed between the sweeps, or because a seed doesn't determine all values.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from replay.report.phrases import percent, plural
 if TYPE_CHECKING:
     from replay.runs.folder import Runs, Skipped
 
-_Z: Final = 1.959963984540054  # quantile of the normal distribution for a 95 % interval
+_Z: Final = 1.959963984540054  # quantile of the normal distribution that gives a 95 % interval
 _MAX_VALUES: Final = 8  # at most this many values of a parameter are listed. More values are split into quarters.
 _QUARTERS: Final = 4
 _SLOWEST: Final = 10
-_MAX_CAUSES: Final = 10  # at most this many causes are printed
-_MAX_PAIRS: Final = 3  # at most this many pairs of runs are printed
+_MAX_CAUSES: Final = 10  # maximum number of causes that are printed
+_MAX_PAIRS: Final = 3  # maximum number of pairs of runs that are printed
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +55,13 @@ class Share:
 class FailureCause:
     """The runs that failed for the same cause."""
 
-    cause: str  # text of the cause without its numbers
+    cause: str  # text of the cause, without its numbers
     count: int
-    share: float  # share of all failures
+    share: float  # share of this cause among all failures
     first: str  # name of the first run
-    step: int | None  # step at which the first failure began, if known
-    message: str  # message of the first failure
-    runs: tuple[str, ...]  # names of all runs
+    step: int | None  # step at which the failure of that run began, if known
+    message: str  # message of that failure
+    runs: tuple[str, ...]  # names of all runs with this cause
     steps: tuple[int | None, ...]  # steps at which the failures began
 
 
@@ -71,11 +71,11 @@ class Slow:
 
     what: str  # name and objects
     count: int  # number of calls
-    total: float  # total time of all runs, s
+    total: float  # total time in s, over all runs
     median: float  # median time in s
     longest: float  # longest time in s
-    run: str  # name of the recording with the longest time
-    step: int  # step of the longest time
+    run: str  # name of the recording in which it took longest
+    step: int  # step at which it took longest
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +87,9 @@ class Statistics:
     runs: tuple[str, ...]  # names of the recordings of the plan
     others: tuple[tuple[str, int], ...]  # number of recordings of other plans, which are left out
     skipped: tuple[Skipped, ...]  # files that are left out
-    success: Share  # successes among the runs that weren't interrupted
-    outcomes: tuple[tuple[str, int], ...]  # number of runs by outcome
-    parameters: tuple[tuple[str, tuple[Share, ...]], ...]  # successes by parameter and value
+    success: Share  # success rate of the runs that weren't interrupted
+    outcomes: tuple[tuple[str, int], ...]  # number of runs, by outcome
+    parameters: tuple[tuple[str, tuple[Share, ...]], ...]  # success rates, by parameter and value
     causes: tuple[FailureCause, ...]  # causes of failures, the most frequent first
     queries: tuple[Slow, ...]  # slow queries, by total time
     motions: tuple[Slow, ...]  # slow motions, by total time
@@ -100,7 +100,7 @@ class Statistics:
 
 
 def plan_of(runs: Runs, name: str | None = None) -> tuple[str, tuple[tuple[str, int], ...]]:
-    """Return the requested plan, by default the most frequent plan, and the number of runs of each other plan."""
+    """Return the requested plan (by default the most frequent), and the number of runs of each other plan."""
     counts = runs.sql("SELECT plan, count(*) FROM runs GROUP BY plan ORDER BY count(*) DESC, plan").rows()
     chosen = name if name is not None else counts[0][0] if counts else ""
     return chosen, tuple((plan, count) for plan, count in counts if plan != chosen)
@@ -112,7 +112,7 @@ def names_of(runs: Runs, plan: str) -> tuple[str, ...]:
 
 
 def statistics(runs: Runs, plan: str | None = None) -> Statistics:
-    """Return the statistics of a plan's runs, by default of the most frequent plan."""
+    """Return the statistics of a plan's runs; by default, of the most frequent plan."""
     chosen, others = plan_of(runs, plan)
     rows = runs.sql(
         "SELECT run, CASE WHEN succeeded AND violated > 0 THEN 'succeeded but violated' ELSE outcome END, succeeded, "
@@ -147,10 +147,10 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
 
 
 def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureCause, ...]:
-    """Return the causes of failures, most frequent causes first.
+    """Return the causes of failures, the most frequent first.
 
     Args:
-        failed: For each run: the name, and the cause, first step and message of its failure.
+        failed: For each failed run: its name, and the cause, first step and message of its failure.
     """
     found: dict[str, list[tuple[str, int | None, str]]] = {}
     for run, cause, step, message in failed:
@@ -180,7 +180,7 @@ def _by_parameter(ended: Sequence[tuple[bool, dict[str, str]]]) -> tuple[tuple[s
 
 
 def _shares(of: Sequence[tuple[str, bool]]) -> tuple[Share, ...]:
-    """Return successes by value. Many different numbers are split into four ranges with equal numbers of runs."""
+    """Return success rates, by value. Many different numbers are split into four ranges with equal numbers of runs."""
 
     def order(text: str) -> tuple[bool, float, str]:
         value = from_json(text)
@@ -239,16 +239,16 @@ class FolderComparison:
     """The difference between two folders of runs."""
 
     plan: str
-    first: Share  # successes in the first folder
-    second: Share  # successes in the second folder
-    causes: tuple[tuple[str, int, int], ...]  # causes with their counts in both folders, largest changes first
+    first: Share  # success rate in the first folder
+    second: Share  # success rate in the second folder
+    causes: tuple[tuple[str, int, int], ...]  # causes with their counts in both folders, the largest changes first
     paired: int  # number of pairs of runs
-    mended: tuple[tuple[str, str], ...]  # names of pairs of runs that only fail in the first folder
-    broken: tuple[tuple[str, str], ...]  # names of pairs of runs that only fail in the second folder
+    mended: tuple[tuple[str, str], ...]  # names of paired runs that failed only in the first folder
+    broken: tuple[tuple[str, str], ...]  # names of paired runs that failed only in the second folder
 
     @property
     def effect(self) -> float:
-        """The success rate in the second folder minus the success rate in the first folder; 0 without rates."""
+        """The success rate in the second folder, minus that in the first; 0 without rates."""
         a, b = self.first, self.second
         return b.succeeded / b.of - a.succeeded / a.of if a.of and b.of else 0.0
 
@@ -258,7 +258,7 @@ class FolderComparison:
         return difference(self.second.succeeded, self.second.of, self.first.succeeded, self.first.of)
 
     def __bool__(self) -> bool:
-        """Return whether the runs end differently in the second folder."""
+        """Return whether runs end differently in the second folder."""
         shares = (self.first.succeeded, self.first.of) != (self.second.succeeded, self.second.of)
         return shares or bool(self.mended or self.broken) or any(a != b for _, a, b in self.causes)
 
