@@ -13,8 +13,8 @@ from recorder.errors import RecordingError
 if TYPE_CHECKING:
     from recorder.recording import Recording, record, start, stop
 
-# numpy reads the variable when it is loaded. Threads don't speed up products of our small matrices, but each thread
-# spins for 20 ms after a product. These spins took a third of a reasoning plan's processor time.
+# numpy reads the variable when it is imported. Threads don't speed up products of our small matrices, but each thread
+# spins for 20 ms after a product. This took a third of the processor time of a plan with reasoning.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 __all__ = ["Recording", "RecordingError", "record", "start", "stop"]

@@ -14,15 +14,15 @@ from typing import Final, TextIO
 from recorder import notebook
 
 _MAX_SUGGESTED: Final = 3
-_MAX_LISTED: Final = 40  # a hint lists at most this many names, such as the joints of a kitchen
-_MAX_FILES: Final = 2000  # a name is compared with at most this many files of a folder
+_MAX_LISTED: Final = 40  # maximum number of names in a hint, such as the joints of a kitchen
+_MAX_FILES: Final = 2000  # maximum number of files of a folder that are compared with a name
 
 
 class PortableError(Exception):
     """An error that keeps its fields when it is pickled or copied."""
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Python's own method would call the class with the message only."""
+        """Python's own method would call the class only with the message."""
         return _restored, (type(self), self.args, dict(vars(self)))
 
     def _render_traceback_(self) -> list[str]:
@@ -38,7 +38,7 @@ def _restored(kind: type[PortableError], args: tuple[object, ...], fields: Mappi
 
 
 class RecordingError(PortableError, OSError):
-    """A recording can't be written (no such folder, read-only, disk full, ...)."""
+    """A recording can't be written, for example because the folder is missing or the disk is full."""
 
     def __init__(self, path: str | Path, cause: str, hint: str = "") -> None:
         super().__init__(f"can't record to {path}: {cause}{'; ' + hint if hint else ''}")
@@ -51,7 +51,7 @@ def nearest(name: object, known: Iterable[str]) -> list[str]:
 
     If no name is similar, return known names that contain the name.
     """
-    import difflib  # noqa: PLC0415  most processes make no suggestion
+    import difflib  # noqa: PLC0415  imported here: most processes make no suggestion
 
     names, given = list(known), str(name)
     close = difflib.get_close_matches(given, names, _MAX_SUGGESTED)
@@ -76,7 +76,7 @@ def similar_files(path: Path, others: Iterable[str] = ()) -> str:
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:
-    """Return a hint for an unknown name: similar known names, or else the list of known names, or else their number."""
+    """Return a hint for an unknown name: similar known names; otherwise the known names, or only their number."""
     names = sorted(set(known))
     if near := did_you_mean(name, names):
         return near.removeprefix("; ")
@@ -87,7 +87,7 @@ def suggestion(name: object, known: Iterable[str]) -> str:
 
 @contextmanager
 def until_closed() -> Iterator[None]:
-    """Run a block that prints. If the reader has closed the pipe of its output, end the block without an error."""
+    """Run a block that prints. If the reader of the output has closed its pipe, the block ends without an error."""
     try:
         yield
     except BrokenPipeError:
@@ -103,6 +103,6 @@ def until_closed() -> Iterator[None]:
 def discard(stream: TextIO) -> None:
     """Discard the buffered text and all later text of a stream. Otherwise Python reports an error when it exits."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
-    with suppress(AttributeError, io.UnsupportedOperation):  # a plan may have replaced the standard stream
+    with suppress(AttributeError, io.UnsupportedOperation):  # a plan may have replaced the stream
         os.dup2(nowhere, stream.fileno())
     os.close(nowhere)

@@ -31,11 +31,11 @@ Polygon: TypeAlias = "Sequence[Point]"  # counterclockwise corners; fewer than t
 
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a frame in itself
 
-_DECIMALS: Final = 6  # points of the plane are rounded to this number of decimals
+_DECIMALS: Final = 6  # number of decimals to which points in the plane are rounded
 _TINY = 1e-12
-_VERTICAL = 1e-9  # an axis with a smaller horizontal part is vertical: roll and yaw are then the same
+_VERTICAL = 1e-9  # horizontal part below which a unit axis is vertical; roll and yaw are then the same
 
-# A rotation matrix minus identity is linear in the products of the quaternion's components. Rows of _PRODUCTS are such
+# A rotation matrix minus identity is linear in the products of the quaternion's components. Rows of _PRODUCTS are these
 # products; columns are elements of the matrix, row by row.
 _FIRST, _SECOND = np.array([[0, 0, 0, 0, 1, 1, 1, 2, 2], [0, 1, 2, 3, 1, 2, 3, 2, 3]])
 _PRODUCTS = 2.0 * np.array(
@@ -109,7 +109,7 @@ def transform(a_T_b: PoseLike, point: Numbers) -> Vector:
 
 
 def angle(a: Numbers, b: Numbers) -> float:
-    """Return the angle between two rotations in rad, 0..pi. Tiny angles are exact, too."""
+    """Return the angle between two rotations in rad, 0..pi. The result is also exact for tiny angles."""
     x, y, z, w = product(conjugate(a), b)
     return 2.0 * math.atan2(math.hypot(x, y, z), abs(w))
 
@@ -150,7 +150,7 @@ def from_rpy(roll: float, pitch: float, yaw: float) -> Quaternion:
 
 
 def to_rpy(rotation: Numbers) -> Vector:
-    """Return the roll, pitch and yaw of :func:`from_rpy`, rad. If the pitch is straight up or down, yaw is 0."""
+    """Return the roll, pitch and yaw of :func:`from_rpy`, rad. For a pitch of +-90 degrees, yaw is 0."""
     m = to_matrix(rotation).tolist()
     level = math.hypot(m[0][0], m[1][0])
     pitch = math.atan2(-m[2][0], level)
@@ -183,7 +183,7 @@ def pose_matrix(a_T_b: PoseLike) -> NDArray[np.float64]:
 def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
     """Return a 3 x 3 rotation matrix as a unit quaternion xyzw with w >= 0."""
     (a, d, e), (f, b, g), (h, k, c) = matrix.tolist()
-    # ``outer`` is four times the outer product of the quaternion with itself, so each row is a multiple of the
+    # ``outer`` is four times the outer product of the quaternion with itself, so each of its rows is a multiple of the
     # quaternion. The row with the largest diagonal element is numerically stable for every rotation.
     outer = (
         (1.0 + a - b - c, d + f, e + h, k - g),

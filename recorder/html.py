@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 from functools import singledispatch
 from typing import Final
 
-MAX_ROWS: Final = 20  # a table shows at most this many rows
-_MAX_CELL: Final = 80  # a cell shows at most this many characters
-_MAX_LINES: Final = 40  # a section shows at most this many lines
+MAX_ROWS: Final = 20  # maximum number of rows in a table
+_MAX_CELL: Final = 80  # maximum number of characters in a cell
+_MAX_LINES: Final = 40  # maximum number of lines in a section
 _PRE: Final = (
     '<pre style="margin:0 0 0.3em 1em;white-space:pre-wrap;word-break:normal;overflow-wrap:anywhere;line-height:1.3">'
 )
@@ -18,7 +18,7 @@ _HEAD: Final = '<th style="text-align:left">'
 
 def escape(text: str) -> str:
     """Return text with HTML's special characters escaped."""
-    from html import escape  # noqa: PLC0415  only notebooks need it
+    from html import escape  # noqa: PLC0415  imported here: only notebooks need it
 
     return escape(text)
 
@@ -30,7 +30,7 @@ def rendered(value: object) -> str:
 
 
 def page(title: str, *parts: str) -> str:
-    """Return the HTML of a page with a title. The parts are HTML."""
+    """Return the HTML of a page with a title. The parts are already HTML."""
     return f'<div style="overflow-x:auto"><b>{escape(title)}</b>{"".join(parts)}</div>'
 
 
@@ -61,7 +61,7 @@ def text(lines: Iterable[str]) -> str:
 
 
 def sections(lines: Iterable[str]) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    """Return the first lines of a report, and its sections: an empty line, a title and indented lines each."""
+    """Return the first lines of a report, and its sections: each has an empty line, a title and indented lines."""
     headlines: list[str] = []
     found: list[tuple[str, list[str]]] = []
     begins = False
@@ -89,6 +89,6 @@ def report(lines: Iterable[str], unfolded: int = 2) -> str:
 
 def picture(png: bytes, what: str) -> str:
     """Return the HTML of a PNG picture."""
-    from base64 import b64encode  # noqa: PLC0415  only pictures need it
+    from base64 import b64encode  # noqa: PLC0415  imported here: only pictures need it
 
     return f'<div><img src="data:image/png;base64,{b64encode(png).decode()}" alt="{escape(what)}"></div>'

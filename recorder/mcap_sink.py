@@ -1,8 +1,8 @@
 """Write records into an MCAP file that survives the death of its process.
 
-A killed process loses only records of the open chunk. :class:`McapSink` closes a chunk after 50 records, after 50 ms,
-after failures, and before native code that blocks all threads. A thread measures the 50 ms, so native code with the
-interpreter lock delays it. Chunks are handed to the operating system unbuffered.
+A killed process loses only the records of the open chunk. :class:`McapSink` closes a chunk after 50 records, after 50
+ms, after failures, and before native code that blocks all threads. A thread measures the 50 ms, so native code with the
+interpreter lock delays it. Chunks are handed to the operating system without buffering.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from recorder.records.values import AssetFile
 from recorder.tracing.forking import own
 from recorder.tracing.journal import unrecorded
 
-_MAX_RECORDS: Final = 50  # a chunk has at most this many records
-_MAX_BYTES: Final = 1 << 20  # largest number of bytes in a chunk
+_MAX_RECORDS: Final = 50  # maximum number of records in a chunk
+_MAX_BYTES: Final = 1 << 20  # maximum number of bytes in a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
 _Key: TypeAlias = tuple[str, str, int]  # topic, world and its lifetime; "" and 0 for all worlds
 #: A buffered message: key of the channel, number and time of the record, bytes, and the record. The record is None if
-#: its log line was already made.
+#: its line in the log was already made.
 _Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
 _LINES: Final = ("/log", "", 0)
 _TRANSFORMS: Final = ("/tf", "", 0)
@@ -53,9 +53,10 @@ class McapSink:
     """A sink that is one MCAP file.
 
     Args:
-        path: The file to write. An existing file is only replaced if it is an MCAP file.
+        path: The file to write. An existing file is replaced only if it is an MCAP file.
         final_metadata: A function that returns more metadata when the file ends.
-        models: A file of shared models. The recording doesn't contain these models again.
+        models: A file of shared models, which the recording doesn't contain again. The recording doesn't contain these
+            models again.
         durable: Wait for the disk after each chunk, so that a power failure loses no closed chunk.
 
     Raises:
@@ -77,21 +78,21 @@ class McapSink:
         self._durable = durable
         self._lock = threading.Lock()
         self._buffer: list[_Buffered] = []  # messages since the last chunk was closed
-        self._size = 0  # bytes in the buffer
-        self._pending = 0  # records in the buffer
+        self._size = 0  # number of bytes in the buffer
+        self._pending = 0  # number of records in the buffer
         self._count = 0
         self._now = 0
         self._failed: tuple[str, str] | None = None  # cause and hint of the first write error
         self._closed = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[_Key, int] = {}
-        self._lifetimes: dict[str, int] = {}  # number of worlds so far with each name
+        self._lifetimes: dict[str, int] = {}  # number of worlds with each name so far
         self._frames = FrameTree()
         self._wake = threading.Event()
         self._ended = threading.Event()
-        # a daemon thread doesn't keep a program alive that exits without closing its recording
+        # a daemon thread, because programs may exit without closing their recording
         self._timer = own(threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True))
-        start = io.BytesIO()  # prepared in memory, so that a killed process leaves no empty file
+        start = io.BytesIO()  # prepared in memory: a killed process leaves no empty file
         self._begin(start, metadata)
         raw = open_output(path)
         self._file = io.BufferedWriter(raw, 1 << 16)
@@ -123,7 +124,7 @@ class McapSink:
             self._writer.flush()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
-        """Add a channel. If it names a world, the file's index lists the chunks of that world."""
+        """Add a channel. If a channel names a world, the file's index lists the chunks of that world."""
         metadata = {"world": world, "life": str(lifetime)} if lifetime else {}
         channel = self._writer.add_channel(topic, "protobuf", self._schemas[topic], metadata)
         self._channels[topic, world, lifetime] = channel
@@ -141,7 +142,7 @@ class McapSink:
                 self._add_foxglove(record)
                 at_once = False
             else:
-                # readers fold beliefs from queries of perception, so queries are on the channel of their world
+                # readers compute beliefs from queries of perception, so these queries are on the channel of their world
                 of_world = isinstance(record, Query) and record.world in self._lifetimes
                 key = (topic, record.world, self._lifetime(record)) if of_world else (topic, "", 0)
                 self._buffer.append((key, seq, now, payload, record))
@@ -156,7 +157,7 @@ class McapSink:
                 self._wake.set()
 
     def _lifetime(self, record: Record) -> int:
-        """Return how many worlds have had the name of the record's world, 1 or more."""
+        """Return how many worlds have had the name of the record's world, including this one."""
         lifetime = self._lifetimes.get(record.world, 0)
         if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
             lifetime = self._lifetimes[record.world] = lifetime + 1
@@ -179,7 +180,7 @@ class McapSink:
         for key, seq, time_ns, payload, record in buffered:
             messages.append((self._channels.get(key) or self._channel(key), seq, time_ns, payload))
             if record is not None and (line := log_line(record, time_ns)) is not None:
-                messages.append((log, seq, time_ns, line))  # a log line follows its record
+                messages.append((log, seq, time_ns, line))  # the line in the log follows its record
         self._writer.add_messages(messages)
         self._writer.flush()
         if self._durable:
@@ -195,7 +196,7 @@ class McapSink:
     def _channel(self, key: _Key) -> int:
         channel = self._channels.get(key)
         if channel is None and len(self._channels) >= _MAX_CHANNELS:
-            key = (key[0], "", 0)  # all further worlds share a channel
+            key = (key[0], "", 0)  # worlds beyond the limit share a channel
             channel = self._channels.get(key)
         return self._register(*key) if channel is None else channel
 
@@ -269,7 +270,7 @@ class McapSink:
 
     @contextlib.contextmanager
     def _guarded(self) -> Iterator[None]:
-        """Raise an error of the file as a RecordingError, now and at each later use."""
+        """Raise an error of the file as a RecordingError, now and in later calls."""
         self._check()
         try:
             yield
@@ -284,14 +285,14 @@ class McapSink:
 def definition(message: type[Message]) -> bytes:
     """Return the definition of a message with all definitions that it uses. Imported files come first."""
     needed = [message.DESCRIPTOR]
-    for descriptor in needed:  # the loop appends to the list
+    for descriptor in needed:  # the loop appends to the list that it iterates over
         parts = (field.message_type for field in descriptor.fields)
         needed += [part for part in parts if part is not None and part not in needed]
     names = {descriptor.full_name for descriptor in needed}
     descriptors = FileDescriptorSet()
     added: set[str] = set()
 
-    def add(file: Any) -> None:  # protobuf's two runtimes have two types of files
+    def add(file: Any) -> None:  # both runtimes of protobuf have their own type of files
         if file.name not in added:
             added.add(file.name)
             for dependency in file.dependencies:
@@ -308,21 +309,21 @@ def definition(message: type[Message]) -> bytes:
 
 HINT: Final = "free space or choose another path, and run again"
 CHANGED_HINT: Final = "don't change it while a plan is recorded, and run again"
-_WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of file systems without locks
+_WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of file systems that have no locks
 
 
 def free_path(path: Path) -> Path:
     """Return the path, or RUN.2.mcap or a later number if the path has a recording. A new path is printed on stderr.
 
-    Paths of other files are returned, too: :func:`open_output` rejects unsuitable files.
+    Paths of unsuitable files are returned, too: :func:`open_output` rejects unsuitable files.
     """
     try:
-        if not path.is_file():  # opening a pipe would block
+        if not path.is_file():  # opening a pipe here would block
             return path
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 return path
-    except OSError:  # opening the file reports the error
+    except OSError:  # opening the file later reports the error
         return path
     pattern = re.compile(rf"{re.escape(path.stem)}\.(\d+){re.escape(path.suffix)}")
     numbers = [int(match[1]) for each in path.parent.iterdir() if (match := pattern.fullmatch(each.name))]
@@ -384,10 +385,10 @@ class Changed(OSError):
 
 
 class WatchedFile:
-    """A file that no other process may change. Pipes and devices aren't checked."""
+    """A file that no other process may change while it is written. Pipes and devices aren't checked."""
 
     def __init__(self, path: Path, file: io.FileIO) -> None:
-        self._path = path.absolute()  # a plan may change the working directory
+        self._path = path.absolute()  # absolute, because a plan may change the working directory
         self._number = file.fileno()
         self.is_regular = stat.S_ISREG(os.fstat(self._number).st_mode)
 

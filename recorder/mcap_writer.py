@@ -1,8 +1,8 @@
 """Write the MCAP container: chunks of messages with their indexes, attachments, metadata and the summary.
 
-The ``mcap`` package serializes everything except messages. Its own writer takes three times as long for a message.
-Chunks are compressed with Zstandard. Readers refuse files that inflate too much as decompression bombs. So a chunk
-stays uncompressed if it would compress too well.
+The ``mcap`` package serializes everything except messages. The package's own writer takes three times as long for a
+message. Chunks are compressed with Zstandard. Readers refuse files that inflate too much, because they may be
+decompression bombs. A chunk therefore stays uncompressed if it would compress too well.
 """
 
 from __future__ import annotations
@@ -40,18 +40,19 @@ from mcap.records import (
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 MAX_RATIO: Final = 32  # inflated chunks have at most this many times the size of the file. Usual ratios are 3 to 13.
-FREE: Final = 4 << 20  # chunks of any file may inflate to this number of bytes
+FREE: Final = 4 << 20  # number of bytes to which the chunks of any file may inflate
 _MESSAGE: Final = struct.Struct("<BQHIQQ")  # opcode, length of the rest, channel, sequence, log time, publish time
 _MESSAGE_OPCODE: Final = int(Opcode.MESSAGE)
-_MESSAGE_HEAD: Final = 9  # bytes of the fields opcode and length
+_MESSAGE_HEAD: Final = 9  # number of bytes of the fields opcode and length
 _MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
 _INDEX: Final = struct.Struct("<BQHI")  # fields: opcode, length, channel, size of the entries in bytes
-_FOOTER_START: Final = struct.Struct("<BQQQ")  # the summary's CRC covers this first part of the footer
+_FOOTER_START: Final = struct.Struct("<BQQQ")  # the first part of the footer, which the summary's CRC covers
 
-#: Metadata of this name hold the name (``file``) and the hash (``sha256``) of a recording's file of shared models.
+#: The metadata with this name contain the name (``file``) and the hash (``sha256``) of the file of models that a
+#: recording shares.
 MODELS_METADATA: Final = "pycram.models"
 MODELS_NAME: Final = re.compile(r"models-[0-9a-f]{12}\.mcap")
-MODELS_LIBRARY: Final = "pycram models"  # the release number is left out: equal models make equal files
+MODELS_LIBRARY: Final = "pycram models"  # without the release number, so that equal models make equal files
 _SOURCE: Final = ".py"  # suffix of the plan's source, which each recording contains
 
 
@@ -65,7 +66,7 @@ class McapWriter:
         self._compressor = zstandard.ZstdCompressor(level=1)  # higher levels take longer and save nothing
         self._chunk: list[bytes] = []
         self._chunk_size = 0
-        self._inflated = 0  # size of all chunks before compression, bytes
+        self._inflated = 0  # size in bytes of all chunks before compression
         self._entries: defaultdict[int, list[int]] = defaultdict(list)  # log time and offset of each message by channel
         self._first_ns = self._last_ns = 0
         self._schemas: list[Schema] = []
@@ -78,7 +79,7 @@ class McapWriter:
         self._write(_packed(Header(profile="", library=library)))
 
     def move(self, file: BinaryIO, start: bytes) -> None:
-        """Continue in another file, after writing ``start``, the content so far, into it."""
+        """Continue in another file, after writing ``start`` into it: the content so far."""
         file.write(start)
         file.flush()
         self._file = file
@@ -112,7 +113,7 @@ class McapWriter:
         """Add messages to the chunk.
 
         Args:
-            messages: Tuples of channel id, number, time and bytes. Only the lowest 32 bits of the number are kept.
+            messages: Tuples of channel id, number, time and bytes. Of the number, only the lowest 32 bits are kept.
                 Times are in ns since the Unix epoch, and must not decrease within a chunk.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
@@ -262,17 +263,18 @@ def _packed(record: McapRecord) -> bytes:
 class SharedModels:
     """A file of models that several recordings of a folder share. Recordings contain only their other models.
 
-    The name of the file contains the hash of its content. So equal models make the same file, and a file never changes.
+    The name of the file contains the hash of its content. Equal models therefore make the same file, and a file never
+    changes.
     """
 
     file: str
-    sha256: str  # hash of the file's content in hex
+    sha256: str  # hash of the file's content, hexadecimal
     keys: frozenset[str]  # names of the attachments, ``<sha256>/<name>``
 
     @classmethod
     def of(cls, path: Path) -> SharedModels:
         """Read an existing file of shared models."""
-        from mcap.reader import SeekingReader  # noqa: PLC0415  readers of recordings use another reader
+        from mcap.reader import SeekingReader  # noqa: PLC0415  recordings are read by another reader
 
         content = path.read_bytes()
         keys = frozenset(each.name for each in SeekingReader(io.BytesIO(content)).iter_attachments())
@@ -280,7 +282,7 @@ class SharedModels:
 
 
 def share_models(recording: Path) -> SharedModels | None:
-    """Write the models of a complete recording into a file in its folder. Return None without models."""
+    """Write the models of a complete recording into a file in its folder. Return None if there are no models."""
     from mcap.reader import SeekingReader  # noqa: PLC0415  as above
 
     with recording.open("rb") as file:

@@ -18,7 +18,7 @@ _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "IPython", "ipyke
 
 
 def _shell() -> Any:
-    ipython = sys.modules.get("IPython")  # IPython isn't imported here: a running IPython is already loaded
+    ipython = sys.modules.get("IPython")  # IPython isn't imported here, because it is already loaded if it runs
     return ipython.get_ipython() if ipython is not None and hasattr(ipython, "get_ipython") else None
 
 
@@ -28,7 +28,7 @@ def is_running() -> bool:
 
 
 def title() -> str:
-    """Return the name of the running notebook, as given by Jupyter; "" if the name is unknown."""
+    """Return the name of the running notebook, as given by Jupyter; "" if unknown."""
     return PurePath(os.environ.get("JPY_SESSION_NAME", "")).stem if is_running() else ""
 
 
@@ -41,7 +41,7 @@ def cell_of(file: str) -> str:
 
 def source_of(file: str) -> bytes:
     """Return the source of a cell from the file name of its compiled code."""
-    import linecache  # noqa: PLC0415  slow to import; only notebooks need it
+    import linecache  # noqa: PLC0415  imported here: slow, and only notebooks need it
 
     return "".join(linecache.getlines(file)).encode("utf-8", "replace")
 
@@ -57,7 +57,7 @@ def is_cell(file: str) -> bool:
 
 
 def place(file: str, line: int) -> str:
-    """Return the place of a line: "file:line" for a file, "In [3], line 1" for a cell."""
+    """Return the place of a line: "file:line" in a file, "In [3], line 1" in a cell."""
     return f"{file}, line {line}" if is_cell(file) else f"{file}:{line}"
 
 
@@ -70,7 +70,7 @@ def own_variables() -> Mapping[str, object]:
 def traceback_lines(error: BaseException) -> list[str]:
     """Return the lines that IPython prints for an error, without the frames of PyCRAM and IPython.
 
-    The causes of the error also lose these frames. An error with only such frames keeps them.
+    The same frames are left out of the error's causes. If an error has only such frames, they are kept.
     """
     formatter = _shell().InteractiveTB
     with ExitStack() as undoing:

@@ -1,7 +1,7 @@
 """Required packages: their versions, their extras of pyproject.toml, and how to install an extra.
 
-Reading recordings needs only the base dependencies. Error messages name a checkout, because PyPI's project "pycram"
-isn't ours.
+Recordings can be read with only the base dependencies. Messages name a checkout, because PyPI's project "pycram" is
+another one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from recorder.tracing.interrupts import Uninterrupted
 
-#: The extra that installs each module. trimesh is also in the extra "render", which the renderer requests by name.
+#: The extra that installs each module. The renderer requests "render", which also contains trimesh, by name.
 _EXTRAS: Final = {
     module: extra
     for extra, modules in {
@@ -34,11 +34,11 @@ _EXTRAS: Final = {
     }.items()
     for module in modules
 }  # fmt: skip
-#: A recording has the versions of these packages.
+#: Packages whose versions a recording contains.
 _RECORDED: Final = (
     "pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "ompl", "toppra", "rerun-sdk",
 )  # fmt: skip
-#: These releases simulate bit for bit alike: each release verified recordings of the others.
+#: Releases that simulate bit for bit alike: each release has verified recordings of the others.
 _SAME_ENGINE: Final = {"3.2.7", "3.2.7 (pybullet-arm64)", "3.2.8 (pybullet-arm64)"}
 
 
@@ -63,7 +63,7 @@ def needed(extra: str | None = None) -> Iterator[None]:
 
     Raises:
         NotInstalled: an extra installs the missing module.
-        ModuleNotFoundError: no extra installs it.
+        ModuleNotFoundError: no extra installs the missing module.
     """
     try:
         yield
@@ -99,7 +99,7 @@ class LazyModule:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        with Uninterrupted():  # Ctrl-C would be lost inside of libraries with lazy imports
+        with Uninterrupted():  # In libraries with lazy imports, Ctrl-C would be lost
             value = getattr(importlib.import_module(self._name), attribute)
         setattr(self, attribute, value)
         return value

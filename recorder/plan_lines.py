@@ -36,7 +36,7 @@ def passes_on(text: str, number: int) -> bool:
 
 @lru_cache(maxsize=8)
 def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
-    """Return the nodes of a text's syntax tree, outer nodes first; no nodes for a text that isn't Python."""
+    """Return the nodes of a text's syntax tree, outer nodes first; none if the text isn't Python."""
     try:
         return tuple(ast.walk(ast.parse(text)))
     except (SyntaxError, ValueError, RecursionError):
@@ -49,4 +49,4 @@ def _is_passed(argument: ast.AST, own: set[str]) -> bool:
             return isinstance(value, ast.Name) and value.id in own
         case ast.Name(id=name):
             return name in own
-    return isinstance(argument, ast.Call)  # the arguments of the inner call are checked, too
+    return isinstance(argument, ast.Call)  # the arguments of the inner call must be checked, too

@@ -1,4 +1,4 @@
-"""The origin of a run: arguments, directory, seeds, revisions of the code, computer."""
+"""The origin of a run: arguments, directory, seeds, revisions of the code, and computer."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from typing import Any, Final
 from recorder.records import Revision, Run, escaped
 from recorder.records.values import LEFT_OUT, is_secret, without_secrets
 
-_TIMEOUT: Final = 2.0  # git must answer in this time, s
-_PACKAGES: Final = ("pycram", "recorder")  # these packages run plans
+_TIMEOUT: Final = 2.0  # time in s within which git must answer
+_PACKAGES: Final = ("pycram", "recorder")  # the packages that run plans
 
 
 def describe(
@@ -30,15 +30,15 @@ def describe(
     order: str,
     parameters: Mapping[str, Any],
 ) -> None:
-    """Add a run's inputs to the record of its start. A seed of None is unknown.
+    """Add a run's inputs to the record of its start. A seed that is None isn't known.
 
-    ``order`` is "" if the seed determines the order of branches.
+    ``order`` is the order of branches; "" if the seed determines it.
     """
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     for name, value in parameters.items():
         text = json.dumps(LEFT_OUT if is_secret(name) else value, default=str)
         run.parameters.add(name=escaped(name), value_json=text)
-    with suppress(OSError):  # the directory was removed
+    with suppress(OSError):  # the directory may have been removed
         run.directory = escaped(str(Path.cwd()))
     if seed is not None:
         run.seed = str(seed)
@@ -58,7 +58,7 @@ def main_program() -> Path | None:
 
 
 def look_up_revisions(plan: Path | None = None) -> None:
-    """Look up revisions once, before this process forks for many runs: git takes as long as a small plan.
+    """Look up revisions once, before this process forks for many runs, because git takes as long as a small plan.
 
     ``plan`` is the plan's file, by default the program.
     """
@@ -74,7 +74,7 @@ def metadata(run: Run) -> dict[str, str]:
 
 
 def hash_seed() -> str:
-    """Return the seed of text hashes, a number or "random". The hashes determine the order of Python's sets."""
+    """Return the seed of text hashes, a number or "random". These hashes determine the order of Python's sets."""
     seed = os.environ.get("PYTHONHASHSEED", "")
     if not sys.flags.hash_randomization:
         return "0"
@@ -108,13 +108,13 @@ def pycram_revision() -> Revision:
 
 
 def _revision(file: Path, digest: str) -> Revision:
-    """Return a revision with the given hash.
+    """Return a revision that contains the given hash.
 
     If git tracks the file, the revision also has the commit of its repository.
     """
     states = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
     names = _git(file, "ls-files", "--error-unmatch", "--", file.name)
-    if not names:  # a package may be installed inside an unrelated repository
+    if not names:  # a package may be inside a repository of another project
         return Revision(sha256=digest)
     head = [line.removeprefix("# branch.oid ") for line in states if line.startswith("# branch.oid ")]
     commit = head[0] if head and head[0] != "(initial)" else ""
@@ -122,10 +122,10 @@ def _revision(file: Path, digest: str) -> Revision:
 
 
 def _git(file: Path, *words: str) -> list[str]:
-    """Return the lines of git's output, without locks, in the folder of a file; an empty list after a failure."""
+    """Return the lines of git's output in the folder of a file, without locks; [] after a failure."""
     command = ["git", "-C", str(file.parent), *words]
     try:
-        done = subprocess.run(  # noqa: S603  the command is constant
+        done = subprocess.run(  # noqa: S603  the command contains no user input
             command,
             stdin=subprocess.DEVNULL,
             capture_output=True,

@@ -47,7 +47,7 @@ class Recording:
 
     @property
     def length(self) -> int:
-        """Number of records so far, which is the step number of the next record."""
+        """Number of records so far; the next record has this step."""
         return self.journal.length
 
 
@@ -76,14 +76,15 @@ def record(
     Args:
         path: The MCAP file to write. If RUN.mcap exists, RUN.2.mcap is written instead, and its name is printed on
             stderr. :attr:`Recording.path` is the name of the written file.
-        live: How to show the recording live in Rerun. "spawn" opens the viewer, or uses an open viewer. "connect" and
+        live: How to show the recording live in Rerun. "spawn" opens a viewer, or uses one that is open. "connect" and
             "connect:rerun+http://HOST:PORT/proxy" use a viewer that another program starts, now or later. "serve"
             prints the address of a page for browsers on this machine, until this process ends. A slow or missing viewer
             doesn't delay the plan.
         name: Name of the plan, by default the name of the program or notebook.
         arguments: Arguments of the plan, by default the arguments of the program.
-        source: The plan's file, which is attached. By default it is the program's file, if there is one.
-        seed: The plan's seed. ``record`` only writes it and the following inputs into the file.
+        source: The plan's file, which the recording contains. By default, it is the file of the program, if there is
+            one.
+        seed: The plan's seed. ``record`` only writes this seed and the following inputs into the file.
         output: Record printed and logged lines, too.
         locals: Record the local variables of the plan's functions with failures.
         overwrite: Replace an existing recording.
@@ -91,7 +92,7 @@ def record(
 
     Raises:
         RecordingError: An argument is invalid, the source is missing, or the file can't be written, at the start or
-            later. The error is also raised if another program changes the file.
+            later. This error is also raised if another program changes the file.
         Terminated: SIGTERM or SIGHUP has interrupted the plan, and the program doesn't handle the signal.
     """
     own = [] if notebook.is_running() else sys.argv[1:]  # a notebook's arguments are the kernel's
@@ -116,7 +117,7 @@ def record(
         log, owner = recording.journal, process()
 
         def end(_: object, error: BaseException | None, __: object) -> None:
-            if process() != owner:  # in a forked child; the file belongs to the parent process
+            if process() != owner:  # in a forked child, the file belongs to the parent process
                 return
             try:
                 _finish(log, title, start, error)
@@ -136,14 +137,14 @@ def record(
             yield recording
 
 
-_started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # at most one recording
+_started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # a process has at most one recording
 
 
 def start(path: str | Path, live: str | None = None, **options: Any) -> Recording:
     """Record until :func:`stop` or the end of the process, for notebooks.
 
-    Arguments and errors are those of :func:`record`. A ``with`` block can't span several cells of a notebook. A
-    recording that was started earlier stops first.
+    :func:`record` describes arguments and errors. A ``with`` block can't span several cells of a notebook. A recording
+    that was started earlier stops first.
     """
     stop()
     block = record(path, live, **options)
@@ -154,7 +155,7 @@ def start(path: str | Path, live: str | None = None, **options: Any) -> Recordin
 
 
 def stop() -> Recording | None:
-    """Stop and return the recording that :func:`start` has started. Return None if there is none."""
+    """Stop and return the recording that :func:`start` has started. Return None if there is no such recording."""
     if not _started:
         return None
     block, recording = _started.pop()
@@ -183,14 +184,14 @@ _redirect: Callable[[Run], Sink | None] | None = None  # the function of :func:`
 def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
     """Write the recordings that begin inside the block to other sinks instead of files and viewers.
 
-    The block runs a program from its start, so its recordings are numbered from 1. Recordings of forked processes
+    The block runs a program from its start, so its recordings are numbered from 1 again. Recordings of forked processes
     aren't redirected.
 
     Args:
-        sink_of: A function of the record of the run's start, which it may complete. It returns the sink, or None for an
-            ordinary recording.
+        sink_of: Gets the record of the run's start, which it may complete, and returns a sink. The function returns the
+            sink, or None for an ordinary recording.
     """
-    global _redirect  # noqa: PLW0603  the process has one redirection
+    global _redirect  # noqa: PLW0603  the process has only one redirection
     owner = process()
     before, _redirect = _redirect, lambda run: sink_of(run) if process() == owner else None
     numbers = Counter(_numbers)
@@ -237,7 +238,7 @@ def _begin(
 
 @contextmanager
 def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
-    """Record the errors that end threads while the block runs. The previous hook is still called."""
+    """Record the errors that end threads while the block runs. The hook that was set before is still called."""
     before = threading.excepthook
     ended = False
 
@@ -256,7 +257,7 @@ def _recording_uncaught(log: Journal, title: str) -> Iterator[None]:
         yield
     finally:
         ended = True
-        if threading.excepthook is hook:  # otherwise a later hook still calls this hook
+        if threading.excepthook is hook:  # otherwise a hook that was set later still calls this hook
             threading.excepthook = before
 
 

@@ -25,8 +25,8 @@ _HELP: Final = re.compile(
 )
 _WRONG_CHOICE: Final = re.compile(r"invalid choice: '(?P<given>.*?)' \(choose from (?P<known>.*)\)")
 _PAGER: Final = "less -RFX"
-_COMPLETING: Final = "_ARGCOMPLETE"  # a shell that asks for completions sets this variable
-PERIOD: Final = 10.0  # seconds between lines of progress
+_COMPLETING: Final = "_ARGCOMPLETE"  # environment variable that a shell sets when it asks for completions
+PERIOD: Final = 10.0  # time in s between lines of progress
 
 
 def has_colours(stream: IO[str]) -> bool:
@@ -42,7 +42,7 @@ def has_colours(stream: IO[str]) -> bool:
 def painted(text: str, pattern: re.Pattern[str], stream: IO[str]) -> str:
     """Return a text with coloured matches if the stream gets colours.
 
-    Groups of the pattern are named by their colour.
+    Groups of the pattern have the names of their colours.
     """
     if not has_colours(stream):
         return text
@@ -60,10 +60,10 @@ class _Pager(io.TextIOBase):
     def __init__(self, terminal: IO[str], command: str) -> None:
         self._target: IO[str] = terminal
         self._command = command
-        self._held: list[str] | None = []  # text that isn't printed yet; None after it was printed
+        self._held: list[str] | None = []  # text that isn't printed yet; None when it has been printed
         self._columns = self._lines = 0
         self._process: subprocess.Popen[str] | None = None
-        with contextlib.suppress(OSError):  # COLUMNS and LINES may belong to another terminal
+        with contextlib.suppress(OSError):  # COLUMNS and LINES may describe another terminal
             self._columns, self._lines = os.get_terminal_size(terminal.fileno())
         if not (self._columns and self._lines):
             self._columns, self._lines = shutil.get_terminal_size()
@@ -82,11 +82,11 @@ class _Pager(io.TextIOBase):
         return len(text)
 
     def _open(self) -> None:
-        import shlex  # noqa: PLC0415  only long output needs a pager
+        import shlex  # noqa: PLC0415  imported here: only long output needs a pager
         import subprocess  # noqa: PLC0415  as above
 
-        with contextlib.suppress(OSError, ValueError):  # without a pager, the output is printed
-            self._process = subprocess.Popen(  # noqa: S603  the command is $PAGER
+        with contextlib.suppress(OSError, ValueError):  # if there is no pager, the output is printed
+            self._process = subprocess.Popen(  # noqa: S603  the command comes from $PAGER
                 shlex.split(self._command),
                 stdin=subprocess.PIPE,
                 text=True,
@@ -110,22 +110,22 @@ class _Pager(io.TextIOBase):
             self._target.flush()
         finally:
             while self._process is not None:
-                with contextlib.suppress(BrokenPipeError):  # the user has quit
+                with contextlib.suppress(BrokenPipeError):  # the user has quit the pager
                     self._target.close()
-                with contextlib.suppress(KeyboardInterrupt):  # the pager handles Ctrl-C
+                with contextlib.suppress(KeyboardInterrupt):  # Ctrl-C belongs to the pager
                     self._process.wait()
                     self._process = None
 
 
 @contextlib.contextmanager
 def paged() -> Iterator[None]:
-    """Run a block whose output on a terminal is shown in ``$PAGER`` (less) if the screen is too small for it."""
+    """Run a block; if its output on a terminal exceeds the screen, it is shown in ``$PAGER`` (less)."""
     terminal, command = sys.stdout, os.environ.get("PAGER", _PAGER)
     if not (terminal.isatty() and sys.stdin.isatty() and command.strip()) or os.environ.get("TERM") == "dumb":
         yield
         return
     pager = _Pager(terminal, command)
-    sys.stdout = cast("TextIO", pager)  # printing only needs the method ``write``
+    sys.stdout = cast("TextIO", pager)  # printing needs only the method ``write``
     try:
         yield
     finally:
@@ -149,7 +149,7 @@ class Parser(argparse.ArgumentParser):
         **options: Any,
     ) -> None:
         self._examples = examples  # commands and their results
-        self._completers = completers or {}  # completers by the name or placeholder of arguments
+        self._completers = completers or {}  # completers, by the name or placeholder of an argument
         super().__init__(*args, **options)
         self._negative_number_matcher = re.compile(r"-[\d.]")  # points and times, such as -1,0,2 and -2.5s, too
 
@@ -188,7 +188,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def example_lines(examples: Sequence[tuple[str, str]]) -> Iterator[str]:
-    """Yield commands and their results, in two columns, or below each other where the terminal is too narrow."""
+    """Yield commands and their results, in two columns, or below each other if the terminal is too narrow."""
     width = max((len(command) for command, _ in examples), default=0)
     fits = 4 + width + max((len(result) for _, result in examples), default=0) <= shutil.get_terminal_size().columns
     for command, result in examples:
@@ -202,7 +202,7 @@ class ProgressLines:
         self._next = time.monotonic() + PERIOD
 
     def due(self) -> bool:
-        """Return whether a line is due. If so, the next line is due 10 s later."""
+        """Return whether a line is due. If a line is due, the next one is due 10 s later."""
         now = time.monotonic()
         if now < self._next:
             return False
@@ -222,7 +222,7 @@ def typed_words() -> list[str] | None:
 def complete(parser: argparse.ArgumentParser) -> None:
     """If a shell asks for completions, print them and exit."""
     if _COMPLETING in os.environ:
-        import argcomplete  # noqa: PLC0415  only completion in shells needs it
+        import argcomplete  # noqa: PLC0415  imported here: only completion in shells needs it
 
         argcomplete.autocomplete(parser, always_complete_options=False)
 

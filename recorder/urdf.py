@@ -1,8 +1,8 @@
-"""A URDF: its tree of links, its joints with limits and kinematics, and the shapes of its links.
+"""A URDF: a tree of links, joints with limits and kinematics, and shapes of links.
 
 Lengths are in m, angles in rad, velocities per second. Poses are ``(position, quaternion xyzw)`` of a link's frame in
-the frame of the root link. The default value of a joint is 0, or the value that its leader implies. Only direct
-children of the root element are read, so Gazebo's elements are skipped. Shapes are read from canonical models
+the frame of the root link. By default, the value of a joint is 0, or follows from the joint that it mimics. Only direct
+children of the root element are read, so elements of Gazebo are skipped. Shapes are read from canonical models
 (``docs/architecture.md``): every shape has a size, every mesh is STL or OBJ. Meshes themselves aren't read.
 """
 
@@ -38,8 +38,8 @@ class Urdf:
         """Parse a URDF document.
 
         Args:
-            chains: Accept planar and floating joints, which have no kinematics. Loading replaces these joints by
-                chains.
+            chains: Accept planar and floating joints, which have no kinematics. Loading the model replaces these joints
+                by chains.
 
         Raises:
             UrdfError: The document isn't XML, or isn't a single tree of named links with joints of known types.
@@ -54,7 +54,7 @@ class Urdf:
             raise UrdfError(self.name, f"it has no joint {name!r}; {suggestion(name, self.joints)}") from None
 
     def parent_joint(self, link: str) -> UrdfJoint | None:
-        """Return the joint above a link, or None for the root. An unknown link raises :class:`UrdfError`."""
+        """Return the joint above a link, or None for the root. :class:`UrdfError` is raised if the link is unknown."""
         joint = self._parents.get(link)
         if joint is None and link != self.root:
             raise UrdfError(self.name, f"it has no link {link!r}; {suggestion(link, self.links)}")
@@ -76,7 +76,7 @@ class Urdf:
         """
         pose = IDENTITY
         for joint in self.chain(self.root, link):
-            fixed = joint.type == "fixed"  # most joints are fixed
+            fixed = joint.type == "fixed"  # the transform of a fixed joint is the origin; most joints are fixed
             at = joint.origin if fixed else joint.pose(self.value(joint.name, positions))
             pose = geometry.multiply(pose, at)
         return pose
@@ -113,9 +113,9 @@ class Urdf:
 
     @cached_property
     def mimics(self) -> Mapping[str, Mimic]:
-        """The rule of each mimicking joint by name, with a leader that mimics no other joint.
+        """The rule of each mimicking joint, by name; the mimicked joints don't mimic other joints.
 
-        In some published models, a joint mimics a missing joint. Such a joint is independent.
+        In some published models, a joint mimics a joint that doesn't exist. Such a joint moves independently.
 
         Raises:
             UrdfError: A joint mimics itself.
@@ -209,7 +209,7 @@ def _ends(robot: str, links: list[str], joints: list[UrdfJoint]) -> tuple[dict[s
 
 
 _KINDS: Final = ("fixed", "revolute", "continuous", "prismatic")
-_CHAINS: Final = ("planar", "floating")  # loading replaces these types of joints by chains of other joints
+_CHAINS: Final = ("planar", "floating")  # types of joints that loading replaces by chains of other joints
 
 
 class UrdfError(ValueError):
@@ -222,7 +222,7 @@ class UrdfError(ValueError):
 
 
 class Mimic(NamedTuple):
-    """The rule of a mimicking joint: its value is ``multiplier * value of the leader + offset``."""
+    """The rule of a mimicking joint: its value is ``multiplier * value of the mimicked joint + offset``."""
 
     leader: str  # name of the mimicked joint
     multiplier: float = 1.0  # factor between joint values: unitless, m/rad or rad/m
@@ -231,19 +231,19 @@ class Mimic(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class UrdfJoint:
-    """The connection of a link to its parent."""
+    """A joint: the connection of a link to its parent link."""
 
     name: str
-    type: str  # "fixed", "revolute", "continuous" or "prismatic"
+    type: str  # type of the joint: "fixed", "revolute", "continuous" or "prismatic"
     parent: str  # name of the parent link
     child: str  # name of the child link
-    origin: Pose = IDENTITY  # pose of the joint in the parent link; the child has this pose at value 0
-    axis: Vector = (1.0, 0.0, 0.0)  # unit vector in the joint's frame
+    origin: Pose = IDENTITY  # pose of the joint in the parent link; at value 0, it is also the pose of the child
+    axis: Vector = (1.0, 0.0, 0.0)  # axis: a unit vector in the joint's frame
     lower: float = 0.0  # lower limit in rad or m; -inf if continuous, 0 if fixed
     upper: float = 0.0  # upper limit in rad or m; inf if continuous, 0 if fixed
-    effort: float = math.inf  # largest force or torque in N or Nm, inf if it isn't given
-    velocity: float = math.inf  # largest velocity in rad/s or m/s, inf if it isn't given
-    mimic: Mimic | None = None  # None for an independent joint
+    effort: float = math.inf  # maximum force or torque in N or Nm; inf if it isn't given
+    velocity: float = math.inf  # maximum velocity in rad/s or m/s; inf if it isn't given
+    mimic: Mimic | None = None  # The rule if the joint mimics another; None otherwise
 
     @property
     def movable(self) -> bool:
@@ -342,7 +342,7 @@ def _number(robot: str, joint: str, what: str, text: str) -> float:
 
 
 def finite(text: str) -> float:
-    """Return a text as a number. Reject 1_0 and digits of other scripts, which Python accepts.
+    """Return a text as a number. Texts such as 1_0 and digits of other scripts, which Python accepts, are rejected.
 
     Raises:
         ValueError: The text isn't a finite number.
@@ -371,16 +371,16 @@ _SIZES: Final = {"box": ("size",), "sphere": ("radius",), "mesh": ("scale",)}  #
 class Shape:
     """A shape of a link."""
 
-    kind: str  # "box", "cylinder", "sphere", "capsule" or "mesh"
-    size: tuple[float, ...]  # edges of a box in m, radius and length in m, or the scale of a mesh
+    kind: str  # kind of the shape: "box", "cylinder", "sphere", "capsule" or "mesh"
+    size: tuple[float, ...]  # sizes in m: edges of a box; radius and length; or the scale of a mesh
     mesh: str  # path of the mesh, as in the model; "" for other shapes
     pose: Pose  # pose in the link's frame
-    color: Color  # the model's colour, or grey
+    color: Color  # RGBA 0..1 of the model, or grey
 
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
     """Return the "visual" or "collision" shapes of a URDF by link name. Links without shapes are left out."""
-    return shapes_in(ET.fromstring(model), role)  # noqa: S314  PyCRAM wrote the model
+    return shapes_in(ET.fromstring(model), role)  # noqa: S314  Not needed: PyCRAM wrote the model
 
 
 def shapes_in(root: ET.Element, role: str) -> dict[str, list[Shape]]:

@@ -1,4 +1,4 @@
-"""The user's folder for caches. Its files are trusted, so only the user may write into the folder."""
+"""The user's folder for caches. Files in this folder are trusted, so only the user may write into it."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Final
 
 from recorder.system import HAS_OWNERS, user
 
-_ROOT: Final = 0  # the superuser can write anywhere
+_ROOT: Final = 0  # the superuser may write anywhere
 
 
 def cache_folder() -> Path | None:
-    """Return the user's folder for caches, ``PYCRAM_CACHE`` or ``~/.cache/pycram``. The folder may not exist.
+    """Return the user's folder for caches: ``PYCRAM_CACHE`` or ``~/.cache/pycram``. The folder may be missing.
 
-    Return None if the variable is empty, or if other users can write into the folder.
+    Return None if the variable is empty, or if other users may write into the folder.
     """
     named = os.environ.get("PYCRAM_CACHE")
     folder: Path | None = None
@@ -39,6 +39,6 @@ def is_own(folder: Path) -> bool:
         return True
     except OSError:
         return False
-    if not HAS_OWNERS:  # Windows protects folders of users by other means
+    if not HAS_OWNERS:  # Windows protects folders of users in other ways
         return stat.S_ISDIR(of.st_mode)
     return stat.S_ISDIR(of.st_mode) and of.st_uid in (user(), _ROOT) and not of.st_mode & stat.S_IWOTH

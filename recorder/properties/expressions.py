@@ -1,10 +1,10 @@
 """Expressions about one state, such as ``milk.z > 0.5`` or ``holding(left) is milk``.
 
 Python parses expressions, but never executes them: each allowed node of the syntax tree becomes a function of a
-:class:`Scene`. Names are bodies (``robot`` is the plan's robot), worlds, and the robot's arms. A body of several worlds
-is in the world that was opened last; ``lab.milk`` is in the world ``lab``. Names that aren't identifiers need quotes.
-The margin of a condition is the smallest distance of its quantities from values that would change the answer. If the
-condition holds, the margin is at least 0. Conditions about names have an infinite margin.
+:class:`Scene`. Names are bodies (``robot`` is the plan's robot), worlds, and the robot's arms. A name without a world
+means the body in the world that was opened last; ``lab.milk`` is in the world ``lab``. Names that aren't identifiers
+need quotes. The margin of a condition is the smallest distance of its quantities from values that would change the
+answer. If the condition holds, the margin is 0 or more. The margin of conditions about names is infinite.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "rad/s": (1.0, "rad/s"), "deg/s": (math.pi / 180, "rad/s"),
     "s": (1.0, "s"), "ms": (0.001, "s"), "min": (60.0, "s"),
 }  # fmt: skip
-"""Units of numbers: their size in a base unit, and the name of the base unit."""
+"""Units of numbers: the size of each in a base unit, and the name of the base unit."""
 _BASE: Final = frozenset(base for _, base in UNITS.values())
 NUMBER: Final = r"(?:\d+\.?\d*(?:[eE][+-]?\d+)?|\.\d+(?:[eE][+-]?\d+)?)"
 RANGE: Final = 0.05  # contacts are measured up to this distance in m. So "no contact" has at most this margin.
@@ -45,17 +45,17 @@ ROUNDING: Final = 1e-6  # numbers with a smaller difference are equal
 
 _QUANTITY: Final = re.compile(rf"(?<![\w.])({NUMBER})\s*({'|'.join(sorted(UNITS, key=len, reverse=True))})\b(?!\s*\()")
 _STRINGS: Final = re.compile(r"""('(?:[^'\\\n]|\\.)*'|"(?:[^"\\\n]|\\.)*")""")
-_MEASURED: Final = "_measured"  # function in the syntax tree for a number with a unit
+_MEASURED: Final = "_measured"  # name of the function that replaces a number with a unit in the syntax tree
 _UPRIGHT: Final = math.radians(10)  # rad, default tolerance
 PARTS: Final = ("x", "y", "z", "position", "orientation", "velocity", "speed", "roll", "pitch", "yaw", "carrier")
-"""Quantities of a body, in addition to its joints."""
+"""Quantities of a body, in addition to the positions of its joints."""
 _KINDS: Final = {
     **dict.fromkeys(("x", "y", "z", "distance"), "m"),
     **dict.fromkeys(("roll", "pitch", "yaw", "tilt", "angle"), "rad"),
     **dict.fromkeys(("speed", "position", "orientation", "velocity", "carrier"), ""),
 }
-"""Units of quantities. Other quantities are joints."""
-_MAX_LENGTH: Final = 2000  # largest number of characters, because Python's parser fails on deeply nested text
+"""Units of quantities. Any other quantity is a joint."""
+_MAX_LENGTH: Final = 2000  # maximum number of characters, because Python's parser fails on deeply nested text
 
 
 class BadProperty(PortableError, ValueError):
@@ -65,21 +65,21 @@ class BadProperty(PortableError, ValueError):
         super().__init__(f"{source}{': ' if source else ''}{text}: {cause}")
         self.text = text
         self.cause = cause
-        self.source = source  # file and line; "" without a file
+        self.source = source  # file and line of the text; "" without a file
 
 
 class NoValue(LookupError):
-    """An expression has no value in a state, for example before its object is loaded."""
+    """An expression has no value in a state, for example because its object isn't loaded yet."""
 
     def __init__(self, cause: str, name: str = "", known: Iterable[str] = ()) -> None:
         super().__init__(cause)
-        self.name = name  # the unknown name; "" for another cause
+        self.name = name  # the unknown name; "" if there is another cause
         self.known = tuple(known)
 
 
 @dataclass(frozen=True, order=True, slots=True)
 class Truth:
-    """Whether a condition holds, and its margin. It isn't a tuple, so calculations with conditions fail."""
+    """Whether a condition holds, and its margin. This isn't a tuple, so that calculations with conditions fail."""
 
     margin: float
     holds: bool
@@ -90,20 +90,20 @@ class Truth:
 
 
 class Touch(NamedTuple):
-    """Whether two bodies touch. Margins are distances in m, at most RANGE."""
+    """Whether two bodies touch. Its margins are distances in m, at most RANGE."""
 
     contact: Truth
-    on: Truth  # whether the first body lies on the second body
+    on: Truth  # whether the first body is on the second body
 
 
 class Geometry(Protocol):
-    """A measure of distances between the shapes of bodies."""
+    """Measures distances between the shapes of bodies."""
 
     def touch(self, world: FoldedWorld, one: tuple[str, str], other: tuple[str, str]) -> Touch:
         """Return whether two bodies touch. A body is a name and a link; the link "" means all links."""
 
     def owner(self, world: FoldedWorld, link: str) -> str:
-        """Return the body with a link of this name; "" without such a body."""
+        """Return the body with a link of this name; "" if there is none."""
 
 
 class Scene:
@@ -135,7 +135,7 @@ class Scene:
         raise NoValue(f"no object is called {name}", name, known)
 
     def holding(self, arm: str | None = None) -> str | None:
-        """Return the name of the object that the robot holds with an arm, or with any arm; None without an object."""
+        """Return the name of the object that the robot holds with an arm, or with any arm; None if there is none."""
         opened = self.opened()
         world = next((each for each in opened if each.robot in each.bodies), opened[0])
         links = None
@@ -150,7 +150,7 @@ class Scene:
         return None
 
     def touches(self, one: str, other: str) -> dict[tuple[tuple[str, str], tuple[str, str]], Touch]:
-        """Return the contacts of pairs of bodies. Both names are a body, BODY.LINK, a link, or a pattern with ``*``."""
+        """Return the contacts of pairs of bodies. Each name is a body, BODY.LINK, a link, or a pattern with ``*``."""
         if self.geometry is None:
             raise NoValue("contacts need the executor")
         for world in self.opened():
@@ -195,7 +195,7 @@ class Conditions:
         self.truth = choose(self.truths) if self.truths else Truth(-RANGE, False)
 
     def negated(self) -> Conditions:
-        """Return the opposite conditions: "all" in place of "any"."""
+        """Return the opposite conditions: "all" replaces "any", and the other way round."""
         return Conditions([each.negated() for each in self.truths or [self.truth]], max if self._choose is min else min)
 
     def __len__(self) -> int:
@@ -288,7 +288,7 @@ def plain(value: object) -> Any:
 
 
 def truth(value: object) -> Truth:
-    """Return the truth of a value. Values other than conditions are true as in Python, with an infinite margin."""
+    """Return the truth of a value. Values that aren't conditions are true as in Python, with an infinite margin."""
     if isinstance(value, Truth):
         return value
     if isinstance(value, Conditions):
@@ -311,7 +311,7 @@ class PropertyExpression:
         parts = _STRINGS.split(text.strip())
         parts[::2] = [_QUANTITY.sub(rf'{_MEASURED}(\1,"\2")', part) for part in parts[::2]]
         try:
-            with warnings.catch_warnings(action="ignore"):  # about text that looks like mistaken code
+            with warnings.catch_warnings(action="ignore"):  # the warning is about text that looks like mistaken code
                 tree = _meant(ast.parse("".join(parts), mode="eval").body)
             self._function = self._compile(tree)
         except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
@@ -320,19 +320,19 @@ class PropertyExpression:
             self._refuse(f"it isn't an expression: {error.msg if isinstance(error, SyntaxError) else error}")
 
     def value(self, scene: Scene) -> Any:
-        """Return the value in a scene; raise NoValue without a value."""
+        """Return the value in a scene; raise NoValue if there is none."""
         try:
             return self._function(scene)
         except (ArithmeticError, TypeError, ValueError) as error:
             raise NoValue(str(error)) from None
 
     def truth(self, scene: Scene) -> Truth:
-        """Return whether the expression holds in a scene; raise NoValue without a value."""
+        """Return whether the expression holds in a scene; raise NoValue if it has no value."""
         return truth(self.value(scene))
 
     @property
     def unit(self) -> str:
-        """The unit of the margin; "" for comparisons with several units."""
+        """The unit of the margin; "" if there are several."""
         return next(iter(self.units)) if len(self.units) == 1 else ""
 
     def values(self, scene: Scene) -> dict[str, Any]:
@@ -353,7 +353,7 @@ class PropertyExpression:
 
     # --- the allowed nodes --------------------------------------------------------------------------------------------
 
-    def _compile(self, node: ast.expr) -> Function:  # noqa: C901, PLR0911  a case for each allowed node
+    def _compile(self, node: ast.expr) -> Function:  # noqa: C901, PLR0911  one case for each allowed node
         match node:
             case ast.Name(id=name):
                 self.names[name] = None
@@ -361,7 +361,7 @@ class PropertyExpression:
             case ast.Constant(value=str() | bool() | None as value):
                 return lambda _: value
             case ast.Constant(value=int() | float() as value):
-                number = float(value)  # powers of integers could take hours
+                number = float(value)  # a power of integers could take hours
                 return lambda _: number
             case ast.Tuple(elts=nodes) | ast.List(elts=nodes):
                 items = [self._compile(each) for each in nodes]
@@ -413,7 +413,7 @@ class PropertyExpression:
         self.units |= kinds & _BASE or {""}
 
     def _check_numbers(self, node: ast.expr, nodes: Iterable[ast.expr]) -> None:
-        """Refuse to calculate with conditions."""
+        """Reject calculations with conditions."""
         for each in nodes:
             if isinstance(each, ast.List | ast.Tuple):
                 self._check_numbers(node, each.elts)
@@ -422,7 +422,7 @@ class PropertyExpression:
                 self._refuse(f"{_written(node)}: {_written(each)} is a condition, not a number; {count}")
 
     def _check_angle(self, node: ast.expr) -> None:
-        """Refuse an angle in degrees without a unit."""
+        """Reject an angle that seems to be in degrees without a unit."""
         if isinstance(node, ast.UnaryOp):
             node = node.operand
         if isinstance(node, ast.Constant) and isinstance(node.value, int | float) and abs(node.value) > 2 * math.pi:
@@ -438,7 +438,7 @@ class PropertyExpression:
         return key
 
     def _quantity(self, node: ast.expr, function: Function) -> Function:
-        self.quantities.pop(_written(getattr(node, "value", node)), None)  # lab.milk isn't a quantity in lab.milk.z
+        self.quantities.pop(_written(getattr(node, "value", node)), None)  # in lab.milk.z, lab.milk isn't a quantity
         self.quantities[_written(node)] = function
         return function
 
@@ -465,7 +465,7 @@ class PropertyExpression:
 
         if name not in _OF_BODIES and name != "count":
             return call
-        self.quantities = before  # messages show the whole call
+        self.quantities = before  # a message shows the whole call
         if name != "upright":
             return self._quantity(node, call)
         self.units.add("rad")
@@ -511,7 +511,7 @@ def _written(node: ast.expr) -> str:
 
 
 def _meant(node: ast.expr) -> ast.expr:
-    """Turn a string that stands for an object or a world into a name."""
+    """Turn a string that means an object or a world into a name."""
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return ast.Name(node.value, ast.Load())
     return node
@@ -535,7 +535,7 @@ def _has_pattern(node: ast.expr) -> bool:
 
 
 def _kind(node: ast.expr) -> str:
-    """Return the unit of a quantity: "m", "rad" or "s"; "joint" for a joint; "" for an unknown unit."""
+    """Return the unit of a quantity: "m", "rad" or "s"; "joint" for a joint; "" if unknown."""
     kind = ""
     match node:
         case ast.Attribute(attr=part):
@@ -684,7 +684,7 @@ _CALLED: Final[Mapping[str, Callable[..., Any]]] = {
     "tilt": _tilt,
     "upright": _upright,
 }
-#: Smallest and largest number of arguments of each function.
+#: Minimum and maximum number of arguments of each function.
 _FUNCTIONS: Final = {
     **dict.fromkeys(_CALLED, (1, 1)),
     **dict.fromkeys(("distance", "angle", "contact", "on"), (2, 2)),

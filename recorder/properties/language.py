@@ -1,6 +1,6 @@
 """The words about time: ``never contact(pr2, kitchen) after task:place``, ``eventually on(milk, island) within 2 s``.
 
-A property is an expression, and words in any order that say when the expression has to hold::
+A property is an expression, with words in any order about when the expression must hold::
 
     property := [always | never | eventually | at end] EXPRESSION [until EXPRESSION] [stays TIME] {when}
     when     := within TIME | during MOMENTS | after MOMENTS | before MOMENTS
@@ -36,7 +36,7 @@ class Property:
     text: str
     kind: str  # "always", "never", "eventually" or "at end"
     body: PropertyExpression
-    until: PropertyExpression | None = None  # the body must hold until this expression holds
+    until: PropertyExpression | None = None  # for "until": the body must hold until this expression holds
     stays: float = 0.0  # time in s for which the body must hold without interruption
     within: float | None = None  # only this first part of each episode counts, s; None for whole episodes
     during: Moments | None = None
@@ -75,7 +75,7 @@ class Moments:
 
 
 def parse(text: str, source: str = "") -> Property:
-    """Parse a property; raise BadProperty for other texts. ``source`` is its file and line, for messages."""
+    """Parse a property; raise BadProperty if it isn't one. ``source`` is the property's file and line, for messages."""
     return _Parser(" ".join(text.split()), source).parse()
 
 
@@ -104,7 +104,7 @@ def _uncommented(line: str) -> str:
 
 
 def _hidden(text: str) -> str:
-    """Return the text with spaces in place of everything in quotes or brackets."""
+    """Return the text in which spaces replace everything in quotes or brackets."""
     shown, depth, end = [], 0, 0
     for match in _HIDDEN.finditer(text):
         between = text[end : match.start()]

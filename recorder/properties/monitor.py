@@ -1,9 +1,10 @@
 """A monitor follows the records of a run, and reports where properties are violated.
 
 The values of a world change at records, and at 30 samples in each simulated second. Times are in simulated seconds,
-summed over all worlds. An episode is a part of the run in which a property has to hold. By default, it is the whole
-run; ``during``, ``after`` and ``before`` select others. The margin of "always" is the smallest margin of the episode's
-moments, the margin of "eventually" is the largest. The margin of a property is the smallest margin of its episodes.
+summed over all worlds. An episode is a part of the run in which the property must hold. By default, the episode is the
+whole run; ``during``, ``after`` and ``before`` select other episodes. The margin of "always" is the smallest margin of
+the episode's moments, the margin of "eventually" is the largest. The margin of a property is the smallest margin of its
+episodes.
 """
 
 from __future__ import annotations
@@ -55,10 +56,10 @@ class Violation:
 
     statement: Property
     moment: CheckedMoment
-    margin: float  # margin of the property: negative, or 0 if a value equals a limit that it must not reach
-    values: dict[str, Any]  # values of the property's quantities by the texts of the quantities
-    cause: str = ""  # cause of the violation if the values don't show it
-    since: CheckedMoment | None = None  # start of the last period in which the condition didn't hold
+    margin: float  # negative margin of the property; 0 if a value equals a limit that it must not reach
+    values: dict[str, Any]  # values of the property's quantities, by their texts
+    cause: str = ""  # why the property is violated, if the values don't show it
+    since: CheckedMoment | None = None  # start of the last period in which the condition doesn't hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,15 +68,15 @@ class PropertyVerdict:
 
     statement: Property
     margin: float  # smallest change of a quantity that reverses the result, in the property's unit; may be infinite
-    closest: CheckedMoment | None  # moment with this margin; None without episodes
+    closest: CheckedMoment | None  # moment that has this margin; None if there were no episodes
     values: dict[str, Any]  # values of the quantities at the moment ``closest``
     violations: list[Violation]
     episodes: int  # number of episodes
-    note: str = ""  # reason why the property never applied; "" if it applied
+    note: str = ""  # why the property never applied; "" if it did
 
     @property
     def holds(self) -> bool:
-        """Whether the property is never violated."""
+        """Whether the property was never violated."""
         return not self.violations
 
 
@@ -83,7 +84,7 @@ class Monitor:
     """A monitor of properties over the records of a run, from the first record or from keyframes of all worlds.
 
     Args:
-        contacts: It measures contacts. None without the executor.
+        contacts: Measures contacts. If it is None, contacts aren't measured, because the executor is missing.
     """
 
     def __init__(self, properties: Sequence[Property], contacts: Geometry | None = None) -> None:
@@ -95,7 +96,7 @@ class Monitor:
         self._names: dict[int, tuple[str, ...]] = {}  # names of the running tasks, outermost first
         self._last = CheckedMoment(0, 0, 0.0)
         self._known: dict[str, None] = {}  # names of all tasks
-        self._measured: dict[FoldedBody, tuple[float, ...]] = {}  # recorded velocities of bodies with a measured one
+        self._measured: dict[FoldedBody, tuple[float, ...]] = {}  # measured velocities that replace the recorded ones
 
     def feed(self, record: Record) -> list[Violation]:
         """Follow the next record, and return its violations."""
@@ -123,7 +124,8 @@ class Monitor:
     def _apply(self, name: str, change: Callable[[], None]) -> None:
         """Change a world, and measure the velocities of driven and carried bodies.
 
-        In a simulation, such a body is set from pose to pose. So its recorded velocity is 0 or nearly 0.
+        In a simulation, the engine sets such a body from pose to pose. Its recorded velocity is therefore 0, or nearly
+        0.
         """
         measured = {body: body.velocity for body in self._measured}
         for body, recorded in self._measured.items():
@@ -147,14 +149,14 @@ class Monitor:
             self._measured[body], body.velocity = body.velocity, velocity
 
     def finish(self) -> list[Violation]:
-        """End the run, and return the violations that were unknown before the end."""
+        """End the run; return the violations that weren't known before the end."""
         return [violation for watch in self._watches for violation in watch.finish(self._last)]
 
     def verdicts(self) -> list[PropertyVerdict]:
         """Return the results of all properties after the end of the run.
 
         Raises:
-            BadProperty: A property never had a value, for example because of an unknown name.
+            BadProperty: A property never had a value, for example because a name is unknown.
         """
         return [watch.verdict(self._known) for watch in self._watches]
 
@@ -169,7 +171,7 @@ class Monitor:
         return self._last
 
     def _wait(self, record: Record, sim_step: int) -> list[Violation]:
-        """Look at the moments before a change at which an unchanged state decides properties."""
+        """Examine the moments before a change at which the unchanged state decides properties."""
         clock = self._clocks.get(record.world, sim_step)
         ahead = {
             math.ceil(due * STEPS_PER_SECOND - 1e-6) - self._total for each in self._watches for due in each.dues()
@@ -213,7 +215,7 @@ def _moved(world: FoldedWorld) -> Iterator[FoldedBody]:
 @dataclass(slots=True)
 class _Episode:
     begun: CheckedMoment
-    key: object = None  # number of the task that began the episode, if a task did
+    key: object = None  # number of the task that began the episode; None if no task did
     margin: Truth = _BEST
     closest: CheckedMoment | None = None
     values: dict[str, Any] = field(default_factory=dict)
@@ -225,7 +227,7 @@ class _Episode:
 
     @property
     def start(self) -> float:
-        """The time of its start in s."""
+        """The time in s at which the episode began."""
         return self.begun.time
 
 
@@ -239,7 +241,7 @@ class _Watch:
         self._episodes: list[_Episode] = []
         self._ended: list[_Episode] = []
         self._were: dict[str, bool] = {}  # whether the expressions of ``during``, ``after`` and ``before`` held
-        self._over = False  # whether a property without ``after`` has passed its moment of ``before``
+        self._over = False  # for a property without ``after``: whether the moment of ``before`` has passed
         self._violations: list[Violation] = []
         self._missing: NoValue | None = None
         self._known: dict[str, None] = {}
@@ -252,7 +254,7 @@ class _Watch:
     # --- episodes -----------------------------------------------------------------------------------------------------
 
     def dues(self) -> Iterator[float]:
-        """Yield the times in s at which the property may be decided in an unchanged state."""
+        """Yield the times in s at which an unchanged state may decide the property."""
         watched = self._property
         for episode in self._episodes:
             if watched.within is not None:
@@ -262,7 +264,7 @@ class _Watch:
                 yield from (end + watched.stays for end, _ in episode.past)
 
     def look(self, moment: CheckedMoment, *, waiting: bool = False) -> Iterator[Violation]:
-        """Evaluate the property in the present state. ``waiting`` means that the state outlasts the moment."""
+        """Evaluate the property in the present state. ``waiting`` means that the state continues after the moment."""
         watched = self._property
         if not self._begun:
             self._begun = True
@@ -290,7 +292,7 @@ class _Watch:
                 yield from self._end(episode, moment, f"not within {within:g} s")
 
     def _follow_end(self, moment: CheckedMoment, value: Truth) -> None:
-        """Find the start of the last period in which the body doesn't hold; if it never held, its last change."""
+        """Find the start of the last period without the body; if the body never held, its last change."""
         if value.holds:
             self._since, self._seen, self._held = None, None, True
         elif self._seen is None or (not self._held and self._changed(value.margin, *self._seen)):
@@ -315,7 +317,7 @@ class _Watch:
             yield from self._end_all(moment)
 
     def task(self, number: int, path: tuple[str, ...], moment: CheckedMoment, *, started: bool) -> Iterator[Violation]:
-        """Begin and end episodes at the start or end of a task."""
+        """Begin or end episodes at the start or end of a task."""
         watched = self._property
         for word in ("during", "after", "before"):
             moments: Moments | None = getattr(watched, word)
@@ -343,7 +345,7 @@ class _Watch:
             yield from self._end(episode, moment)
 
     def finish(self, moment: CheckedMoment) -> Iterator[Violation]:
-        """End all episodes with the run."""
+        """End all episodes at the end of the run."""
         for episode in list(self._episodes):
             yield from self._end(episode, self._valued or moment, NEVER_HELD)
 

@@ -119,7 +119,7 @@ PACKAGE: Final = log_pb2.DESCRIPTOR.package  # the protobuf package of the defin
 @cache
 def known_definitions() -> frozenset[str]:
     """Return the names of all messages, fields and enum values, such as ``Mutation.effect``."""
-    from google.protobuf.descriptor_pb2 import FileDescriptorProto  # noqa: PLC0415  few readers need it
+    from google.protobuf.descriptor_pb2 import FileDescriptorProto  # noqa: PLC0415  imported here: few readers need it
 
     own = FileDescriptorProto()
     log_pb2.DESCRIPTOR.CopyToProto(own)
@@ -132,8 +132,8 @@ def format_number() -> int:
 
 
 def unknown_definitions(definitions: Iterable[bytes]) -> list[str]:
-    """Return the unknown names in the schemas of a recording. Unreadable schemas are skipped."""
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet  # noqa: PLC0415  few readers need it
+    """Return the names in the schemas of a recording that this release doesn't know. Unreadable schemas are skipped."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet  # noqa: PLC0415  imported here: few readers need it
 
     names: dict[str, None] = {}
     for definition in definitions:

@@ -1,8 +1,8 @@
-"""The beliefs of robots about objects: a fold of the records of their world.
+"""The beliefs of robots about objects, computed from the records of their world.
 
-A robot believes that an object is where its latest look showed the object, in its hand after a grasp, and where it was
-put down after a release. Other movements of the object don't change the belief until the next look. A robot has no
-beliefs about objects that it has neither seen nor held. A reset clears beliefs; restoring a saved state restores them.
+A robot believes that an object is where its latest look showed it; after a grasp, in its hand; after a release, where
+it was put down. When the object moves otherwise, the belief doesn't change until the next look. A robot has no beliefs
+about objects that it has neither seen nor held. A reset clears beliefs; restoring a saved state restores them.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ Beliefs: TypeAlias = dict[Key, Belief]  # beliefs by robot and object, in the or
 
 ROBOT: Final = "robot"  # name of a look's evidence that is the robot's name
 SOURCES: Final[Mapping[str, Belief.Source]] = {"seen": Belief.SEEN, "told": Belief.TOLD}
-"""Sources of beliefs by the name of a look's evidence that contains the poses of objects."""
+"""Sources of beliefs, by the name of the evidence that contains the poses of objects."""
 _WORDS: Final = {source: name.lower() for name, source in Belief.Source.items() if source}
 _FORGETTING: Final = frozenset({"reset", "close_world"})
-_FAR: Final = 1e9  # largest allowed coordinate in m
-_MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # range of the squared length of a unit quaternion
+_FAR: Final = 1e9  # maximum coordinate in m
+_MIN_SQUARE, _MAX_SQUARE = 0.99, 1.01  # range for the squared length of a unit quaternion
 
 
 def is_look(query: Query) -> bool:
@@ -85,14 +85,14 @@ def follow(
     robots: Collection[str] = (),
     pose_of: Callable[[str], PoseLike],
 ) -> list[Key]:
-    """Fold a change of the world, and return the keys of new beliefs. ``step`` is the record's number.
+    """Update the beliefs with a change of the world; return the keys of new beliefs. ``step`` is the record's number.
 
     Args:
-        record: The change; only its command is needed.
+        record: The change; only its command is used.
         sim_step: Simulated steps of the world after the change.
-        carriers: The carrier of each body that a robot carries after the change, directly or not. Further bodies are
-            ignored. None if no attachment changes.
-        pose_of: A function from a body's name to its pose after the change.
+        carriers: The carrier of each body that a robot carries after the change, directly or not. Other bodies are
+            ignored. None if the change doesn't affect attachments.
+        pose_of: Returns a body's pose after the change, by the body's name.
     """
     command = record.WhichOneof("command")
     if command in _FORGETTING:
@@ -138,20 +138,20 @@ def _learn(beliefs: Beliefs, key: Key, belief: Belief, sim_step: int, step: int)
 
 
 def _holder(body: str, carriers: Mapping[str, str], robots: Collection[str]) -> str:
-    """Return the robot that carries a body, directly or through other bodies; "" without a robot."""
+    """Return the robot that carries a body, directly or through other bodies; "" if no robot does."""
     seen = {body}
     while body in carriers:
         body = carriers[body]
         if body in robots:
             return body
-        if body in seen:  # attachments of a malformed recording may form a circle
+        if body in seen:  # in a malformed recording, attachments may form a circle
             break
         seen.add(body)
     return ""
 
 
 def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
-    """Return position and orientation of a recorded pose. Other values raise ValueError."""
+    """Return position and orientation of a recorded pose. Values that aren't a pose raise ValueError."""
     numbers = []
     for part, count in (("position", 3), ("orientation", 4)):
         values = pose.get(part) if isinstance(pose, dict) else None

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 FAR: Final = 1e9  # largest number in a state (m, rad, m/s or rad/s), more than after hours of falling
 
-_NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # pose of a body without the record of its loading
+_NOWHERE: Final = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # pose of a body if the record of its loading is missing
 _AT_REST: Final = (0.0,) * 6
-_SHORTEST, _LONGEST = 0.99, 1.01  # range of the squared length of a unit quaternion
+_SHORTEST, _LONGEST = 0.99, 1.01  # range for the squared length of a unit quaternion
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +29,12 @@ class Attachment:
     """The attachment of a body to its carrier."""
 
     carrier: str
-    carrier_link: str  # "" for the base
+    carrier_link: str  # link of the carrier; "" for the base
     body: str
-    body_link: str  # "" for the base
+    body_link: str  # link of the body; "" for the base
     position: Vector  # position of the carried body's base in the carrier's link, m
     orientation: Quaternion  # orientation of the carried body's base in the carrier's link, xyzw
-    loose: bool = False  # whether the body lies in or on the carrier; it is released with the carrier
+    loose: bool = False  # whether the body only lies in or on the carrier, and is released with it
 
 
 def apply(worlds: dict[str, FoldedWorld], record: records.Record) -> None:
@@ -48,7 +48,7 @@ def apply(worlds: dict[str, FoldedWorld], record: records.Record) -> None:
     if isinstance(record, Keyframe):
         worlds[name] = FoldedWorld.of_keyframe(record)
     elif record.HasField("open_world"):
-        worlds.pop(name, None)  # worlds stay in the order of opening if a name is reused
+        worlds.pop(name, None)  # if a name is reused, worlds must stay in the order of opening
         worlds[name] = FoldedWorld(name, record.open_world.mode)
         lifetime += before is not None
     elif before is None:
@@ -92,11 +92,11 @@ class FoldedWorld:
         return world
 
     def look(self, record: Query) -> None:
-        """Apply a query that updates a robot's beliefs."""
+        """Apply a query that updates the beliefs of a robot."""
         beliefs.look(self.beliefs, argument_values(record.evidence), record.sim_step, record.seq)
 
     def apply(self, record: Mutation) -> None:
-        """Apply the command of a mutation, and then its effect. Some changes are only in the command."""
+        """Apply the command of a mutation, and then its effect. For some changes, only the command has the data."""
         self.sim_step = record.sim_step
         command = record.WhichOneof("command")
         if command == "load_body":
@@ -144,7 +144,7 @@ class FoldedWorld:
         elif command == "stop_trajectory":
             number = record.stop_trajectory.number
             known = self.following.pop(number, None)
-            # without the record of its beginning, a trajectory stays unknown; a trajectory that hasn't moved yet ends
+            # a trajectory whose beginning isn't recorded stays unknown; one whose body hasn't moved yet ends
             if known is not None and known.began < self.sim_step:
                 self.following[number] = stopped = Following(begin=known.begin, began=known.began)
                 stopped.stopped = known.stopped or self.sim_step
@@ -203,7 +203,7 @@ class FoldedBody:
         self.version = 0  # number of changes of the body's state
 
     def set_state(self, state: records.BodyState) -> None:
-        """Set the fields that a record contains."""
+        """Set those fields of the body that a record contains."""
         self.version += 1
         if state.position:
             self.position, self.velocity = vector(state.position), _AT_REST
@@ -229,7 +229,7 @@ def vector(values: Sequence[float]) -> Vector:
 
 
 def quaternion(values: Sequence[float]) -> Quaternion:
-    """Return a unit quaternion. Other numbers raise ValueError."""
+    """Return a unit quaternion. Numbers that aren't a unit quaternion raise ValueError."""
     x, y, z, w = values[:]
     if not _SHORTEST <= x * x + y * y + z * z + w * w <= _LONGEST:
         raise ValueError(f"{[x, y, z, w]} isn't a unit quaternion")
@@ -237,7 +237,7 @@ def quaternion(values: Sequence[float]) -> Quaternion:
 
 
 def _checked_numbers(values: Sequence[float]) -> Sequence[float]:
-    """Return finite numbers within ``FAR``. Other numbers raise ValueError, because the engine would loop."""
+    """Return finite numbers within ``FAR``. Other lengths raise ValueError, because the engine would loop forever."""
     numbers = values[:]
     if numbers and not (min(numbers) >= -FAR and max(numbers) <= FAR and math.isfinite(sum(numbers))):
         raise _beyond(numbers)

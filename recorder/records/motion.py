@@ -1,9 +1,9 @@
 """Motion, computed from records alone: frames of bodies and links, and progress on trajectories.
 
-/tf has the frames as ``foxglove.FrameTransforms``. A base is named ``BODY``, another link ``BODY/LINK``; outside of the
-first world, ``WORLD//`` precedes the name. The root is ``world``. Frames have unique names, because ``/`` and ``%`` in
-names are percent-encoded. Timestamps are simulated time. This code runs for every change of a plan, so it copies lists
-of records (``[:]``): protobuf's iterators take three times as long.
+The topic /tf has the frames as ``foxglove.FrameTransforms``. A base is named ``BODY``, another link ``BODY/LINK``;
+outside of the first world, ``WORLD//`` precedes the name. The root is ``world``. Frames have unique names, because
+``/`` and ``%`` in names are percent-encoded. Timestamps are simulated time. This code runs for every change of a plan,
+so it copies lists of records (``[:]``): protobuf's iterators take three times as long.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ if TYPE_CHECKING:
 
 ROOT: Final = "world"
 _FIRST_WORLD: Final = "world_1"
-_RERUN_PREFIX: Final = "tf#/"  # prefix of Rerun's own frames
+_RERUN_PREFIX: Final = "tf#/"  # prefix of the frames that belong to Rerun
 _NS: Final = 1_000_000_000
 
 
 class Frame(NamedTuple):
     """The frame of a body or link."""
 
-    parent: str  # name of the frame that contains the pose
+    parent: str  # name of the parent frame, which contains the pose
     child: str
     body: str
-    link: str  # "" for the base
+    link: str  # name of the link; "" for the base
 
 
 def frame_name(world: str, body: str, link: str = "") -> str:
-    """Return the name of the frame of a link, or of the base without a link."""
+    """Return the name of the frame of a link; without a link, of the base."""
     name = _escaped(body) if world == _FIRST_WORLD else f"{_escaped(world)}//{_escaped(body)}"
     name = f"{name}/{_escaped(link)}" if link else name
     reserved = name == ROOT or name.startswith(_RERUN_PREFIX)
@@ -51,8 +51,8 @@ class BodyMotion(NamedTuple):
 
     sim_step: int
     body: str
-    frames: list[tuple[Frame, Pose]]  # the changed frames, and their poses in their parents
-    joints: dict[str, float]  # positions of the changed joints in rad or m by name
+    frames: list[tuple[Frame, Pose]]  # the changed frames, with their poses in their parents
+    joints: dict[str, float]  # positions of the changed joints, in rad or m, by name
 
 
 class _Body:
@@ -62,7 +62,7 @@ class _Body:
         self.model = model
         self.frame = Frame(ROOT, frame_name(world, name), name, "")
         self._names = world, name
-        self._links: dict[str, tuple[UrdfJoint, Frame]] = {}  # frames of the joints' child links by joint name
+        self._links: dict[str, tuple[UrdfJoint, Frame]] = {}  # frames of the joints' child links, by joint name
 
     def links(self, model: Urdf, joints: Iterable[str]) -> Iterator[tuple[UrdfJoint, Frame]]:
         """Yield the named joints and the frames of their child links."""
@@ -84,13 +84,13 @@ class FrameTree:
         self._bodies: dict[tuple[str, str], _Body] = {}
 
     def add_urdf(self, sha256: str, content: bytes) -> None:
-        """Add a model. It must precede the records that use the model."""
+        """Add a model. The file must come before the records that use the model."""
         from recorder.urdf import Urdf  # noqa: PLC0415  loads NumPy
 
         self._models[sha256] = Urdf.parse(content)
 
     def model(self, world: str, body: str) -> Urdf | None:
-        """Return the model of a loaded body; None if the model is unknown."""
+        """Return the model of a loaded body; None if unknown."""
         loaded = self._bodies.get((world, body))
         return loaded.model if loaded is not None else None
 
@@ -104,7 +104,7 @@ class FrameTree:
         ]
 
     def transforms(self, record: Record) -> Iterator[FrameTransforms]:
-        """Yield a message of the changed frames for each simulated step of a record."""
+        """Yield, for each simulated step of a record, a message with the changed frames."""
         for sim_step, states, whole in self._states(record):
             motions = [self._motion(record.world, sim_step, state, whole=whole) for state in states]
             frames = [frame for motion in motions for frame in motion.frames]
@@ -121,7 +121,7 @@ class FrameTree:
             yield message
 
     def _states(self, record: Record) -> list[tuple[int, Sequence[BodyState], bool]]:
-        """Return the simulated steps of a record: number, states of bodies, and whether the states are complete."""
+        """Return the simulated steps of a record: number, states of bodies, and whether all states are complete."""
         if isinstance(record, Mutation):
             loading = record.HasField("load_body")
             if loading:
@@ -161,9 +161,9 @@ class FrameTree:
 
 
 def changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, LoadBody]) -> tuple[list[str], list[LoadBody]]:
-    """Return the names of bodies that are removed or have another model, and the loaded bodies.
+    """Return the names of bodies that are removed or get another model, and the loaded bodies.
 
-    ``bodies`` has the bodies of the record's world by name.
+    ``bodies`` contains the bodies of the record's world, by name.
     """
     if isinstance(record, Keyframe):
         models = {name: [asset.sha256 for asset in loaded.assets] for name, loaded in bodies.items()}
@@ -185,12 +185,12 @@ BASE_COORDINATES: Final = ("x", "y", "yaw")  # coordinates of a base's trajector
 STOPPING_STEPS: Final = 36
 """A stopped trajectory slows down for this number of simulated steps (0.15 s).
 
-The number must never change, because recordings are executed again.
+The number of steps must never change, because recordings are executed again.
 """
 
 
 def time_of(following: Following, sim_step: int) -> float:
-    """Return the time on a trajectory in s at a simulated step. A stopped trajectory decelerates evenly."""
+    """Return the time on a trajectory in s at a simulated step. A stopped trajectory slows down evenly."""
     if not following.stopped or sim_step <= following.stopped:
         return (sim_step - following.began) / STEPS_PER_SECOND
     slowing = min(sim_step - following.stopped, STOPPING_STEPS)
@@ -199,7 +199,7 @@ def time_of(following: Following, sim_step: int) -> float:
 
 
 def has_ended(following: Following, sim_step: int) -> bool:
-    """Return whether a trajectory is complete or has stopped by a simulated step."""
+    """Return whether a trajectory is complete or has stopped at a simulated step."""
     if following.stopped and sim_step >= following.stopped + STOPPING_STEPS:
         return True
     times = following.begin.trajectory.times

@@ -1,4 +1,4 @@
-"""Records in words: a line of text for each record, also for other tools (``foxglove.Log`` on /log).
+"""Records as text: a line for each record, also for other tools (``foxglove.Log`` on /log).
 
 Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
 """
@@ -40,7 +40,7 @@ from recorder.records import (
 )
 
 if TYPE_CHECKING:
-    Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text and its level in the log
+    Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text, and its level in the log
 
 _NS: Final = 1_000_000_000
 _ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # attributes of protobuf's classes are slow
@@ -48,13 +48,13 @@ _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
 _LEVELS: Final = {"DEBUG": _DEBUG, "INFO": _INFO, "WARNING": _WARNING, "ERROR": _ERROR, "CRITICAL": _ERROR}
-_LITTLE: Final = 0.005  # texts omit a smaller share of an object outside of the picture
-_NOTABLE_ERROR: Final = 0.01  # smaller errors of a motor aren't mentioned, rad or m
-_THREE: Final = "[%.3f, %.3f, %.3f]"  # faster than a loop for the most frequent length
+_LITTLE: Final = 0.005  # share of an object outside of the picture below which texts don't mention it
+_NOTABLE_ERROR: Final = 0.01  # error of a motor, rad or m, below which it isn't mentioned
+_THREE: Final = "[%.3f, %.3f, %.3f]"  # for the most frequent length, this is faster than a loop
 
 
 def log_line(record: Record, time_ns: int) -> bytes | None:
-    """Return the serialized line of a record; None without a line. The time is in ns since the Unix epoch."""
+    """Return the serialized line of a record; None if it has none. The time is in ns since the Unix epoch."""
     if not has_line(record):
         return None
     kind = type(record)
@@ -66,7 +66,7 @@ def log_line(record: Record, time_ns: int) -> bytes | None:
 
 def has_line(record: Record) -> bool:
     """Return whether a record has a line: all records except keyframes and requests for tasks."""
-    if type(record) is Task:  # isinstance takes five times as long
+    if type(record) is Task:  # isinstance would take five times as long
         return record.phase != _ASKED
     return type(record) is not Keyframe
 
@@ -99,14 +99,14 @@ def _task(record: Task) -> Line:
         return f"{name} {'was cancelled' if status == _CANCELLED else 'timed out'} after {took}", _WARNING
     decided = ""
     if record.kind == "motion" and record.HasField("decision") and (text := decision_text(record.decision)):
-        decided = f", {text}"  # the process module's record has the same decision
+        decided = f", {text}"  # the record of the process module contains the same decision
     if status == _SUCCEEDED:
         return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
     return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
 
 
 def is_timed_out(record: Task) -> bool:
-    """Return whether a record is the end of a wait that timed out, which has the status succeeded."""
+    """Return whether a record is the end of a wait that timed out; such a wait has the status succeeded."""
     return record.kind == "wait" and record.phase == Task.FINISHED and record.result_json == "false"
 
 
@@ -168,7 +168,7 @@ _TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
 
 
 def mutation_text(record: Mutation) -> str:
-    """Return the change of a mutation in a few words."""
+    """Return the text of a mutation's change, in a few words."""
     name = str(record.WhichOneof("command") or "change")
     command = getattr(record, name, None)
     details = _DETAILS.get(name)
@@ -250,7 +250,7 @@ _OWN_ENVIRONMENT: Final = "simulated"
 
 
 def decision_text(decision: Decision, *, full: bool = False) -> str:
-    """Return the decision of a motion in words. ``full`` includes the defaults."""
+    """Return the text of a motion's decision. ``full`` also includes default values."""
     parts = []
     if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
         which = f"solution {decision.solution + 1} of {decision.known}{'' if decision.complete else ' or more'}"
@@ -268,7 +268,7 @@ def decision_text(decision: Decision, *, full: bool = False) -> str:
 
 # Candidates of queries
 
-_ANSWERS: Final = ("true", "false", "[")  # beginnings of yes, no and lists in JSON
+_ANSWERS: Final = ("true", "false", "[")  # the beginnings of yes, no and lists in JSON
 
 
 def is_choice(query: Query) -> bool:
@@ -277,13 +277,13 @@ def is_choice(query: Query) -> bool:
 
 
 def chosen_name(query: Query) -> str:
-    """Return the name of a query's chosen candidate; "" without a chosen candidate."""
+    """Return the name of a query's chosen candidate; "" if there is none."""
     known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
     return ", ".join(query.candidates[query.chosen].names) if known else ""
 
 
 def rejections(query: Query) -> str:
-    """Return a line of the reasons for which a query rejected candidates; "" without rejections. Places are counted."""
+    """Return a line of the reasons for which a query rejected candidates; "" if there are none. Places are counted."""
     return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
 
 
@@ -306,7 +306,7 @@ def _named(candidate: Candidate) -> str:
 
 
 def reason_text(candidate: Candidate) -> str:
-    """Return the reason for a rejection in words. A reason that a user defined is its type and values."""
+    """Return the text of the reason for a rejection. A reason that a user defined is its type and values."""
     data: Mapping[str, Any] = argument_values(candidate.data)
     text = rejection_text(candidate.reason, data)
     several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
@@ -314,7 +314,7 @@ def reason_text(candidate: Candidate) -> str:
 
 
 def rejection_text(reason: str, data: Mapping[str, Any]) -> str:
-    """Return the words for a rejection's type and data; "" for types that a user defined and for damaged data."""
+    """Return the text for a rejection's type and data; "" for types that a user has defined, and for damaged data."""
     phrase = _REASONS.get(reason)
     try:
         return phrase(data) if phrase is not None else ""
@@ -326,7 +326,7 @@ def pair_text(pair: Mapping[str, object]) -> str:
     """Return a collision pair as text, such as "milk in the left gripper would touch sink_area_surface of kitchen".
 
     In the pair, ``mover`` and ``link`` are the moving body and its link; ``gripper`` is the gripper that holds the
-    body. ``body`` and ``body_link`` are the touched body and its link. A body with a single link has the link "".
+    body. ``body`` and ``body_link`` are the touched body and its link. If a body has a single link, the link is "".
     """
     mover, link, body, body_link = (str(pair.get(key) or "") for key in ("mover", "link", "body", "body_link"))
     moved = f"{mover} in the {pair['gripper']} gripper" if pair.get("gripper") else link or mover
@@ -356,7 +356,7 @@ def unseen_text(data: Mapping[str, Any], reason: str = "") -> str:
 
     ``reason`` is the cause, such as "is hidden"; "" for an unknown cause.
     """
-    links = data.get("hiding_links", {})  # recordings of older releases have no such field
+    links = data.get("hiding_links", {})  # recordings of older releases don't have this field
     hiders = [link_text(name, links.get(name, "")) for name in data["hidden_by"]]
     text = f"only {data['share']:.0%} visible" if data["share"] else reason.removeprefix("is ") or "not seen"
     if hiders:
@@ -397,13 +397,13 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     "Unfit": lambda data: str(data["reason"]),
 }
 
-# Places of a robot, or of an object that is put down
+# A place of a robot, or of an object that is put down
 
 TAKEN: Final = "taken"
 NOT_TRIED: Final = "not tried"
 _OUT_OF_REACH: Final = "is out of reach|are out of reach"
 _NO_GRASP: Final = "offers no grasp|offer no grasp"
-#: Results of places by the type of the rejection: words for a single place, "|", and words for several places.
+#: Results for places by the type of the rejection: the text for a single place, "|", and the text for several places.
 _FATES: Final = {
     "": NOT_TRIED,
     "Untried": NOT_TRIED,
@@ -417,13 +417,14 @@ _FATES: Final = {
     "Uneven": _NO_GRASP,
 }
 _MAX_LETTERS: Final = 80
-_MAX_FATES: Final = 4  # a line has at most this many different results
+_MAX_FATES: Final = 4  # maximum number of different results in a line
 
 
 def fates(query: Query) -> Iterator[str]:
     """Yield the result of each considered place of a query: "taken", or why the place was rejected.
 
-    Words for a single place and for several places may differ. Then the result has both, with "|" between.
+    The text for a single place may differ from that for several places. Then the result contains both, with "|" between
+    them.
     """
     names = [_fate(candidate) for candidate in query.candidates]
     if query.HasField("chosen") and 0 <= query.chosen < len(names):
@@ -433,9 +434,9 @@ def fates(query: Query) -> Iterator[str]:
 
 
 def fates_text(query: Query) -> str:
-    """Return the number of considered places with each result; "" without places.
+    """Return the number of considered places with each result; "" if there are none.
 
-    For example "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
+    An example is "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
     """
     counts = Counter(fates(query))
     if not counts:
@@ -473,7 +474,7 @@ def _fate(candidate: Candidate) -> str:
 
 
 def foreseen(record: Task) -> str:
-    """Return the outcome of a projection and the name of its recording; "" for a task without an outcome."""
+    """Return the outcome of a projection and the name of its recording; "" if there is none."""
     outcome = _outcome(record)
     if "succeeded" not in outcome:
         return ""
@@ -484,10 +485,10 @@ def foreseen(record: Task) -> str:
 
 
 def recording_name(record: Task) -> str:
-    """Return the file name of a projection's recording; "" without a recording.
+    """Return the file name of a projection's recording; "" if there is none.
 
-    The file is in the folder of the run's recording. Recorded folders are ignored: recordings are moved together, and
-    an untrusted recording must not name another folder.
+    The file must be in the folder of the run's recording. Recorded folders are ignored, because recordings are moved
+    together, and because a recording of a stranger must not name another folder.
     """
     recording = _outcome(record).get("recording")
     return PurePath(recording).name if isinstance(recording, str) else ""
@@ -504,7 +505,7 @@ def _outcome(record: Task) -> dict[str, Any]:
 
 
 def timeout_text(name: str, clock: object) -> str:
-    """Return a timeout in words. ``name`` is the limit in the task's name."""
+    """Return the text of a timeout. ``name`` is the text of the limit in the task's name."""
     return f"timeout of {name}{' of simulated time' if clock == 'simulated' else ''}"
 
 
@@ -512,7 +513,7 @@ _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|
 
 
 def values(arguments: Sequence[Argument]) -> str:
-    """Return recorded values in a line. Names replace objects."""
+    """Return the text of recorded values, in one line. Names replace objects."""
     return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
 
 

@@ -1,6 +1,6 @@
-"""Tracebacks as text, as Python prints them; a number replaces the middle of a long traceback.
+"""Tracebacks as text, as Python prints them; in a long traceback, a number replaces the middle.
 
-Each task that an error ends records the error with its causes. So the text of each line of code is cached.
+Each task that an error ends records this error with its causes. The text of each line of code is therefore cached.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Other = TypeVar("Other")
 MAX_FRAMES: Final = 32  # the text of an error has at most this many frames, the innermost frames
 MAX_ERRORS: Final = 16  # a traceback's text has at most this many errors, from both ends of the chain
 
-_FIRST: Final = 4  # a text has this many errors from the beginning of the chain, which has the root causes
-_MAX_EXPLORED: Final = 64  # an error with more related errors is printed without these
-_REPEATED: Final = 3  # Python prints a repeated line this many times, and then the number of repetitions
+_FIRST: Final = 4  # number of errors at the beginning of the chain, which contains the root causes, that a text has
+_MAX_EXPLORED: Final = 64  # number of related errors above which an error is printed without them
+_REPEATED: Final = 3  # Number of times that Python prints a repeated line, before the number of repetitions
 _MAX_CACHED: Final = 4096
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"
 TITLE: Final = "Traceback (most recent call last):\n"
@@ -35,10 +35,10 @@ CONTEXT: Final = "\nDuring handling of the above exception, another exception oc
 _PLACE: Final = attrgetter("co_filename", "co_name")
 _SPECIAL: Final = (SyntaxError, ImportError, NameError, AttributeError)  # Python adds details to their messages
 
-#: Formats tracebacks, also within messages, in the place of :func:`format_traceback`; None to print all frames.
+#: Replaces :func:`format_traceback` in formatting tracebacks, also within messages; None to print all frames.
 formatter: Final[ContextVar[Formatter | None]] = ContextVar("recorder_tracebacks", default=None)
 
-# cached texts of frames by the address of the code; the values keep the code alive
+# cached texts of frames, by the address of the code; the values keep the code alive
 _texts: Final[dict[tuple[int, int, int], tuple[CodeType, str]]] = {}
 
 
@@ -59,9 +59,9 @@ def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: 
 
 
 def chain(error: BaseException) -> list[tuple[str, BaseException]]:
-    """Return the causes and the error, each after the text that links it to its cause.
+    """Return the causes and the error; each comes after the text that links it to the error before.
 
-    A group prints its own causes.
+    A group of errors prints its own causes.
     """
     links: list[tuple[str, BaseException]] = []
     seen = {id(error)}
@@ -81,7 +81,7 @@ def chain(error: BaseException) -> list[tuple[str, BaseException]]:
 
 
 def part(error: BaseException, frames: int = MAX_FRAMES) -> str:
-    """Return an error as text without its causes."""
+    """Return the text of an error without its causes."""
     innermost = _innermost(error.__traceback__, frames)
     if _is_small_group(error):
         return "".join(traceback.format_exception(type(error), error, innermost, limit=-frames))
@@ -132,7 +132,7 @@ def stack(shown: Iterable[TracebackType]) -> Iterator[str]:
 
 
 def _frame(entry: TracebackType) -> str:
-    """Return the text of a traceback's frame. Without a cache, Python would look up and parse the line each time."""
+    """Return the text of a traceback's frame. Without the cache, Python would look up and parse the line each time."""
     code = entry.tb_frame.f_code
     key = id(code), entry.tb_lasti, entry.tb_lineno
     known = _texts.get(key)
@@ -160,5 +160,5 @@ def text_or(text: Callable[[], str], otherwise: Callable[[Exception], Other]) ->
     """Return the text from a user's method. If the method raises an error, return ``otherwise(error)``."""
     try:
         return text()
-    except Exception as error:  # noqa: BLE001  a user's method may raise anything
+    except Exception as error:  # noqa: BLE001  a method of the user may raise any error
         return otherwise(error)

@@ -1,7 +1,7 @@
-"""Values of users (slots, answers, results) as a line of JSON, and errors as ``Failure``, for records.
+"""Values of users (slots, answers, results) in records as a line of JSON, and errors as ``Failure``.
 
-An object with a method ``__record__`` is recorded as the method's result: None, a bool, number, string, list or dict.
-Values with secret names, such as ``password``, are left out.
+An object with a method ``__record__`` is recorded as the result of this method: None, a bool, number, string, list or
+dict. Values with secret names, such as ``password``, are left out.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from recorder.records.tracebacks import MAX_ERRORS, format_traceback, text_or
 MAX_NESTING: Final = 100  # readers return a value with more nested lists and dictionaries as text
 MAX_CHARACTERS: Final = 8 << 20  # longer JSON isn't recorded, because readers reject records of many MiB
 MAX_DIGITS: Final = 300  # integers with more digits don't fit a float; readers return such a value as text
-#: Matches strings and brackets. A string without an end extends to the end of the text.
+#: Pattern for strings and brackets. A string without an end quote extends to the end of the text.
 _BRACKET: Final = re.compile(r'(?s)"(?:[^"\\]|\\.)*"?|[\[{}\]]')
 _ADDRESS: Final = re.compile(r" at 0x[0-9a-fA-F]+")
 
@@ -37,7 +37,7 @@ def _plain(value: object) -> object:
     for kinds, plain in _PLAIN:
         if isinstance(value, kinds):
             return plain(value)
-    to_list = getattr(type(value), "tolist", None)  # of a NumPy array, without an import of NumPy
+    to_list = getattr(type(value), "tolist", None)  # whether it is a NumPy array, without importing NumPy
     if to_list is not None:
         return _plain(to_list(value))
     module, name = getattr(value, "__module__", None), getattr(value, "__qualname__", None)
@@ -79,7 +79,7 @@ def _json(value: object) -> str:
 
 
 def arguments(values: Mapping[str, object] | Iterable[tuple[str, object]]) -> list[Argument]:
-    """Return named values for a record in the given order, without the values of secret names."""
+    """Return named values for a record in the given order; values of secret names are left out."""
     pairs = values.items() if isinstance(values, Mapping) else values
     named = [(str(name), value) for name, value in pairs]
     return [Argument(name=name, json=to_json(LEFT_OUT if is_secret(name) else value)) for name, value in named]
@@ -94,7 +94,7 @@ def from_json(text: str) -> Plain:
 
 
 def _loaded(text: str) -> Plain:
-    """Return the value of a line of JSON. Other texts and values beyond our limits raise ValueError."""
+    """Return the value that a line of JSON contains. Other texts and values beyond our limits raise ValueError."""
     if len(text) > MAX_NESTING and text.count("[") + text.count("{") > MAX_NESTING:
         depth = 0
         for bracket in _BRACKET.findall(text):
@@ -121,7 +121,7 @@ _LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
 
 
 def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:
-    """Return the named values of a record. If ``strict`` is set, text that isn't JSON raises ValueError."""
+    """Return the named values of a record. If ``strict`` is true, text that isn't JSON raises ValueError."""
     return {argument.name: _loaded(argument.json) if strict else from_json(argument.json) for argument in arguments}
 
 
@@ -130,17 +130,17 @@ def _message(error: BaseException) -> str:
 
 
 def format_error(error: BaseException) -> str:
-    """Return the type of an exception, with the message if there is a message."""
+    """Return the type of an exception, with its message if there is one."""
     text = _message(error)
     return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERRORS) -> Failure:
-    """Return an exception for a record: type, message, ``data`` and a traceback of ``errors`` errors."""
+    """Return an exception for a record: type, message, ``data``, and a traceback of at most ``errors`` errors."""
     data = getattr(error, "data", None)
     text = ""
     if trace:
-        with suppress(Exception):  # methods of the error may raise anything
+        with suppress(Exception):  # methods of the error may raise any error
             text = format_traceback(error, errors=errors)
     return Failure(
         type=escaped(type(error).__qualname__),
@@ -151,17 +151,17 @@ def failure(error: BaseException, *, trace: bool = True, errors: int = MAX_ERROR
 
 
 def format_failure(failure: Failure) -> str:
-    """Return the type of a recorded failure, with the message if there is a message."""
+    """Return the type of a recorded failure, with its message if there is one."""
     return f"{failure.type}: {failure.message}" if failure.message else failure.type
 
 
 def without_addresses(text: str) -> str:
-    """Return a text without addresses of objects, which differ in each process."""
+    """Return a text without addresses of objects, because these differ in each process."""
     return _ADDRESS.sub("", text)
 
 
 def escaped(text: str) -> str:
-    """Return a text with escapes in place of lone surrogates, which can't be written.
+    """Return a text in which escapes replace lone surrogates, because these can't be written.
 
     Python uses lone surrogates for bytes that aren't UTF-8, for example in names of files.
     """
@@ -193,7 +193,7 @@ def position(value: object) -> Position | None:
 def first_position(values: Mapping[str, Any], objects: Mapping[str, Position]) -> Position | None:
     """Return the first position among recorded values, or else that of the first named object; None without both.
 
-    ``objects`` has positions by name.
+    ``objects`` contains positions by name.
     """
     found = map(position, values.values())
     named = (objects.get(name_of(value)) for value in values.values())
@@ -234,7 +234,7 @@ def without_secrets(arguments: Sequence[str]) -> list[str]:
 
 @dataclass(frozen=True)
 class AssetFile:
-    """A file that makes recordings self-contained: a model, a mesh or a plan's source. The name has no folders."""
+    """A file that a recording contains: a model, a mesh or a plan's source. The name contains no folders."""
 
     name: str
     content: bytes

@@ -1,4 +1,4 @@
-"""Lanes of tasks over time: a lane has consecutive tasks of a depth; parallel tasks have separate lanes."""
+"""Lanes of tasks over time: each lane has successive tasks of the same depth; parallel tasks have separate lanes."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ class Lanes:
 
     def __init__(self) -> None:
         self._running: dict[int, Lane] = {}
-        self._taken: dict[int, set[int]] = {}  # occupied slots by depth
+        self._taken: dict[int, set[int]] = {}  # occupied numbers of lanes, by depth
 
     def follow(self, record: Task) -> Lane | None:
-        """Return the lane of a task at its start or end; None for other records."""
+        """Return the lane of a task at its start or end; None if it is another record."""
         if record.phase == Task.STARTED:
             parent = self._running.get(record.parent)
             depth = parent[0] + 1 if parent is not None else 1

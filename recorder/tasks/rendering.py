@@ -1,7 +1,7 @@
 """The task tree as lines of text, as data for JSON, as a graph for Graphviz, and as an SVG.
 
 Marks in the text: ``+`` succeeded, ``X`` failed, ``-`` cancelled, ``?`` not ended, ``.`` not begun. The mark ``>``
-shows the path to the failure. The SVG has the same lines without the plan's output, and bars of wall time.
+shows the path to the failure. The SVG has the same lines, without output of the plan, and bars of wall time.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ _MARKS: Final[Mapping[int, str]] = {
     Task.RUNNING: "?",
     Task.CREATED: ".",
 }
-_MAX_ALIKE: Final = 6  # more similar siblings are folded
-_MAX_WIDTH: Final = 100  # a line shows at most this many characters of parameters
-#: Lines of these kinds of tasks show the parameters.
+_MAX_ALIKE: Final = 6  # number of similar siblings above which they are folded
+_MAX_WIDTH: Final = 100  # maximum number of characters of parameters in a line
+#: Kinds of tasks whose lines show the parameters.
 _WITH_PARAMETERS: Final = frozenset({"action", "projection", "motion", "attempt", "failure-handling", "handler"})
-#: Lines of these kinds of tasks don't show the kind, because the names imply it.
+#: Kinds of tasks whose lines don't show the kind, because the names imply it.
 _WITHOUT_KIND: Final = ("motion", "process-module", "attempt", "failure-handling")
 
 
@@ -51,15 +51,15 @@ class TreeRow:
     """A line of a tree."""
 
     depth: int  # depth of the task, from 0
-    node: Node | None  # the task; None for a line of details or output
-    text: str  # without indentation and marks
+    node: Node | None  # the task; None if the line shows details or output
+    text: str  # text of the line, without indentation and marks
     failing: bool = False  # whether the task is on the path to the failure
 
 
 def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: bool = True) -> Iterator[TreeRow]:
-    """Yield all tasks down to a depth, each task before its children.
+    """Yield all tasks down to a depth; each task comes before its children.
 
-    Similar siblings are folded, unless ``whole`` is set. If ``output`` is set, printed and logged lines appear among
+    Similar siblings are folded, unless ``whole`` is true. If ``output`` is set, printed and logged lines appear among
     the children.
     """
     failing = {node.id for node in tree.failure_path()}
@@ -102,7 +102,7 @@ def lines(tree: Tree, depth: int | None = None, *, whole: bool = False) -> Itera
 
 
 def label(node: Node) -> str:
-    """Return a line of a task's name, parameters and kind."""
+    """Return the line for a task, with its name, parameters and kind."""
     if node.kind == "timeout":
         return timeout_text(node.name, node.parameters.get("clock"))
     parameters = values(node.started.parameters)
@@ -118,7 +118,7 @@ def label(node: Node) -> str:
 
 
 def facts(tree: Tree, max_depth: int | None = None) -> Iterator[dict[str, object]]:
-    """Yield each task as data for JSON, before its children."""
+    """Yield each task as data for JSON; each task comes before its children."""
     failing = {node.id for node in tree.failure_path()}
     return (
         {
@@ -168,7 +168,7 @@ def _extent(node: Node) -> str:
 
 
 def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> list[Node | str]:
-    """Return siblings, with the output lines of their parent between them. Siblings and output are folded."""
+    """Return siblings; the lines of their parent's output are between them. Siblings and output are folded."""
     shown: list[Node | str] = []
     printed = 0
     for item in _folded(nodes if whole else _lifted(nodes), whole=whole):
@@ -181,9 +181,9 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
 
 
 def _lifted(nodes: Sequence[Node]) -> list[Node]:
-    """Return siblings, but the attempts of an action instead of its successful failure handling.
+    """Return siblings; the attempts of an action replace its successful failure handling.
 
-    The parts of a single successful attempt replace the attempt.
+    The parts of an attempt replace it if it is the only one, and successful.
     """
     shown: list[Node] = []
     for node in nodes:
@@ -205,7 +205,7 @@ def _said(output: Sequence[Output], *, whole: bool) -> list[Node | str]:
 
 
 def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
-    """Return siblings, with a line instead of the middle of many succeeded tasks of the same name."""
+    """Return siblings; a line replaces the middle of many succeeded tasks with the same name."""
     shown: list[Node | str] = []
     for (_, name, status), run in groupby(nodes, lambda node: (node.kind, node.name, node.status)):
         alike = list(run)
@@ -218,7 +218,7 @@ def _folded(nodes: Sequence[Node], *, whole: bool) -> list[Node | str]:
 
 
 COLORS: Final[Mapping[int, str]] = defaultdict(
-    lambda: "#707070",  # colour of a newer release's status
+    lambda: "#707070",  # colour for a status that only a newer release knows
     {
         Task.SUCCEEDED: "#2e9e5b",
         Task.FAILED: "#d0342c",

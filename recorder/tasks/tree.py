@@ -1,6 +1,6 @@
 """The tree of tasks: the parts and the outcome of each task, and the path to the task that failed.
 
-A tree is a fold of task records. Plans and readers fold with the same class, so their trees are equal.
+A tree is computed from task records. Plans and readers use the same class for this, so their trees are equal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED  # attribu
 
 
 class State(IntEnum):
-    """The status of a task, with the number that records have."""
+    """The status of a task, with the number that it has in records."""
 
     CREATED = Task.CREATED
     RUNNING = Task.RUNNING
@@ -41,13 +41,13 @@ class State(IntEnum):
 
     @property
     def word(self) -> str:
-        """The status as a word, such as "running" or "succeeded"; a number for a status of a newer release."""
+        """The status as a word, such as "running" or "succeeded"; a number if only a newer release knows it."""
         return self.name.lower()
 
     def __str__(self) -> str:
         return f"State.{self.name}"
 
-    __format__ = Enum.__format__  # otherwise a status is formatted as a number
+    __format__ = Enum.__format__  # otherwise the status would be formatted as a number
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Moment:
 
     wall_ns: int  # ns since the Unix epoch
     sim_step: int = 0  # number of simulated steps of 1/240 s
-    world: str = ""  # the current world; "" without an open world
+    world: str = ""  # name of the current world; "" if no world is open
     monotonic_ns: int = 0  # time since the beginning of the recording in ns, by a steady clock; 0 if unknown
 
     @property
@@ -66,7 +66,7 @@ class Moment:
 
 
 def _moment(record: Task) -> Moment:
-    if record.began_ns:  # the task began before the recording
+    if record.began_ns:  # text for a task that began before the recording
         return Moment(record.began_ns, record.sim_step, record.world)
     return Moment(record.wall_time_ns, record.sim_step, record.world, record.monotonic_ns)
 
@@ -77,17 +77,17 @@ class Node:
 
     started: Task  # the record of the start, or else of the request, or else of the end
     parent: Node | None = None  # the task around this task; None for an outermost task
-    asked: Task | None = None  # the record of the request; None if the task started immediately
-    finished: Task | None = None  # the record of the end; None before the end
-    forgotten: int = 0  # number of dropped children
-    #: Queries that chose the task's actions. Only recorded tasks on the path to the failure have them.
+    asked: Task | None = None  # the record of the task's request; None if the task started immediately
+    finished: Task | None = None  # the record of the task's end; None before the end
+    forgotten: int = 0  # number of children that were dropped
+    #: The queries that chose the task's actions. Only tasks of a recording on the path to the failure have them.
     choices: list[Query] = field(default_factory=list)
-    size: int = 0  # bytes of the task's own records, if the tree limits bytes
+    size: int = 0  # number of bytes of the task's own records, if the tree limits bytes
     parts: dict[int, Node] = field(default_factory=dict)  # children by id
 
     @property
     def id(self) -> int:
-        """The number of the task, from 1. Each task of a process has another number."""
+        """The number of the task, from 1. Each task of a process has its own number."""
         return self.started.task
 
     @property
@@ -102,7 +102,7 @@ class Node:
 
     @property
     def attempt(self) -> int:
-        """The number of the attempt, from 1; 0 for other kinds of tasks."""
+        """The number of the attempt, from 1; 0 if the task is no attempt."""
         return self.started.attempt
 
     @property
@@ -112,7 +112,7 @@ class Node:
 
     @property
     def solution(self) -> dict[str, Plain]:
-        """The recorded solution of the task's designator by name; empty without a solution."""
+        """The recorded solution of the task's designator by name; empty if there is none."""
         return argument_values(self.finished.solution if self.finished is not None else ())
 
     @property
@@ -145,7 +145,7 @@ class Node:
 
     @property
     def error(self) -> tuple[str, str] | None:
-        """Type and message of the task's failure; None without a failure."""
+        """Type and message of the task's failure; None if it didn't fail."""
         return (self.finished.failure.type, self.finished.failure.message) if self.finished and self.failed else None
 
     @property
@@ -191,12 +191,12 @@ class Node:
 
     @property
     def seconds(self) -> float | None:
-        """The task's duration by the clock in s; None before the end."""
+        """The task's duration in s by the clock; None before the end."""
         return self.finished.duration_ns / 1e9 if self.finished is not None else None
 
     @property
     def source(self) -> str:
-        """The line of the plan that requested the task, "file:line" or "In [3], line 1"; "" for an unknown line."""
+        """The line of the plan that requested the task, "file:line" or "In [3], line 1"; "" if unknown."""
         record = self.asked or self.started
         return notebook.place(record.source_file, record.source_line) if record.source_file else ""
 
@@ -214,13 +214,13 @@ class Node:
     def dealt_with(self) -> bool:
         """Whether this task or a task around it ended without a failure.
 
-        Then a failure of this task didn't end the plan.
+        A failure of this task then didn't end the plan.
         """
         return any(node.finished is not None and not node.failed for node in self.around())
 
     @property
     def path(self) -> str:
-        """The names of the tasks from the outermost task to this task, with "/" between the names."""
+        """The names of the tasks from the outermost to this one, joined by "/"."""
         return "/".join(reversed([node.name for node in self.around()]))
 
     def around(self) -> Iterator[Node]:
@@ -231,7 +231,7 @@ class Node:
             node = node.parent
 
     def walk(self) -> Iterator[tuple[int, Node]]:
-        """Yield the task and all tasks below it with their depths from 0, each task before its children."""
+        """Yield the task and all tasks below it, with their depths from 0; each task comes before its children."""
         stack = [(0, self)]
         while stack:
             depth, node = stack.pop()
@@ -243,7 +243,7 @@ class Node:
 
 
 def decisive(origins: Sequence[Node]) -> Node | None:
-    """Return the last task whose failure no task around it recovered from; without such a task, return the last task.
+    """Return the last task whose failure no outer task recovered from; if there is none, the last task.
 
     ``origins`` are the tasks in which failures began, in the order of their ends.
     """
@@ -260,8 +260,8 @@ class Tree:
     """All tasks of a plan or recording. Trees of the same records are equal. All methods are thread-safe.
 
     Args:
-        limit: Largest number of tasks. The tasks that ended first are dropped.
-        size: Largest number of bytes of records. The tasks that ended first are dropped.
+        limit: Maximum number of tasks. When a limit is exceeded, the tasks that ended first are dropped.
+        size: Maximum number of bytes of records. The tasks that ended first are dropped.
     """
 
     __hash__ = None  # type: ignore[assignment]  # mutable
@@ -275,7 +275,7 @@ class Tree:
         self._lock = threading.Lock()
         self._roots: dict[int, Node] = {}
         self._ended: deque[int] = deque()
-        self.nodes: dict[int, Node] = {}  # all tasks by id
+        self.nodes: dict[int, Node] = {}  # all tasks, by id
 
     @property
     def roots(self) -> tuple[Node, ...]:
@@ -304,7 +304,7 @@ class Tree:
             return node
 
     def forget(self) -> None:
-        """Drop the outermost tasks that have ended, and all tasks below them."""
+        """Drop the outermost tasks that have ended, with all tasks below them."""
         with self._lock:
             self._roots = {number: node for number, node in self._roots.items() if node.finished is None}
             self.nodes = {node.id: node for root in self._roots.values() for _, node in root.walk()}
@@ -335,7 +335,7 @@ class Tree:
         ]
 
     def failure_path(self) -> list[Node]:
-        """Return the path to the failure that ended the plan, outermost task first; empty without a failure."""
+        """Return the path to the failure that ended the plan, outermost task first; empty if there is none."""
         if self.began is not None:
             began = self.nodes.get(self.began)
         else:
@@ -353,7 +353,7 @@ class Tree:
         return "\n".join(self.lines(depth, whole=whole))
 
     def facts(self, depth: int | None = None) -> Iterator[dict[str, object]]:
-        """Yield all tasks down to a depth as data for JSON, each task before its children."""
+        """Yield all tasks down to a depth as data for JSON; each task comes before its children."""
         return rendering.facts(self, depth)
 
     def to_json(self) -> str:

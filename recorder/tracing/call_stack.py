@@ -1,9 +1,9 @@
 """The plan's frames: call stacks of tasks, and the local variables of raised errors.
 
-A call stack contains the plan's lines that called one another, outermost first. In a thread that runs part of a task,
-it continues the call stack of the request. So every call stack begins where the plan begins. Local variables are
-described without calls of users' code: values of Python's types are written out, objects of a world are named, and
-other values are described by their type.
+A call stack contains the plan's lines that called one another, outermost first. In a thread that runs a part of a task,
+the call stack continues that of the request. Every call stack therefore begins where the plan begins. Local variables
+are described without calling users' code: values of Python's types are written out, objects of a world are named, and
+of other values only the type is given.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from recorder.tracing.context import current_ident
 CallSite: TypeAlias = "tuple[str, int]"  # a file and a line number, from 1
 
 MAX_LINES: Final = 32  # a call stack has at most this many lines; the middle of a longer call stack is left out
-#: Call stacks leave out frames of these packages, because they aren't the plan's code.
+#: Packages whose frames are left out of call stacks, because they aren't the plan's code.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
-#: These modules run a plan as a program. Call stacks leave out the frames that call these modules.
+#: Modules that run a plan as a program. Call stacks leave out the frames that call these modules.
 _RUNNERS: Final = frozenset({"pycram.cli", "pycram.running", "replay.cli.restore", "replay.retrace.guided_run"})
-#: Matches files of Python, installed packages and commands, which aren't part of a plan.
+#: Pattern for files of Python, installed packages and commands, which aren't part of a plan.
 _FOREIGN: Final = re.compile(
     r"^<frozen|[/\\][Ll]ib(?:64)?[/\\](?:python3(?:\.\d+)?|site-packages)[/\\]|[/\\](?:bin|Scripts)[/\\][^/\\.]+$"
 )
@@ -49,7 +49,7 @@ class CallStack(NamedTuple):
 
     @property
     def line(self) -> CallSite:
-        """The innermost line; ("", 0) for an empty call stack."""
+        """The innermost line; ("", 0) if there is none."""
         return self.lines[-1] if self.lines else ("", 0)
 
 
@@ -79,14 +79,14 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> CallStack:
 
 
 def call_site() -> CallSite:
-    """Return the innermost line of the plan that led to the present call; ("", 0) without such a line."""
+    """Return the innermost line of the plan that led to the present call; ("", 0) if there is none."""
     return _innermost(sys._getframe(1))[1] or ("", 0)  # noqa: SLF001  like inspect.currentframe()
 
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
     """Return the plan's innermost frame and its line.
 
-    Without a plan, return None and the innermost line of other code.
+    If no plan runs, return None and the innermost line of other code.
     """
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
@@ -140,7 +140,7 @@ def is_plan(frame: FrameType) -> bool:
 
 
 def is_machinery(frame: FrameType) -> bool:
-    """Return whether a frame runs PyCRAM's code, or code that PyCRAM runs plans with."""
+    """Return whether a frame runs PyCRAM's code, or code with which PyCRAM runs plans."""
     return _origin_of(frame) is _Origin.MACHINERY
 
 
@@ -156,25 +156,25 @@ class _Origin(Enum):
     RUNNER = auto()
 
 
-_origins: Final[dict[str, _Origin]] = {}  # origins of code by file
+_origins: Final[dict[str, _Origin]] = {}  # origins of code, by file
 _unescaped: Final[dict[str, str]] = {}  # real file names, if the recorded names differ: cells, names that aren't UTF-8
 
 
 def _origin(file: str, module: str) -> _Origin:
     if module in _RUNNERS:
         origin = _Origin.RUNNER
-    elif module.startswith("namedtuple_"):  # the module of a named tuple
+    elif module.startswith("namedtuple_"):  # the module of a named tuple has a special file name
         origin = _Origin.FOREIGN
     elif module.partition(".")[0] in _MACHINERY and Path(file).parent.name != "demos":
         origin = _Origin.MACHINERY
     else:
         origin = _Origin.FOREIGN if _FOREIGN.search(file) else _Origin.PLAN
-    if file.startswith("<frozen") or not file.startswith("<"):  # many modules have the file "<string>"
+    if file.startswith("<frozen") or not file.startswith("<"):  # many modules have the file name "<string>"
         _origins[file] = origin
     return origin
 
 
-_attached: Final[dict[int, set[str]]] = {}  # attached files by number of the recording
+_attached: Final[dict[int, set[str]]] = {}  # attached files, by number of the recording
 
 
 def _attach_files(files: Iterable[str]) -> None:
@@ -188,16 +188,16 @@ def _attach_files(files: Iterable[str]) -> None:
             journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
 
 
-MAX_FRAMES: Final = 16  # an error has at most this many frames, the innermost frames
-MAX_VARIABLES: Final = 20  # a frame has at most this many variables
-MAX_CHARACTERS: Final = 80  # a value has at most this many characters
+MAX_FRAMES: Final = 16  # maximum number of frames of an error; the innermost frames are kept
+MAX_VARIABLES: Final = 20  # maximum number of variables of a frame
+MAX_CHARACTERS: Final = 80  # maximum number of characters of a value
 
-_MAX_ITEMS: Final = 6  # a list shows at most this many items
-_MAX_DEPTH: Final = 3  # deeper nested lists aren't shown
-_MAX_BITS: Final = 256  # integers with more bits aren't shown
+_MAX_ITEMS: Final = 6  # maximum number of items of a list
+_MAX_DEPTH: Final = 3  # maximum depth of nested lists
+_MAX_BITS: Final = 256  # maximum number of bits of an integer
 _ELLIPSIS: Final = "..."
-_MARK: Final = "_pycram_frames"  # attribute of an error: the recording, and the frames that it already has
-#: Variables of these types are imports and definitions, which aren't recorded.
+_MARK: Final = "_pycram_frames"  # attribute of an error that contains the recording, and the frames that it already has
+#: Types of variables that are imports and definitions, which aren't recorded.
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)
 _TYPE_ALONE: Final = re.compile(r"<[\w.]+>")
 _EXACT: Final = frozenset({type(None), bool, int, float, complex, range, type(Path()), PurePosixPath})
@@ -211,16 +211,16 @@ _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
 
 
 def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Failure:
-    """Return the failure of an error, with the plan's frames if this recording has frames."""
+    """Return the failure of an error, with the plan's frames if this recording contains frames."""
     record = failure(error, errors=errors)
     if journal.keeps_local_variables():
-        with suppress(Exception):  # methods of the error may raise anything
+        with suppress(Exception):  # methods of the error may raise any error
             record.frames.extend(_new_frames(error))
     return record
 
 
 def _new_frames(error: BaseException) -> list[StackFrame]:
-    """Return the plan's frames that led to an error, outermost first, without frames that are already recorded."""
+    """Return the plan's frames that led to an error, outermost first; frames that are already recorded are left out."""
     recording, known = vars(error).get(_MARK, (0, frozenset()))
     if recording != journal.recording_number():
         known = frozenset()
@@ -256,8 +256,8 @@ def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
     """Yield names and values in the order of their first assignment.
 
-    Modules have many variables, also imports, so only their last variables with a visible value are kept. IPython's own
-    variables are left out.
+    Modules have many variables, such as imports, so only their last variables with a visible value are kept. IPython's
+    own variables are left out.
     """
     hidden = notebook.own_variables() if frame.f_locals is frame.f_globals else {}
     try:
@@ -267,7 +267,7 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
             if type(name) is str and name.isidentifier() and name[:2] != "__" and not issubclass(type(value), _IGNORED)
             if name not in hidden or hidden[name] is not value
         }
-    except RuntimeError:  # another thread is changing the variables
+    except RuntimeError:  # another thread may be changing the variables
         return
     texts = [(name, LEFT_OUT if is_secret(name) else described(value)) for name, value in values.items()]
     if frame.f_locals is frame.f_globals:
@@ -277,7 +277,7 @@ def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
 
 
 def described(value: Any, depth: int = 0) -> str:
-    """Return a short text of a value without calls of users' code."""
+    """Return a short text for a value, without calling users' code."""
     kind = type(value)
     if kind is str or kind is bytes:
         return repr(value[: MAX_CHARACTERS + 1])
@@ -309,7 +309,7 @@ def _collection(value: Any, depth: int) -> str:
         return f"{before}{_ELLIPSIS}{after}"
     try:
         some: Iterable[Any] = list(islice(value.items() if kind is dict else value, _MAX_ITEMS))
-    except RuntimeError:  # another thread is changing the value
+    except RuntimeError:  # another thread may be changing the value
         some = ()
     if kind is dict:
         texts = [

@@ -1,9 +1,9 @@
 """The context of running code: its branch or thread, the current world, and the room on its stack.
 
 The current world is the world that was opened or made current last; when it closes, the previous world becomes current
-again. A thread's choice of the current world applies to the thread, its branches, and all threads without a choice. A
-branch's choice applies only to the branch and its own branches. Before a record is made, the free room on the stack is
-checked, so that no RecursionError interrupts the record.
+again. If a thread chooses the current world, the choice applies to the thread, its branches, and all threads that
+haven't chosen. If a branch chooses the current world, the choice applies only to the branch and its own branches.
+Before a record is made, the free room on the stack is checked, so that no RecursionError interrupts the record.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class BranchIdentity(NamedTuple):
     """The identity of a branch of a plan."""
 
     thread: int  # ident of the branch's thread; threads that the branch starts may have its context
-    ident: int  # negative number, unlike the idents of threads
+    ident: int  # a negative number, because idents of threads are positive
     name: str
 
 
@@ -42,12 +42,12 @@ def current_branch() -> BranchIdentity | None:
 
 
 def enter_branch(branch: BranchIdentity | None) -> None:
-    """Mark the current context as part of a branch; None marks it as outside of branches."""
+    """Mark the current context as part of a branch; with None, as outside of branches."""
     _branch.set(branch)
 
 
 def current_name() -> str:
-    """Return the name of the running branch, or outside of branches of the thread."""
+    """Return the name of the running branch; outside of branches, of the thread."""
     branch = _branch.get()
     if branch is None or branch.thread != threading.get_ident():
         return escaped(threading.current_thread().name)
@@ -55,7 +55,7 @@ def current_name() -> str:
 
 
 def current_ident() -> int:
-    """Return the ident of the running branch, or outside of branches of the thread."""
+    """Return the ident of the running branch; outside of branches, of the thread."""
     branch, thread = _branch.get(), threading.get_ident()
     return thread if branch is None or branch.thread != thread else branch.ident
 
@@ -69,14 +69,14 @@ class KnownWorld(Protocol):
 
 _lock = threading.Lock()
 # Open worlds in the order in which they became current, each with the thread of the branch that chose the world, or 0.
-# Changes replace the dictionary.
+# A change replaces the dictionary.
 _open: dict[KnownWorld, int] = {}
 _chosen: ContextVar[tuple[weakref.ref[KnownWorld], ...]] = ContextVar("pycram_world", default=())
 
 
 def make_current(world: KnownWorld) -> None:
     """Make an open or newly opened world current."""
-    global _open  # noqa: PLW0603  there is one process
+    global _open  # noqa: PLW0603  the process has only one dictionary
     with _lock:
         earlier = [chosen for chosen in _chosen.get() if chosen() is not world and chosen() in _open]
         _open = {**_without(world), world: threading.get_ident() if current_ident() < 0 else 0}
@@ -85,7 +85,7 @@ def make_current(world: KnownWorld) -> None:
 
 def remove_world(world: KnownWorld) -> None:
     """Remove a closed world."""
-    global _open  # noqa: PLW0603  there is one process
+    global _open  # noqa: PLW0603  the process has only one dictionary
     with _lock:
         _open = _without(world)
 
@@ -100,7 +100,7 @@ def open_worlds() -> tuple[KnownWorld, ...]:
 
 
 def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | None:
-    """Return the current world of this branch or thread, among all open worlds or ``among``; None without a world."""
+    """Return the current world of this branch or thread, among all open worlds or ``among``; None if there is none."""
     known = _open
     for chosen in reversed(_chosen.get()):
         if (world := chosen()) in known and (among is None or world in among):
@@ -113,30 +113,30 @@ def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | N
 FOR_RECORD: Final = 40  # a record needs at most this many stack frames, with the compression of the file
 FOR_TASK: Final = 120  # a task needs at most this many stack frames for its records, its block and its end
 
-_COUNTED: Final = 4  # Python may count a frame this many times, because C functions count, too
-_outside = 0  # largest number of frames below a greenlet, which Python counts for the greenlet, too
+_COUNTED: Final = 4  # Maximum number of times that Python counts a frame, because C functions count, too
+_outside = 0  # maximum number of frames below a greenlet; Python counts them for the greenlet, too
 
 
 def require_stack_room(frames: int) -> None:
     """Raise RecursionError if the stack has no room for this number of frames.
 
-    The check of a shallow stack takes as long as 6 calls. For a deep stack, it makes nested calls.
+    On a shallow stack, the check takes as long as 6 calls. On a deep stack, the check makes nested calls.
     """
     shallow = (sys.getrecursionlimit() - frames) // _COUNTED - _outside
     if shallow > 0:
         try:
-            sys._getframe(shallow)  # noqa: SLF001  inspect.stack() reads source files
-        except ValueError:  # the stack has fewer frames
+            sys._getframe(shallow)  # noqa: SLF001  inspect.stack() would read source files
+        except ValueError:  # the stack has fewer frames than that
             return
     try:
         _call(frames)
     except RecursionError as error:
-        raise RecursionError(*error.args) from None  # without the frames of the check
+        raise RecursionError(*error.args) from None  # the frames of the check itself don't count
 
 
 def greenlets_begin() -> None:
     """Store the number of frames below a greenlet. Python counts the frames below a greenlet, but doesn't show them."""
-    global _outside  # noqa: PLW0603  if the number is too large, checks only take longer
+    global _outside  # noqa: PLW0603  a number that is too large only makes checks slower
     below, frame = 0, sys._getframe()  # noqa: SLF001  as above
     while frame.f_back is not None:
         below, frame = below + 1, frame.f_back

@@ -1,4 +1,4 @@
-"""Tracebacks for the author of a plan: PyCRAM's own frames are folded, and earlier attempts are a line each."""
+"""Tracebacks for the author of a plan: PyCRAM's own frames are left out, and each earlier attempt is one line."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from recorder.records import tracebacks
 from recorder.tracing.call_stack import is_machinery, is_plan
 
 _BEFORE: Final = "Failed before, at the same line of the plan:\n"
-_ATTEMPTS: Final = 5  # largest number of earlier attempts that are printed
+_ATTEMPTS: Final = 5  # maximum number of earlier attempts that are printed
 
 
 def format_folded(error: BaseException, ours: type[BaseException]) -> str:
     """Return an error and its causes as text, with the frames of the plan and of the libraries that it calls.
 
-    Errors other than ``ours`` keep PyCRAM's innermost frames, because such an error may be a bug of PyCRAM. Causes that
-    PyCRAM raised and handled are left out.
+    Errors other than ``ours`` keep PyCRAM's innermost frames, because they may be bugs of PyCRAM. Causes that PyCRAM
+    has raised and handled are left out.
     """
     token = tracebacks.formatter.set(lambda each: _formatted(each, ours))
     try:
@@ -48,14 +48,14 @@ def _formatted(error: BaseException, ours: type[BaseException]) -> str:
 
 
 def _plan_line(error: BaseException) -> tuple[str, int] | None:
-    """Return the plan's innermost line, as file and number; None if no frame is the plan's."""
+    """Return the plan's innermost line, as file and number; None if there is none."""
     entries = tracebacks.entries(error.__traceback__)
     plan = [(each.tb_frame.f_code.co_filename, each.tb_lineno) for each in entries if is_plan(each.tb_frame)]
     return plan[-1] if plan else None
 
 
 def _is_internal(error: BaseException, ours: type[BaseException]) -> bool:
-    """Return whether PyCRAM has raised and handled an error, so that the plan only gets the next one."""
+    """Return whether PyCRAM has raised and handled an error, so that the plan gets only the next one."""
     return isinstance(error, ours) and error.__traceback__ is not None and _plan_line(error) is None
 
 
@@ -63,7 +63,7 @@ def _part(error: BaseException, ours: type[BaseException]) -> str:
     """Return an error without its causes, from the plan's outermost frame on."""
     entries = tracebacks.entries(error.__traceback__)
     plan = [index for index, each in enumerate(entries) if is_plan(each.tb_frame)]
-    if isinstance(error, SyntaxError) and not plan:  # an error in the source of the plan
+    if isinstance(error, SyntaxError) and not plan:  # an error in the plan's own source
         return "".join(tracebacks.message(error))
     if not plan or isinstance(error, BaseExceptionGroup):
         return tracebacks.part(error)

@@ -1,8 +1,9 @@
-"""Forks of a process that records: only this module forks.
+"""Forks of a process that records; no other module forks.
 
-The child has only the forking thread. Our other threads serve recordings of the parent, which the child doesn't use,
-but none of these threads may hold a lock during the fork. A continuing child replaces its parent, which from then on
-only waits. So a recording belongs to its process and to a continuing child, but not to other children.
+The child has only the thread that forked. Other threads of PyCRAM serve recordings of the parent, which the child
+doesn't use, but none of these threads may hold a lock during the fork. A child that continues its parent replaces it;
+from then on, the parent only waits. A recording therefore belongs to its process and to a child that continues it, but
+not to other children.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from warnings import catch_warnings, simplefilter
 
 from recorder.tracing import journal
 
-#: These signals are blocked during a fork, because Python drops errors of signal handlers during a fork.
+#: Signals that are blocked during a fork, because Python would drop errors of their handlers.
 _INTERRUPTS: Final = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _WARNS: Final = sys.version_info >= (3, 12)  # Python warns if a process with threads forks
@@ -30,20 +31,20 @@ _own: Final[weakref.WeakSet[threading.Thread]] = weakref.WeakSet()
 
 
 def own(thread: threading.Thread) -> threading.Thread:
-    """Mark a thread as ours. Forked children don't need it."""
+    """Mark a thread as one of PyCRAM's own. Forked children don't need this thread."""
     _own.add(thread)
     return thread
 
 
 def others() -> list[threading.Thread]:
-    """Return the other threads of this process that aren't ours. A forked child would lack these threads."""
+    """Return the other threads of this process, except PyCRAM's own. A forked child would not have these threads."""
     return [
         thread for thread in threading.enumerate() if thread is not threading.current_thread() and thread not in _own
     ]
 
 
 def fork() -> int:
-    """Fork while our threads are paused. Return 0 in the child, where no journal is open."""
+    """Fork while PyCRAM's own threads are paused. In the child, return 0; no journal is open there."""
     child = _fork(os.fork)
     if not child:
         journal.forget_all()
@@ -51,12 +52,12 @@ def fork() -> int:
 
 
 def fork_continuation() -> int:
-    """Fork a child that continues this process and its open journals. Return 0 in the child.
+    """Fork a child that continues this process with its open journals. Return 0 in the child.
 
-    From then on, this process may only wait. Sinks of the journals must have no threads and no files that both
-    processes would write.
+    From then on, this process may only wait. Sinks of the journals must not have threads, nor files that both processes
+    would write.
     """
-    state = random.getstate()  # Python reseeds random numbers in a child
+    state = random.getstate()  # In a child, Python would reseed random numbers
     child = _fork(_fork_continuing)
     if not child:
         random.setstate(state)
@@ -66,7 +67,7 @@ def fork_continuation() -> int:
 def _fork(fork: Callable[[], int]) -> int:
     with journal.still(), catch_warnings() if _WARNS else nullcontext():
         if _WARNS:
-            simplefilter("ignore", DeprecationWarning)  # our threads are paused
+            simplefilter("ignore", DeprecationWarning)  # PyCRAM's own threads are paused
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _INTERRUPTS)
         try:
             child = fork()
@@ -78,7 +79,7 @@ def _fork(fork: Callable[[], int]) -> int:
 
 
 _identity: int | None = None  # identity of the process that this process continues
-_continuing = False  # whether a continuing child is being forked
+_continuing = False  # whether a child that continues this process is being forked
 
 
 def process() -> int:
@@ -87,7 +88,7 @@ def process() -> int:
 
 
 def _fork_continuing() -> int:
-    global _identity, _continuing  # noqa: PLW0603  a process has one identity
+    global _identity, _continuing  # noqa: PLW0603  a process has only one identity
     before, _identity, _continuing = _identity, process(), True
     child = -1
     try:
@@ -108,15 +109,15 @@ def _in_forked_child() -> None:
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_in_forked_child)
 
-_OPEN: Final = "/proc/self/fd"  # only Linux has this folder of open files
-_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag against links; 0 on systems without this flag
+_OPEN: Final = "/proc/self/fd"  # only Linux has this folder, which lists the open files
+_OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag for not following links; 0 on systems without this flag
 
 
 def _separate_file_positions() -> None:
     """Give this forked child its own positions in the files that are open for reading only.
 
-    With shared positions, the parent would miss the content that the child reads. Written files, such as logs, stay
-    shared.
+    If both shared a position, the parent would miss the content that the child reads. Files that are written, such as
+    logs, stay shared.
     """
     try:
         descriptors = os.listdir(_OPEN)  # noqa: PTH208  few allocations, because each written page is copied
@@ -125,12 +126,12 @@ def _separate_file_positions() -> None:
     for descriptor in descriptors:
         try:
             _reopen(int(descriptor))
-        except OSError:  # the file is closed, or can't be opened again
+        except OSError:  # the file was closed, or can't be opened again
             continue
 
 
 def _reopen(descriptor: int) -> None:
-    import fcntl  # noqa: PLC0415  only systems that can fork have it
+    import fcntl  # noqa: PLC0415  only systems that can fork have this module
 
     flags = fcntl.fcntl(descriptor, fcntl.F_GETFL)
     if flags & os.O_ACCMODE != os.O_RDONLY or not stat.S_ISREG(os.fstat(descriptor).st_mode):

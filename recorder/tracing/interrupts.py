@@ -1,15 +1,16 @@
 """Ctrl-C interrupts the plan's own Python immediately. Elsewhere, it is deferred so that no state is broken.
 
-Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, the world would differ
-from its log; within a record, a number would have no record; within a block, a branch would continue alone. So Ctrl-C
-waits for the end of a section (:class:`Uninterrupted`), which is a change or a record. In branches and in the plan
-language (:class:`Host`), it waits for the next checkpoint (:mod:`pycram.scheduling`). Our handler of SIGINT is only
-installed in sections and scopes of the plan language in the main thread, and calls the previously installed handler.
+Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, an interrupt would
+make the world differ from its log; within a record, a number would stay without a record; within a block, a branch
+would continue alone. Ctrl-C therefore waits for the end of a section (:class:`Uninterrupted`), which is a change or a
+record. In branches and in the plan language (:class:`Host`), Ctrl-C waits for the next checkpoint
+(:mod:`pycram.scheduling`). Our handler of SIGINT is installed only in sections and scopes of the plan language in the
+main thread, and calls the handler that was installed before.
 """
 
 from __future__ import annotations
 
-import _signal  # type: ignore[import-not-found]  # the enums of signal take as long as keeping a record
+import _signal  # type: ignore[import-not-found]  # the enums of signal would take as long as keeping a record
 import os
 import signal
 import sys
@@ -20,7 +21,7 @@ from types import FrameType
 from typing import Any, Final, Protocol, Self
 
 _SIGINT: Final = int(signal.SIGINT)
-_OURS: Final = ("pycram", "recorder", "replay", "_signal")  # handlers of these packages only interrupt the plan
+_OURS: Final = ("pycram", "recorder", "replay", "_signal")  # packages whose handlers only interrupt the plan
 _TERMINATING: Final = tuple(int(getattr(signal, name)) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -36,14 +37,14 @@ class Terminated(SystemExit):
 
 
 class Host(Protocol):
-    """A runner of code that is only interrupted at checkpoints. Its methods are only called in the main thread."""
+    """A runner of code that can be interrupted only at checkpoints. Its methods are only called in the main thread."""
 
     @property
     def checkpoints(self) -> int:
-        """Number of checkpoints in the main thread so far."""
+        """Number of checkpoints that the main thread has passed."""
 
     def defers(self, frame: FrameType) -> bool:
-        """Return whether a Ctrl-C in this frame must wait for a checkpoint of the host."""
+        """Return whether a Ctrl-C in this frame must wait for the host's next checkpoint."""
 
     def interrupt(self) -> None:
         """Defer a Ctrl-C to the next checkpoint. The signal handler calls this method between any two instructions."""
@@ -55,16 +56,16 @@ _holder = 0  # ident of the main thread; after a fork, the forking thread is the
 _open = 0  # number of open sections and scopes in the main thread; above 0, our handler is installed
 _sections = 0
 _pending = False
-_terminated = 0  # the signal of the last interrupt; 0 for Ctrl-C
-_owner = 0  # id of the process that called :func:`terminable`
+_terminated = 0  # signal of the last interrupt; 0 for Ctrl-C
+_owner = 0  # id of the process that has called :func:`terminable`
 _checkpoint = 0  # number of the host's checkpoint at which the last interrupt was raised
 
 
 def _on_sigint(number: int, frame: FrameType | None) -> None:
-    global _pending  # noqa: PLW0603  there is one main thread
+    global _pending  # noqa: PLW0603  the process has only one main thread
     if _handler is _ignore and not _terminated:
         return
-    if threading.get_ident() != _holder:  # this process is a fork by another thread, so no section is open
+    if threading.get_ident() != _holder:  # if another thread forked this process, no section is open
         _signal.signal(_SIGINT, _handler)
         _handler(number, frame)
     elif _sections or (frame is not None and (frame.f_globals is globals() or _defers(frame))):
@@ -93,7 +94,8 @@ def _defers(frame: FrameType) -> bool:
 def enter(host: Host | None = None) -> bool:
     """Install our handler until :func:`leave`, and return whether it was installed.
 
-    Only the main thread can install handlers. Until :func:`leave`, the host decides whether Ctrl-C is deferred.
+    Only the main thread can install handlers. From then until :func:`leave`, the host decides whether Ctrl-C is
+    deferred.
     """
     global _handler, _holder, _host, _open, _sections, _pending  # noqa: PLW0603  as above
     thread = threading.get_ident()
@@ -106,7 +108,7 @@ def enter(host: Host | None = None) -> bool:
     handler = _signal.getsignal(_SIGINT)
     if not callable(handler):
         return False
-    if handler is not _on_sigint:  # a parent process may have installed our handler
+    if handler is not _on_sigint:  # a parent process may already have installed our handler
         _handler = handler
     _holder, _host, _sections, _pending = thread, host, 0, False
     _signal.signal(_SIGINT, _on_sigint)
@@ -119,7 +121,7 @@ def leave() -> None:
     global _open, _pending  # noqa: PLW0603  as above
     _open -= 1
     if not _open:
-        if _signal.getsignal(_SIGINT) is _on_sigint:  # otherwise the plan has set another handler
+        if _signal.getsignal(_SIGINT) is _on_sigint:  # if not, the plan has set another handler
             _signal.signal(_SIGINT, _handler)
         if _pending:
             _pending = False
@@ -130,8 +132,8 @@ def leave() -> None:
 def terminable() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP as Ctrl-C in the block, unless the program handles these signals.
 
-    So a stopped plan leaves a complete recording. The process ends after the block, even if the plan has caught the
-    interrupt. Outside of the main thread, this function has no effect.
+    A stopped plan therefore leaves a complete recording. The process ends after the block, even if the plan has caught
+    the interrupt. Outside of the main thread, this function has no effect.
 
     Raises:
         Terminated: SIGTERM or SIGHUP has arrived.
@@ -148,7 +150,7 @@ def terminable() -> Iterator[None]:
             raise Terminated(_terminated)
     finally:
         for number, before in taken:
-            if signal.getsignal(number) in (_on_termination, _ignore):  # otherwise the plan has set another handler
+            if signal.getsignal(number) in (_on_termination, _ignore):  # if not, the plan has set another handler
                 signal.signal(number, before)
 
 
@@ -177,7 +179,7 @@ def _on_termination(number: int, frame: FrameType | None) -> None:
 
 
 def _in_child() -> None:
-    """Let SIGTERM and SIGHUP kill a forked process, such as a worker of a pool, also while native code waits."""
+    """Let SIGTERM and SIGHUP kill a forked process, such as a worker of a pool, even while native code waits."""
     for number in _TERMINATING:
         if signal.getsignal(number) is _on_termination:
             signal.signal(number, signal.SIG_DFL)
@@ -215,7 +217,7 @@ def is_pending() -> bool:
 
 
 def raise_pending() -> None:
-    """Raise a deferred Ctrl-C, unless a section is open. Only interruptible code calls this function."""
+    """Raise a deferred Ctrl-C, unless a section is open. Only code that may be interrupted calls this function."""
     if _pending and not _sections and threading.get_ident() == _holder:
         drop_pending()
         _note_checkpoint()
@@ -234,9 +236,9 @@ _soon: Callable[[], bool] | None = None
 def call_soon(function: Callable[[], bool]) -> None:
     """Call a function after each outermost section of the main thread, until the function returns True.
 
-    The function does work that must follow a record, such as a change after a certain step.
+    The function does work that must come after a record, such as a change after a certain step.
     """
-    global _soon  # noqa: PLW0603  there is one main thread
+    global _soon  # noqa: PLW0603  the process has only one main thread
     _soon = function
 
 
@@ -253,7 +255,7 @@ def _call() -> None:
 class Uninterrupted:
     """A section that SIGINT doesn't interrupt. Sections may be nested.
 
-    Outside of the main thread, they have no effect.
+    Outside of the main thread, sections have no effect.
     """
 
     __slots__ = ("_held",)

@@ -1,8 +1,8 @@
 """The journal: numbers records, orders them, and passes them to sinks.
 
 Lock order: first a world's lock, then a journal's lock. A journal that holds its lock calls no user code and no world.
-Callers of :func:`emit` hold the lock of the changed world, so log and world have the same order of changes. If a sink
-can't keep a record, functions that append records raise RecordingError.
+Callers of :func:`emit` hold the lock of the changed world, so the log has the world's order of changes. Functions that
+append records raise RecordingError if a sink can't keep the record.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from recorder.tracing.interrupts import Uninterrupted
 class Sink(Protocol):
     """The destination of records. The journal calls sinks with its lock held; a sink must not call the journal.
 
-    A sink must not keep mutations and keyframes. It may keep other records, whose number and time another journal may
-    change later.
+    A sink must not keep references to mutations and keyframes. It may keep other records; another journal may later
+    change their number and time.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Take a record and its serialized form. Raise RecordingError if the record can't be kept."""
 
     def attach(self, asset: AssetFile) -> None:
-        """Take a file. Files with the same content are passed only once."""
+        """Take a file. If several files have the same content, only one is passed."""
 
     def flush(self) -> None:
         """Write all buffered records. Raise RecordingError if writing fails."""
@@ -54,24 +54,24 @@ class NullSink:
         """Drop a file."""
 
     def flush(self) -> None:
-        """Do nothing: no record is buffered."""
+        """Do nothing, because no record is buffered."""
 
     def close(self) -> None:
-        """Do nothing: no file is open."""
+        """Do nothing, because no file is open."""
 
 
 class RecordedWorld(KnownWorld, Protocol):
     """The methods of a world that journals call."""
 
     def record_keyframe(self, journal: Journal) -> None:
-        """Append the whole state and its assets to a journal."""
+        """Append the whole state to a journal, with the world's files."""
 
 
 class Journal:
-    """A journal numbers records for several sinks.
+    """A journal numbers records, and passes them to several sinks.
 
-    ``clock_ns`` returns ns since the Unix epoch; ``monotonic_ns`` returns ns of a steady clock. With
-    ``local_variables``, recorded failures may contain the plan's local variables.
+    ``clock_ns`` returns ns since the Unix epoch, ``monotonic_ns`` ns of a steady clock. With ``local_variables``,
+    recorded failures may contain local variables of the plan.
     """
 
     def __init__(
@@ -97,29 +97,29 @@ class Journal:
 
     @property
     def length(self) -> int:
-        """Number of records, which is the next record's ``seq``."""
+        """Number of records; the next record has this ``seq``."""
         return self._next
 
     def add_sink(self, sink: Sink) -> None:
-        """Add a sink, which receives all later records, and is closed with the other sinks."""
+        """Add a sink: it receives all later records, and is closed with the other sinks."""
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
     def remove_sink(self, sink: Sink) -> None:
-        """Remove a sink, which stays open."""
+        """Remove a sink without closing it."""
         with self._lock:
             self._sinks = tuple(each for each in self._sinks if each is not sink)
 
     def expect_keyframes(self, worlds: Iterable[str]) -> None:
-        """Skip mutations of these worlds until their next keyframes, which include the mutations."""
+        """Skip the mutations of these worlds until their next keyframes, which contain these changes."""
         with self._lock:
             self._expected.update(worlds)
 
     def append(self, record: Record) -> None:
         """Set the number and times of a record, and write the record.
 
-        The record is queued if this thread is writing another record, for example output of signal handlers and
-        finalizers.
+        If this thread is already writing a record, the record is queued; for example, signal handlers and finalizers
+        may print.
         """
         record.cause = _cause.get().get(self, 0)
         self._take(record)
@@ -130,7 +130,7 @@ class Journal:
             self._strikes.append(strike)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
-        """Attach files, but files with the same content only once."""
+        """Attach files; of files with the same content only one."""
         for asset in assets:
             self._take(asset)
 
@@ -160,8 +160,8 @@ class Journal:
             if isinstance(item, Mutation) and not item.HasField("open_world"):
                 return
             self._expected.remove(item.world)
-        self._latest_ns = max(self._clock_ns(), self._latest_ns)  # log time never decreases
-        del item.strikes[:]  # strikes that another journal has added
+        self._latest_ns = max(self._clock_ns(), self._latest_ns)  # the log time must never decrease
+        del item.strikes[:]  # strikes that were added through another journal
         if self._strikes:
             item.strikes.extend(self._strikes)
             self._strikes.clear()
@@ -174,7 +174,7 @@ class Journal:
             sink.write(topic, item, payload)
 
     def flush(self) -> None:
-        """Flush all sinks, unless this thread is appending a record."""
+        """Flush all sinks, unless this thread is just appending a record."""
         with Uninterrupted(), self._lock:
             if not self._writing:
                 for sink in self._sinks:
@@ -202,20 +202,20 @@ class RunningTask(Protocol):
         """Record the request of the task, unless its request or its start is recorded."""
 
 
-#: The running task of this context, or None. :mod:`recorder.tracing.span` sets the task.
+#: The running task of this context, or None. :mod:`recorder.tracing.span` sets this variable.
 current_task: ContextVar[RunningTask | None] = ContextVar("pycram_task", default=None)
 
 
 def task_id() -> int:
-    """Return the id of the running task of this context; 0 without a task."""
+    """Return the id of the running task of this context; 0 if there is none."""
     task = current_task.get()
     return task.id if task is not None else 0
 
 
 def announced_task_id() -> int:
-    """Record the request of this context's running task, and return the task's id; 0 without a task.
+    """Record the request of this context's running task, and return the task's id; 0 if there is none.
 
-    The body of a block runs before the branch starts, and may change a world.
+    The body of a block runs before the branch starts, and may already change a world.
     """
     task = current_task.get()
     if task is None:
@@ -227,7 +227,7 @@ def announced_task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # number of journals that this process has opened
-_sources: tuple[RecordedWorld, ...] = ()  # the known worlds; replaced, not mutated
+_sources: tuple[RecordedWorld, ...] = ()  # the known worlds; a change replaces the dictionary
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -238,7 +238,7 @@ def listening() -> tuple[Journal, ...]:
 
 
 def recording() -> bool:
-    """Return whether a journal records this context. Otherwise callers needn't build records."""
+    """Return whether a journal records this context. If not, callers needn't build records."""
     return bool(listening())
 
 
@@ -251,7 +251,7 @@ def is_unrecorded() -> bool:
 def unrecorded(*journals: Journal) -> Iterator[None]:
     """Isolate a block from the plan's recordings. Only ``journals`` record the block.
 
-    Worlds that the block opens are unknown outside until :func:`announce`.
+    Worlds that the block opens are unknown outside, until :func:`announce`.
     """
     token = _isolated.set(journals)
     try:
@@ -266,7 +266,7 @@ _cause: ContextVar[Mapping[Journal, int]] = ContextVar("pycram_cause", default=M
 
 @contextmanager
 def caused_by(event: Mapping[Journal, int]) -> Iterator[None]:
-    """Mark the records of a block as caused by an event. ``event`` is the step of the event in each journal."""
+    """Mark the records of a block as caused by an event. ``event`` is the step of this event in each journal."""
     token = _cause.set(event)
     try:
         yield
@@ -287,8 +287,7 @@ def emit(
     Args:
         sim_step: Simulated steps of the world.
         task: Id of the record's task, by default the current task.
-        number: A function that sets references to steps in the record, called for each journal. Each journal has other
-            step numbers.
+        number: Sets references to steps in the record; called for each journal. Step numbers differ between journals.
 
     Raises:
         RecursionError: The stack has no room for a record.
@@ -319,7 +318,7 @@ def records_here(journal: Journal) -> bool:
 
 
 def keeps_local_variables() -> bool:
-    """Return whether this context has journals, and all of them record local variables."""
+    """Return whether this context has journals that all record local variables."""
     journals = listening()
     return bool(journals) and all(journal.local_variables for journal in journals)
 
@@ -328,10 +327,10 @@ looks: Callable[[], int] = int  # a function of the scheduler that returns how o
 
 
 def strike(look: int, which: Iterable[int]) -> None:
-    """Add a strike to every open journal: a decision of the clock or of worker threads that a poll found.
+    """Add a strike to every open journal: an event of the clock or of worker threads that a poll found.
 
     Args:
-        which: Indices of the polled items, from 0.
+        which: Indices of the polled sources that struck, from 0.
     """
     for journal in _open:
         journal.strike(Strike(look=look, which=which))
@@ -351,7 +350,7 @@ def flush() -> None:
 
 
 def register(source: RecordedWorld) -> None:
-    """Make a world known to journals until :func:`unregister`. In an isolated context, do nothing."""
+    """Make a world known to journals until :func:`unregister`. In an isolated context, nothing is flushed."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:
@@ -359,7 +358,7 @@ def register(source: RecordedWorld) -> None:
 
 
 def announce(source: RecordedWorld) -> None:
-    """Make an unrecorded world known. Open journals record its state now, other journals when they open."""
+    """Make an unrecorded world known. Open journals record its state now, and other journals when they are opened."""
     register(source)
     for journal in listening():
         source.record_keyframe(journal)
@@ -373,7 +372,7 @@ def unregister(source: RecordedWorld) -> None:
 
 
 def current_world() -> tuple[str, int]:
-    """Return the name and simulated steps of this context's current world; "" and 0 for an unknown world."""
+    """Return the name and simulated steps of this context's current world; "" and 0 if unknown."""
     world = context.current_world(_sources)
     return (world.name, world.sim_step) if world is not None else ("", 0)
 
@@ -384,11 +383,11 @@ def recording_number() -> int:
 
 
 def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Record]] | None = None) -> None:
-    """Begin recording to a journal. First, it records a keyframe of each existing world.
+    """Begin recording to a journal. First, a keyframe of each existing world is recorded.
 
     Args:
-        journal: The journal. After an error, it gets no further records.
-        running: A context manager that returns the first records, of the running tasks, and keeps these tasks from
+        journal: The journal. After an error, the journal gets no further records.
+        running: A context manager that returns the first records, those of running tasks, and keeps these tasks from
             ending.
 
     Raises:
@@ -398,7 +397,7 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
     context.require_stack_room(context.FOR_TASK)
     with _registry, running or nullcontext(()) as tasks:
         _opened += 1
-        order = context.open_worlds()  # the list lacks a world that is being opened
+        order = context.open_worlds()  # a world that is just being opened isn't in the list
         sources = sorted(_sources, key=lambda source: order.index(source) if source in order else len(order))
         for record in tasks:
             journal.append(record)
@@ -422,7 +421,7 @@ def close_journal(journal: Journal) -> None:
 def still() -> Iterator[None]:
     """Hold the locks of all open journals in a block, for a fork (:mod:`recorder.tracing.forking`).
 
-    This function writes little memory, because processes don't share written pages.
+    This function writes little memory, because written pages are no longer shared between processes.
     """
     held: list[threading.RLock] = []
     try:

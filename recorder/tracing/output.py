@@ -1,7 +1,8 @@
 """Printed and logged lines of a plan as records. Each record has a line, and the place in the plan that printed it.
 
-Output of native code isn't recorded. Parts of a line are joined for each thread and branch. If a progress bar
-overwrites a line, the last text is recorded. Messages of ``logging`` are recorded once, before handlers print them.
+Output of native code isn't recorded. Parts of a line are joined, separately for each thread and branch. If a progress
+bar overwrites a line, only its last text is recorded. Messages of ``logging`` are recorded once, before handlers print
+them.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from recorder.tracing.call_stack import CallSite, call_site
 from recorder.tracing.context import current_ident, current_name
 from recorder.tracing.journal import Journal
 
-MAX_CHARACTERS: Final = 10_000  # longer lines are split into several records
+MAX_CHARACTERS: Final = 10_000  # number of characters above which a line is split into several records
 
-_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences, such as colours
-#: Whether handlers of logging print a message, which is already recorded.
+_CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences of terminals, such as colours
+#: Whether handlers of logging are printing a message, which is already recorded.
 _logging: ContextVar[bool] = ContextVar("pycram_logging", default=False)
 
 
@@ -48,7 +49,7 @@ def _replaced(name: str, log: Journal) -> Iterator[None]:
     try:
         yield
     finally:
-        if getattr(sys, name) is recorded:  # otherwise the plan has set another stream
+        if getattr(sys, name) is recorded:  # if not, the plan has set another stream
             setattr(sys, name, stream)
         recorded.end()
 
@@ -87,9 +88,9 @@ def _logged_line(message: logging.LogRecord) -> Output:
 
 
 class _Origin(NamedTuple):
-    """The place where an output line began."""
+    """The place in the plan where an output line began."""
 
-    site: CallSite  # the line of the plan
+    site: CallSite  # the plan's line
     task: int  # id of the task
 
     @classmethod
@@ -100,13 +101,13 @@ class _Origin(NamedTuple):
 class RecordedStream:
     """A text stream that passes all text to another stream, and records the lines.
 
-    Other attributes are the attributes of the other stream. If the reader of a pipe has gone, as after ``| head``,
-    lines are only recorded.
+    Its other attributes are those of the other stream. If the reader of the output has gone, as after ``| head``, lines
+    are only recorded.
     """
 
     def __init__(self, stream: TextIO, name: str, log: Journal) -> None:
         self._stream, self._name, self._log = stream, name, log
-        self._begun: dict[int, tuple[str, _Origin]] = {}  # incomplete lines by thread or branch
+        self._begun: dict[int, tuple[str, _Origin]] = {}  # incomplete lines, by thread or branch
         self._ended = False
 
     def write(self, text: str) -> int:
@@ -138,7 +139,7 @@ class RecordedStream:
     def __iter__(self) -> Iterator[str]:
         return iter(self._stream)
 
-    @property  # type: ignore[misc]  # isinstance() looks here
+    @property  # type: ignore[misc]  # isinstance() looks for this method here
     def __class__(self) -> type:
         return type(self._stream)
 

@@ -1,8 +1,8 @@
 """The running task: a span for each node of the task tree.
 
 A span is opened around each designator execution, process module, language block, branch and attempt. Records belong to
-the span of their context. Plain threads start with an empty context, so threads of a task must use
-``contextvars.copy_context().run``. Spans make records even without a recording, for the tree of the running plan
+the span of their context. Plain threads start with an empty context, so threads that belong to a task must use
+``contextvars.copy_context().run``. Spans make records even if nothing is recorded, for the tree of the running plan
 (:func:`tree`).
 """
 
@@ -46,45 +46,45 @@ if TYPE_CHECKING:
 MAX_TASKS: Final = 20_000  # largest number of tasks in the tree; a plan may run for days
 MAX_BYTES: Final = 100_000_000
 
-_STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # attributes of protobuf's classes are slow
+_STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # module variables, because attributes of protobuf's classes are slow
 _RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
 _tree: Final = Tree(MAX_TASKS, MAX_BYTES)
 _tree_of = 0  # number of the recording that contains the tree's tasks; 0 before the first recording
-_running: Final[dict[int, Task]] = {}  # the first records of running tasks by id
-_emitting: Final = threading.RLock()  # held during each change of ``_tree`` and ``_running``
+_running: Final[dict[int, Task]] = {}  # the first records of running tasks, by id
+_emitting: Final = threading.RLock()  # the lock for changes of ``_tree`` and ``_running``
 _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
 class Cancelled(BaseException):
     """The task was cancelled, because the outcome of the block around it was decided.
 
-    A plan's ``except Exception`` doesn't catch this error.
+    It isn't caught by a plan's ``except Exception``.
     """
 
 
 def tree() -> Tree:
-    """Return the growing tree of the latest 20,000 tasks of the latest recording, or of the process before it."""
+    """Return the growing tree of the latest 20,000 tasks: of the latest recording, or without one of the process."""
     return _tree
 
 
 @dataclass(slots=True)
 class Span:
-    """A running task. As a context manager, it is the task of the block."""
+    """A running task. Used as a context manager, the span is the task of the block."""
 
     kind: str  # motion, process-module, block, branch, failure-handling, attempt, timeout, cleanup, ...
     name: str  # name of the task
-    parent: int = field(default_factory=journal.task_id)  # id of the task around this task, 0 without such a task
+    parent: int = field(default_factory=journal.task_id)  # id of the task around this one; 0 if there is none
     parameters: Mapping[str, object] = field(default_factory=dict)
-    attempt: int = 0  # number of the attempt, from 1; 0 for other kinds
-    source: CallStack | None = None  # call stack of the request; None for the call stack at the start
-    id: int = field(default_factory=_ids.__next__)  # unique in this process, from 1
+    attempt: int = 0  # number of the attempt, from 1; 0 for other kinds of tasks
+    source: CallStack | None = None  # call stack of the request; None to use that of the start
+    id: int = field(default_factory=_ids.__next__)  # id of the task, unique in this process, from 1
     solution: Mapping[str, object] = field(default_factory=dict)  # the resolved solution
     result: object = None
-    error: BaseException | None = None  # failure that ends the task without an exception
+    error: BaseException | None = None  # failure that ends the task although no exception is raised
     decision: Decision | None = None  # decision about the task
-    checkpoint: int = 0  # checkpoint at which the clock or a worker thread decided the task
-    #: The task of the context that made this task.
+    checkpoint: int = 0  # checkpoint at which the clock or a worker thread ended the task
+    #: The task of the context that made this one.
     _around: Span | None = field(default_factory=lambda: _current.get(), repr=False)  # noqa: PLW0108  defined below
     _start_ns: int = 0
     _begun: bool = False
@@ -101,16 +101,16 @@ class Span:
             self.ask()
 
     def start(self, began_ns: int = 0) -> None:
-        """Record the start. ``began_ns`` is the time of an earlier start, by the performance counter.
+        """Record the start. ``began_ns`` is the time of a start that came earlier, by the performance counter.
 
         Raises:
-            RecursionError: The stack has no room for a record of the task's end. The task isn't recorded.
+            RecursionError: The stack has no room for a record of the task's end. In this case the task isn't recorded.
         """
         self._start_ns = began_ns or time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
-        """Record the end once, after a recorded start. ``error`` is None if the task succeeded."""
+        """Record the end once, if the start was recorded. ``error`` is None if the task succeeded."""
         if self._ended or not self._begun:
             return
         status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
@@ -125,7 +125,7 @@ class Span:
             record.result_json = to_json(self.result) if self.result is not None else "null"
         if error is not None and status == _FAILED:
             record.failure.CopyFrom(failure_with_frames(error) if recorded else failure(error, trace=False))
-        with Uninterrupted():  # the end must be in the log and in the tree
+        with Uninterrupted():  # both the log and the tree need the end
             self._ended = True
             try:
                 self._emit(record)
@@ -135,7 +135,7 @@ class Span:
 
     @contextmanager
     def entered(self) -> Iterator[None]:
-        """Run a block as part of this task, which begins and ends elsewhere."""
+        """Run a block as part of this task; the task begins and ends elsewhere."""
         if self.source is None:
             self.source = current_call_stack()
         token = _current.set(self)
@@ -151,7 +151,7 @@ class Span:
         self._token = _current.set(self)
         try:
             self.start()
-        except BaseException as error:  # after an interrupted start, the task must end
+        except BaseException as error:  # after an interrupt of the start, the task must still end
             self.__exit__(type(error), error, error.__traceback__)
             raise
         return self
@@ -198,7 +198,7 @@ class Span:
         )
 
     def _emit(self, record: Task) -> None:
-        global _tree_of  # noqa: PLW0603  a process has one tree
+        global _tree_of  # noqa: PLW0603  the process has only one tree
         if not self.parent and record.phase != _FINISHED and _tree_of != journal.recording_number():
             _tree_of = journal.recording_number()
             _tree.forget()
@@ -206,7 +206,7 @@ class Span:
             try:
                 journal.publish(record)
             finally:
-                if not record.wall_time_ns:  # no journal numbered the record
+                if not record.wall_time_ns:  # no journal has numbered the record
                     record.wall_time_ns = time.time_ns()
                 _tree.apply(record)
                 if record.phase == _FINISHED:
@@ -232,7 +232,7 @@ def running() -> Iterator[list[Task]]:
             record = Task()
             record.CopyFrom(began)
             record.began_ns = began.wall_time_ns
-            if began.parent not in _running:  # a thread can outlive its parent task
+            if began.parent not in _running:  # a thread may run longer than its parent task
                 record.parent = 0
             records.append(record)
         yield records
@@ -241,7 +241,7 @@ def running() -> Iterator[list[Task]]:
 def emit(
     record: Located, *, world: str = "", sim_step: int = 0, number: Callable[[Journal], None] | None = None
 ) -> Mapping[Journal, int]:
-    """Call :func:`journal.emit` with the plan's line in the record, unless the record's task has the same line."""
+    """Call :func:`journal.emit`; add the plan's line to the record, unless the record's task has the same line."""
     if not journal.is_unrecorded():
         task = _current.get()
         asked = task.source if task is not None else None
@@ -255,12 +255,12 @@ def emit(
 def current_call_stack() -> CallStack:
     """Return the call stack of the caller."""
     task = _current.get()
-    # inspect.stack() reads source files, and takes 100 times as long
+    # inspect.stack() would read source files, and take 100 times as long
     return walk(sys._getframe(1), task.source if task is not None else None)  # noqa: SLF001
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:
-    """Return a task for a ``with`` statement, which records the beginning and the end of the block.
+    """Return a task for a ``with`` statement; it records the beginning and the end of the block.
 
     The block may set ``solution`` and ``result`` of the task.
     """

@@ -1,7 +1,8 @@
 """Ghosts where robots wrongly believe objects, and curves of the watched properties: both need the folded worlds.
 
-A ghost is a translucent object. It is shown while the believed position is more than 1 cm from the real position.
-The curve of a property is the margin of its expression, which is negative while the expression doesn't hold.
+A ghost is a translucent copy of an object. A ghost is shown while the believed position is more than 1 cm from the
+actual position. The curve of a property is the margin of its expression, which is negative while the expression doesn't
+hold.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 GHOSTS: Final = "beliefs"
 _SOLID: Final = 0.45  # opacity of a ghost
-_NEAR: Final = 0.01  # a belief with a smaller error has no ghost, m
+_NEAR: Final = 0.01  # error in m below which a belief has no ghost
 
 
 class FoldedWorlds:
@@ -34,13 +35,13 @@ class FoldedWorlds:
     def __init__(self, columns: Columns, scene: ViewerScene, plots: Plots) -> None:
         self._columns, self._scene, self._plots = columns, scene, plots
         self._worlds: dict[str, FoldedWorld] = {}
-        self._properties: dict[str, PropertyExpression] = {}  # watched properties by text
+        self._properties: dict[str, PropertyExpression] = {}  # watched properties, by text
         self._quantities = Scene(self._worlds)
-        self._ghosts: dict[tuple[str, str, str], tuple[Pose, Marks]] = {}  # by world, robot and object
+        self._ghosts: dict[tuple[str, str, str], tuple[Pose, Marks]] = {}  # ghosts by world, robot and object
 
     def watch(self, record: Check) -> None:
         """Begin the curve of a watched property. Contacts need the executor, so their properties have no curve."""
-        with suppress(BadProperty):  # the property comes from a newer release
+        with suppress(BadProperty):  # a newer release may have recorded the property
             statement = parse(record.property)
             if not statement.needs_geometry:
                 self._properties.setdefault(record.property, statement.body)

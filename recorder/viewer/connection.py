@@ -1,6 +1,6 @@
 """Connections to viewers: the requested viewer, servers and free ports, and this machine's viewer window.
 
-A viewer is a window on this machine, a viewer that another program starts, or a page in browsers. All viewers use
+A viewer is a window on this machine, a program that somebody else starts, or a page in browsers. All viewers use
 servers at ``rerun+http`` addresses.
 """
 
@@ -23,20 +23,20 @@ from urllib.parse import urlsplit
 from recorder.errors import RecordingError
 from recorder.system import user
 
-PORT: Final = 9876  # the default port of viewers
-_POLL_PERIOD: Final = 0.2  # time between attempts to reach a viewer, s
-HOST: Final = "127.0.0.1"  # recordings are private: never listen on the network
+PORT: Final = 9876  # default port of viewers
+_POLL_PERIOD: Final = 0.2  # time in s between attempts to reach a viewer
+HOST: Final = "127.0.0.1"  # address for listening: recordings are private, so never on the network
 
 _SCHEMES: Final = ("rerun", "rerun+http", "rerun+https")
 _HINT: Final = f"use spawn, connect, connect:rerun+http://{HOST}:{PORT}/proxy or serve"
 _METHOD: Final = "/rerun.sdk_comms.v1alpha1.MessageProxyService/WriteMessages"
 _SOCKETS: Final = Path("/proc/net/tcp")
 _LISTENS: Final = "0A"  # state of a listening socket in /proc/net/tcp
-_ANSWER_TIMEOUT: Final = 1.0  # longest wait for an answer of a running viewer, s
+_ANSWER_TIMEOUT: Final = 1.0  # maximum time in s for an answer of a running viewer
 
 
 class ViewerGone(Exception):
-    """The viewer has ended, or failed to start."""
+    """The viewer has ended, or hasn't started."""
 
 
 class ViewerKind(Enum):
@@ -78,8 +78,8 @@ def address(port: int) -> str:
 
 
 def answers(url: str) -> bool:
-    """Return whether a viewer's server accepts an empty stream of messages. Other programs may use the port."""
-    import http.client  # noqa: PLC0415  most recordings have no viewer
+    """Return whether a viewer's server accepts an empty stream of messages. Another program may use the port."""
+    import http.client  # noqa: PLC0415  imported here: most recordings have no viewer
 
     parts = urlsplit(url)
     kind = http.client.HTTPConnection if parts.scheme == "rerun+http" else http.client.HTTPSConnection
@@ -103,9 +103,9 @@ def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
 
 
 def is_own(port: int) -> bool:
-    """Return whether a process of this user listens on a port of the loopback. Records aren't sent to other users.
+    """Return whether a process of this user listens on a port of the loopback. Records must not be sent to other users.
 
-    On systems other than Linux, return True, because ports have no known owner.
+    On systems other than Linux, return True, because the owners of ports are unknown.
     """
     if not _SOCKETS.exists():
         return True
@@ -126,14 +126,14 @@ def free_port(preferred: int) -> int:
     raise RecordingError(HOST, "no port is free")
 
 
-END_TIMEOUT: Final = 2.0  # seconds to wait for the end of a viewer after its connection broke
+END_TIMEOUT: Final = 2.0  # time in s to wait for the end of a viewer after its connection broke
 
 
 class ViewerWindow:
     """The open viewer of this user on this machine, or a new viewer that outlives this process.
 
-    The viewer's server answers before the window opens. Without a screen, the viewer ends at that moment. So callers
-    that lose the connection call :meth:`check`.
+    The viewer's server answers before the window opens. Without a screen, the viewer ends when it would open its
+    window. Callers that lose the connection therefore call :meth:`check`.
 
     Raises:
         ViewerGone: The viewer ended immediately, or another user's program took its port.
@@ -141,7 +141,7 @@ class ViewerWindow:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
-        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read after the end of the viewer
+        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read again, because the viewer has ended
         self.url = address(PORT)  # address of the viewer, which has already answered
         if not (is_own(PORT) and answers(self.url)):
             self._start(free_port(PORT))
@@ -153,11 +153,11 @@ class ViewerWindow:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._stderr,
-            start_new_session=True,  # Ctrl-C stops only the plan
+            start_new_session=True,  # Ctrl-C must stop only the plan
             env=os.environ | {"RERUN_APP_ONLY": "true"},
         )
         wait_for_answer(self.url, self.check)
-        if not is_own(port):  # another program has taken the port
+        if not is_own(port):  # another program has taken the port in the meantime
             raise ViewerGone(f"another user's program listens at {self.url}")
 
     def check(self, timeout: float = 0.0) -> None:
@@ -172,6 +172,6 @@ class ViewerWindow:
             self._stderr.seek(0)
             lines = [line.strip() for line in self._stderr.read().decode(errors="replace").split("\n") if line.strip()]
             words = lines[-1] if lines else "without a message"
-            if code or words.startswith("Error"):  # after an error, the exit code may still be 0
+            if code or words.startswith("Error"):  # after an error, the exit code may be 0
                 raise ViewerGone(f"the viewer didn't open ({words})")
             raise ViewerGone("the viewer was closed")

@@ -1,9 +1,10 @@
 """Show a recording live in a Rerun viewer. A slow or missing viewer doesn't delay the plan.
 
-Records go into a bounded queue (:class:`LiveQueue`). A thread sends them in batches, lists of files and of topics with
-payloads, to a separate process (:func:`main`), which translates them. A viewer can stall its client, fill its memory or
-hang its exit; only the separate process suffers then. It answers ``Status.READY`` or ``Status.ABSENT``, and then the
-number of shown records of each batch. An empty batch means the end. Missing records are counted and reported.
+Records go into a bounded queue (:class:`LiveQueue`). A thread sends the records in batches to a separate process
+(:func:`main`), which translates them. A batch is a list of files, and of topics with payloads. A viewer can block its
+client, fill its memory or prevent its exit; only the separate process suffers from that. The process answers
+``Status.READY`` or ``Status.ABSENT``, and then the number of shown records of each batch. An empty batch means the end.
+Records that were dropped are counted and reported.
 """
 
 from __future__ import annotations
@@ -47,16 +48,16 @@ if TYPE_CHECKING:
 
     from recorder.viewer.translator import Translator
 
-_END_TIMEOUT: Final = 1.8  # the viewer must take the remaining records in this time, s
-#: Seconds for a viewer to start, even if the plan ends earlier.
+_END_TIMEOUT: Final = 1.8  # time in s within which the viewer must take the remaining records
+#: Time in s for a viewer to start, even if the plan ends earlier.
 _START_TIMEOUTS: Final = {ViewerKind.SPAWN: 5.0, ViewerKind.CONNECT: 3.0, ViewerKind.SERVE: 3.0}
-_LINGER_TIMEOUT: Final = 30.0  # longest wait for a late viewer after the end of a recording, s
-_HAND_OVER_TIMEOUT: Final = 0.5  # the process must read the remaining records in this time, s
-_BATCH_PERIOD: Final = 0.2  # seconds between batches: many small batches cost too much
-_MAX_ITEMS: Final = 500  # largest number of items in a batch
+_LINGER_TIMEOUT: Final = 30.0  # maximum time in s to wait for a late viewer after the end of a recording
+_HAND_OVER_TIMEOUT: Final = 0.5  # time in s within which the process must read the remaining records
+_BATCH_PERIOD: Final = 0.2  # time in s between batches; many small batches would cost too much
+_MAX_ITEMS: Final = 500  # maximum number of items in a batch
 _MAX_BYTES: Final = 4 << 20
 _ROOT: Final = str(Path(__file__).parent.parent.parent)
-_NICENESS: Final = 10  # on few cores, the plan has priority
+_NICENESS: Final = 10  # with few cores, the plan has priority
 _CODE: Final = f"""
 import os, sys
 os.nice({_NICENESS})
@@ -65,35 +66,35 @@ from recorder.viewer.live import main
 main(sys.argv[1:])
 """
 
-_lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that still deliver records
+_lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that are still delivering records
 
 
 class RerunSink:
-    """A sink that is a viewer.
+    """A sink that shows records in a viewer.
 
     ``live`` is the argument of :func:`recorder.record`; other values raise RecordingError.
     """
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
-        if not hasattr(os, "fork"):  # systems without fork can't pass a pipe to a process
+        if not hasattr(os, "fork"):  # systems without fork can't pass pipes to processes
             hint = "record to a file, and show it with pycram-replay view"
             raise RecordingError(live, "this system can't pass an open pipe to a process", hint)
         self._queue = LiveQueue()
         self._records = 0
         self._taken = 0
         self._ended = threading.Event()
-        self._settled = threading.Event()  # set if the viewer has all records, is gone or hasn't started
+        self._settled = threading.Event()  # set when the viewer has all records, is gone or hasn't started
         self._sending = threading.Lock()
         self._started = time.monotonic()
         self._connection, child_end = Pipe()
         with child_end:
             self._process = subprocess.Popen(  # noqa: S603
                 [sys.executable, "-c", _CODE, _ROOT, str(child_end.fileno()), live, title, str(_LINGER_TIMEOUT)],
-                stdin=subprocess.PIPE,  # every end of this process closes the pipe
+                stdin=subprocess.PIPE,  # whenever this process ends, the pipe is closed
                 stdout=subprocess.DEVNULL,
                 pass_fds=[child_end.fileno()],
-                env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # the process prints its own messages
+                env={"RUST_LOG": "off"} | os.environ | {"RERUN": "on"},  # the other process prints its own messages
             )
         self._thread = own(threading.Thread(target=self._run, name="live viewer", daemon=True))
         self._thread.start()
@@ -112,10 +113,10 @@ class RerunSink:
         self._queue.put(asset, transient=False)
 
     def flush(self) -> None:
-        """Do nothing, because a viewer stores no records."""
+        """Do nothing, because a viewer doesn't store records."""
 
     def close(self) -> None:
-        """End after the viewer has all records, or after a timeout."""
+        """End when the viewer has all records, or after a timeout."""
         if self._ended.is_set():
             return
         self._ended.set()
@@ -127,7 +128,7 @@ class RerunSink:
         if served and (behind or settled) and self._process.poll() is None:
             atexit.register(_stop, self._process, os.getpid())
         elif not behind:
-            _stop(self._process)  # unblocks a waiting thread
+            _stop(self._process)  # wakes a thread that waits
         self._thread.join()
         self._connection.close()
         missed = self._records - self._taken
@@ -140,9 +141,9 @@ class RerunSink:
             )
 
     def _hand_over(self) -> bool:
-        """Send the remaining items to the process, and unblock the thread.
+        """Send the remaining items to the process, and wake the thread.
 
-        Return whether the process took the items.
+        Return whether the other process has taken the items.
         """
 
         def send() -> None:
@@ -153,14 +154,14 @@ class RerunSink:
         sender = own(threading.Thread(target=send, name="rest for the viewer", daemon=True))
         sender.start()
         sender.join(_HAND_OVER_TIMEOUT)
-        if sender.is_alive():  # the process has stopped reading
+        if sender.is_alive():  # the other process has stopped reading
             return False
         with socket.socket(fileno=os.dup(self._connection.fileno())) as ending:
             ending.shutdown(socket.SHUT_RD)
-        if self._target.kind is ViewerKind.SERVE:  # pages can load until this process ends
+        if self._target.kind is ViewerKind.SERVE:  # pages can be opened until this process ends
             return self._process.poll() is None
         if self._process.stdin is not None:
-            self._process.stdin.close()  # starts the process's timeout
+            self._process.stdin.close()  # starts the timeout of the other process
         _lingering[:] = [process for process in (*_lingering, self._process) if process.poll() is None]
         return self._process in _lingering
 
@@ -169,54 +170,54 @@ class RerunSink:
             while self._connection.recv() is not Status.READY:
                 self._settled.set()
             self._settled.clear()
-            with unrecorded():  # text that a finalizer prints in this thread would wait for the queue
+            with unrecorded():  # if a finalizer prints in this thread, its text would wait for the queue
                 while sent := self._send():
                     self._taken += self._connection.recv()
-                    self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # use at most half a core
+                    self._ended.wait(max(_BATCH_PERIOD, time.monotonic() - sent))  # the thread uses at most half a core
             self._connection.recv()
-        except (EOFError, OSError):  # the process has ended
+        except (EOFError, OSError):  # the other process has ended
             self._queue.take_rest()
         finally:
             self._settled.set()
 
     def _send(self) -> float | None:
         """Send the next batch, and return the time of sending; None for the empty batch at the end."""
-        with self._sending:  # the batch must be sent before the remaining records
+        with self._sending:  # this batch must be sent before the remaining records
             batch = self._queue.take(_MAX_ITEMS, _MAX_BYTES)
             started = time.monotonic()
             self._connection.send(batch)
         return started if batch else None
 
     def wait(self) -> None:
-        """Wait until the page's server ends, or Ctrl-C."""
+        """Wait until the server of the page ends, or for Ctrl-C."""
         self._process.wait()
 
 
 def _stop(process: subprocess.Popen[bytes], owner: int | None = None) -> None:
-    if owner not in (None, os.getpid()):  # in a forked child, whose parent owns the viewer
+    if owner not in (None, os.getpid()):  # in a forked child, the parent owns the viewer
         return
-    with process:  # leaving the block waits for the end of the process, and closes the pipe
+    with process:  # at the end of the block, the process must end, and the pipe is closed
         process.kill()
 
 
 Item: TypeAlias = tuple[str, bytes] | AssetFile  # a record's topic and payload, or a file
 
 _TRANSIENT: Final = frozenset({"move_body", "move_joints", "simulate", "set_realtime"})
-_OVERHEAD: Final = 200  # approximate memory of an item in Python, in bytes
+_OVERHEAD: Final = 200  # approximate size in bytes of an item in Python's memory
 
 
 class LiveQueue:
     """A queue with a limited number of items and bytes. Writers never wait.
 
-    A full queue drops the oldest transient items: motions (the next keyframe has the poses), events, fluents and
-    output. Models, tasks and the contents of worlds are dropped last.
+    A full queue first drops the oldest transient items: motions (the next keyframe contains the poses), events, fluents
+    and output. Models, tasks and the contents of worlds are dropped last.
     """
 
     def __init__(self, max_items: int = 20_000, max_bytes: int = 128 << 20) -> None:
         self._max_items = max_items
         self._max_bytes = max_bytes
         self._items: OrderedDict[int, Item] = OrderedDict()
-        self._transient: deque[int] = deque()  # keys of transient items, oldest first
+        self._transient: deque[int] = deque()  # keys of transient items, the oldest first
         self._count = 0
         self._changed = threading.Condition()
         self._closed = False
@@ -227,7 +228,7 @@ class LiveQueue:
         return len(self._items)
 
     def put(self, item: Item, *, transient: bool) -> None:
-        """Append an item, and drop other items of a full queue. Do nothing if the queue is closed."""
+        """Append an item; if the queue is full, drop other items. Do nothing if the queue is closed."""
         with self._changed:
             if self._closed:
                 return
@@ -263,7 +264,7 @@ class LiveQueue:
         return taken
 
     def close(self) -> None:
-        """Close the queue, from which items can still be taken."""
+        """Close the queue; items can still be taken from it."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -289,7 +290,7 @@ def _cost(item: Item) -> int:
 
 _TYPES: Final = {topic: kind for kind, topic in TOPICS.items()}
 _STDERR: Final = 2
-_CALL_TIMEOUT: Final = 1.0  # seconds for a call of the viewer's library
+_CALL_TIMEOUT: Final = 1.0  # time in s for a call of the viewer's library
 
 
 class Status(Enum):
@@ -303,10 +304,10 @@ def main(arguments: list[str]) -> None:
     """Translate a recording for a viewer until its end, in a separate process.
 
     Args:
-        arguments: Descriptor of the socket, target, title of the recording, and time in s to wait for a late viewer
-            after the end of the recording.
+        arguments: Descriptor of the socket; target; title of the recording; and time in s to wait for a late viewer
+            after the recording's end.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C stops only the plan; a new session would undo nice()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C must stop only the plan; a new session would undo nice()
     connection = Connection(int(arguments[0]))
     target = Target.parse(arguments[1])
     absent = threading.Event()
@@ -322,7 +323,7 @@ def main(arguments: list[str]) -> None:
         if sys.exception() is not None:
             traceback.print_exc()
         sys.stderr.flush()
-        os._exit(status)  # the library's own exit would wait for the viewer, perhaps forever
+        os._exit(status)  # the library's own exit might wait for the viewer forever
 
 
 def _print(text: str) -> None:
@@ -332,7 +333,7 @@ def _print(text: str) -> None:
 def _end_with_parent(absent: threading.Event, linger: float) -> None:
     """End this process ``linger`` seconds after the end of the recording's process, which closes the pipe.
 
-    Without a viewer, this process ends immediately.
+    If there is no viewer, this process ends immediately.
     """
     sys.stdin.buffer.read()
     sys.stderr.flush()
@@ -342,7 +343,7 @@ def _end_with_parent(absent: threading.Event, linger: float) -> None:
 
 
 class _Batches:
-    """The batches of the recording. A slow viewer doesn't delay the reading of batches."""
+    """The batches of the recording. Batches are read in a thread, so a slow viewer doesn't delay it."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection
@@ -354,7 +355,7 @@ class _Batches:
         while batch:
             try:
                 batch = self._connection.recv()
-            except (EOFError, OSError):  # the recording was killed
+            except (EOFError, OSError):  # the process of the recording was killed
                 batch = []
             self._queue.put(batch)
 
@@ -368,7 +369,7 @@ class _Batches:
 
 
 def _serve(batches: _Batches, target: Target, title: str, absent: threading.Event) -> None:
-    # loading the library takes longer than a short plan
+    # imported here: loading the library takes longer than a short plan
     import rerun as rr  # noqa: PLC0415
 
     from recorder.viewer.rerun_stream import APPLICATION  # noqa: PLC0415
@@ -380,7 +381,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     stream = rr.RecordingStream(APPLICATION)
     stream.send_recording_name(title)
     if target.kind is ViewerKind.SERVE:
-        absent.set()  # pages end with the plan
+        absent.set()  # the pages end when the plan ends
         page = WebPage(stream)
         _print(f"live at {page.address}")
     else:
@@ -412,18 +413,18 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
     if page is not None:
         page.flush()
         batches.report(0)
-        threading.Event().wait()  # the page is served until the plan's process ends
-    stream.disconnect()  # waits until the viewer has all records
+        threading.Event().wait()  # the page is served until the process of the plan ends
+    stream.disconnect()  # this waits until the viewer has all records
     batches.report(0)
 
 
 class _Display:
-    """A translator of batches, which skips records that can't be shown, and reports the first error."""
+    """Translates batches; records that can't be shown are skipped, and the first error is reported."""
 
     def __init__(self, stream: rr.RecordingStream, translator: Translator) -> None:
         self._stream = stream
         self._translator = translator
-        self._laid_out = -1  # number of worlds in the layout; -1 before the first layout
+        self._laid_out = -1  # number of worlds in the layout; -1 if no layout was sent
         self._reported = False
 
     def lay_out(self) -> None:
@@ -454,7 +455,7 @@ class _Display:
     def _skipping_errors(self) -> Iterator[None]:
         try:
             yield
-        except Exception as error:  # noqa: BLE001  records have values of users, which may break any code
+        except Exception as error:  # noqa: BLE001  records contain values of users, which may cause any error
             if not self._reported:
                 _print(f"a record can't be shown ({error!r}); the file has it")
             self._reported = True
@@ -468,7 +469,7 @@ def _deliver(stream: rr.RecordingStream, window: ViewerWindow | None) -> None:
     while True:
         try:
             stream.flush(timeout_sec=_CALL_TIMEOUT)
-        except RuntimeError as error:  # the library raises RuntimeError for all errors
+        except RuntimeError as error:  # the library raises RuntimeError for every error
             broken = "timed out" not in str(error)
             if window is not None:
                 window.check(END_TIMEOUT if broken else 0.0)

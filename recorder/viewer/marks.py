@@ -1,8 +1,8 @@
 """Marks in the scene: targets and failures of tasks, attachments, cameras, and paths of trajectories.
 
 The mark of a failure and its line in the log are one entity, so selecting the line shows the position. The planned path
-of a tool or base is blue, the driven part is a thicker green line. Both lines disappear at the end of the path. After a
-stop, the lines stay until the body's next trajectory, with the planned part in grey.
+of a tool or base is a blue line, and the part that was driven a thicker green line. At the end of the path, both lines
+disappear. After a stop, the lines stay until the next trajectory of the body; the planned part is grey.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from recorder.viewer.scene import SceneBody, ViewerScene, offset, table
 FAILURES: Final = "failures"
 _PAIRS: Final = "pairs"
 _TARGETS: Final = "targets"
-_POINT: Final = 0.02  # radius in m; sizes below are in m, too
+_POINT: Final = 0.02  # radius in m; the sizes below are also in m
 _LINE: Final = 0.004
 LINK: Final = 0.015
 _ARROW: Final = 0.35
 _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
-_PIN: Final = 0.3  # height of a failure's label above the target, in m, so that the target's label stays visible
-_ABOVE_ROBOT: Final = 1.1  # height of the label of a failure without a position
-_IN_VIEW: Final = 5.0  # the label of a failure farther from the robot is at the robot, m
-_MAX_LETTERS: Final = 60  # a label shows at most this many characters
-_MAX_PAIRS: Final = 5  # at most this many pairs of colliding links are shown
+_PIN: Final = 0.3  # height in m of a failure's label above the target, so that the target's label stays visible
+_ABOVE_ROBOT: Final = 1.1  # height in m of the label of a failure without a position
+_IN_VIEW: Final = 5.0  # distance in m from the robot above which the label of a failure is at the robot
+_MAX_LETTERS: Final = 60  # maximum number of characters of a label
+_MAX_PAIRS: Final = 5  # maximum number of pairs of colliding links that are shown
 
 
 class Marks:
@@ -48,7 +48,7 @@ class Marks:
         self._paths: list[str] = []
 
     def add(self, world: str, parts: Sequence[str], now: TimePoint, *shapes: rr.AsComponents) -> None:
-        """Show shapes from now on. ``parts`` is the path of their entity below the world's entity."""
+        """Show shapes from now on. ``parts`` is the path of the shapes' entity below the world's entity."""
         path = self._columns.path(world, *parts)
         self._columns.set_frame(path, self.scene.frame(world))
         self._columns.send(path, now, *shapes)
@@ -70,7 +70,7 @@ class TaskMarks:
         self._running: dict[int, tuple[str, Marks]] = {}  # name and marks of running motions
         self._targets: dict[int, Vector] = {}  # positions of the targets of running tasks, by id
         self._failures = Marks(columns, scene)
-        self._failure = ("", "")  # the shown failure, which failed parent tasks repeat
+        self._failure = ("", "")  # the failure that is shown; its parent tasks fail with the same failure
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Update the marks at a task's start or end."""
@@ -91,7 +91,7 @@ class TaskMarks:
                 self._show_failure(record, record.world, target, now)
 
     def show_end(self, record: Run, world: str, now: TimePoint) -> None:
-        """Mark the failure of the plan in its world, unless the mark of its failed task is shown."""
+        """Mark the failure of the plan in its world, unless the mark of its failed task is already shown."""
         if record.phase == Run.FINISHED and not record.succeeded:
             self._show_failure(record, world, None, now)
 
@@ -104,7 +104,7 @@ class TaskMarks:
             shapes.append(_arrow(camera, (x, y, z), BLUE))
         elif orientation is not None:
             shapes.append(_arrow(target, geometry.rotate(orientation, (_ARROW, 0.0, 0.0)), BLUE))
-        # running motions have different names; later motions reuse them, so that there are few entities
+        # names of running motions differ; later motions use the same names again, so that there are few entities
         taken = {name for name, _ in self._running.values()}
         names = (record.name, *(f"{record.name} {number}" for number in range(2, len(taken) + 2)))
         name = next(name for name in names if name not in taken)
@@ -158,12 +158,12 @@ def points_at(
     *,
     show_labels: bool | None = None,
 ) -> rr.AsComponents:
-    """Return points of a colour. The radius is in m. Hidden labels appear when the mouse is over a point."""
+    """Return points in a colour. The radius is in m. A hidden label appears when the mouse is over its point."""
     return rr.Points3D(positions, colors=[color], radii=[radius], labels=labels or None, show_labels=show_labels)
 
 
 def line_through(positions: Sequence[Vector], color: Color, radius: float = _LINE, label: str = "") -> rr.AsComponents:
-    """Return a line of a colour. The radius is in m."""
+    """Return a line in a colour. The radius is in m."""
     return rr.LineStrips3D([positions], colors=[color], radii=[radius], labels=[label] if label else None)
 
 
@@ -175,12 +175,12 @@ _ATTACHMENT_LINE: Final = 0.003  # radius in m
 
 
 class Attachments:
-    """The lines of all attachments. The scene must show a record before this class."""
+    """The lines of all attachments. The scene must show each record before this class does."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
-        self._paths: dict[tuple[str, str, str], str] = {}  # entities by world, carrier and body
+        self._paths: dict[tuple[str, str, str], str] = {}  # entities, by world, carrier and body
 
     def show(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         """Show the changed attachments of a record."""
@@ -209,7 +209,7 @@ class Attachments:
 def _attachment_changes(
     record: Mutation | Keyframe, pairs: list[tuple[str, str]]
 ) -> tuple[Iterable[Attachment], list[tuple[str, str]]]:
-    """Return the new attachments of a record, and the pairs of carrier and body whose attachment ended."""
+    """Return the new attachments of a record, and the pairs (carrier, body) whose attachment ended."""
     if not isinstance(record, Keyframe):
         return record.effect.attached, [(ended.carrier, ended.body) for ended in record.effect.detached]
     carried = {(attachment.carrier, attachment.body) for attachment in record.attachments}
@@ -226,7 +226,7 @@ class CameraFrustums:
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
-        self._paths: dict[tuple[str, str], str] = {}  # entities by world and robot
+        self._paths: dict[tuple[str, str], str] = {}  # entities, by world and robot
 
     def show(self, world: str, now: TimePoint) -> None:
         """Show the cameras of the robots that are in a world now."""
@@ -244,7 +244,7 @@ class CameraFrustums:
             right, down = (math.tan(camera[f"{axis}_fov"] / 2) * _FRUSTUM for axis in ("horizontal", "vertical"))
             frame = self._scene.frame(world, name, str(camera["frame"]))
         except (KeyError, TypeError):
-            return  # a robot without a camera
+            return  # the robot has no camera
         link_T_optical = offset(camera, "frame_offset")
         corners = [
             geometry.transform(link_T_optical, (right * x, down * y, _FRUSTUM))
@@ -256,7 +256,7 @@ class CameraFrustums:
 
 
 def camera_position(scene: ViewerScene, world: str, camera: object = None, robot_name: str = "") -> Vector | None:
-    """Return the position of a camera: a position, pose or frame, by default the robot's camera; None if unknown."""
+    """Return the position of a camera: a position, pose or frame, by default the robot's camera; or None."""
     robot = scene.robot(world, robot_name)
     if isinstance(camera, list) or robot is None:
         return position(camera)
@@ -270,7 +270,7 @@ Values: TypeAlias = "dict[str, Any]"
 
 
 def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | None:
-    """Return the first position among values, or else the position of the first object; None without both."""
+    """Return the first position among values, or else the position of the first object; None if there is neither."""
     bodies = scene.bodies.get(world, {}).items()
     objects = {name: body.pose[0] for name, body in bodies if not body.loaded.robot_description}
     return first_position(values, objects)
@@ -279,15 +279,15 @@ def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | 
 PATHS: Final = "paths"
 _PLANNED: Final = 0.004  # radius in m
 _DRIVEN: Final = 0.01  # radius in m
-_ABOVE_FLOOR: Final = 0.01  # height of a base's path above the floor in m
-_MIN_LENGTH: Final = 0.001  # shortest path of a tool that is shown, m
+_ABOVE_FLOOR: Final = 0.01  # height in m of a base's path above the floor
+_MIN_LENGTH: Final = 0.001  # minimum length in m of a tool's path that is shown
 _SAMPLES: Final = 6  # the driven line is sent as a whole, after this many samples, about 0.2 s
 _ENDING: Final = ("reset", "restore", "close_world")  # commands that end all trajectories
 
 
 @dataclass(slots=True)
 class _Path:
-    """The path of a tool frame or base."""
+    """The path of one tool frame or base."""
 
     now: Callable[[], Vector]  # a function that returns the present position in the world
     entity: str  # path of the planned line's entity
@@ -304,13 +304,13 @@ class _Followed:
 
 
 class TrajectoryPaths:
-    """The paths of all trajectories. The scene must show a record before this class."""
+    """The paths of all trajectories. The scene must show each record before this class does."""
 
     def __init__(self, columns: Columns, scene: ViewerScene) -> None:
         self._columns = columns
         self._scene = scene
-        self._followed: dict[str, dict[int, _Followed]] = {}  # trajectories by world and number
-        self._stopped: dict[tuple[str, str], list[_Path]] = {}  # paths of stopped trajectories by world and body
+        self._followed: dict[str, dict[int, _Followed]] = {}  # trajectories, by world and number
+        self._stopped: dict[tuple[str, str], list[_Path]] = {}  # paths of stopped trajectories, by world and body
 
     def move(self, world: str, body: str, time: TimePoint) -> None:
         """Extend the driven lines of a moved body."""
@@ -345,7 +345,7 @@ class TrajectoryPaths:
             self._remove(world, record.remove_body.body, now)
 
     def _keep(self, world: str, following: Mapping[int, Following], now: TimePoint) -> None:
-        """Show only the trajectories of a keyframe. ``following`` has the trajectories by number."""
+        """Show only the trajectories of a keyframe. ``following`` contains the trajectories by number."""
         followed = self._followed[world]
         for number in followed.keys() - following.keys():
             self._clear(followed.pop(number).paths, now)
@@ -371,7 +371,7 @@ class TrajectoryPaths:
     ) -> Iterator[tuple[str, str, Callable[[], Vector], Sequence[Vector]]]:
         """Yield the lines of a trajectory: of the body's base, or of the moved tools.
 
-        A line has a name, a frame, a function for the current position in the world, and points in the frame.
+        A line has a name, a frame, a function that returns the current position in the world, and points in the frame.
         """
         begin, scene = following.begin, self._scene
         trajectory, body = begin.trajectory, scene.bodies.get(world, {}).get(begin.body)
@@ -402,10 +402,10 @@ class TrajectoryPaths:
                 yield arm, scene.frame(world, begin.body), at_tool, points
 
     def _end(self, world: str, number: int, now: TimePoint, driven: float) -> None:
-        """End a trajectory. ``driven`` is its executed time in s."""
+        """End a trajectory. ``driven`` is the executed time of the trajectory in s."""
         followed = self._followed[world].pop(number, None)
         if followed is None:
-            return  # the trajectory began before the recording
+            return  # the trajectory began before the recording did
         begin = followed.following.begin
         if driven >= begin.trajectory.times[-1]:
             self._clear(followed.paths, now)

@@ -1,8 +1,8 @@
 """The last reasoning query: a page with its answer and evidence, marks in the scene, and the picture of its camera.
 
-Marks are green if the answer is yes or nothing blocks, otherwise red. A query for places has a map on the floor, whose
-cells are blue (hardly suitable) to green (suitable). A taken place is a green point with its heading, a rejected place
-red, an untried place grey. Maps are validated, because recordings may come from strangers.
+Marks are green if the answer is yes or no body blocks, otherwise red. A query for places has a map on the floor; the
+colours of its cells go from blue (hardly suitable) to green (suitable). A taken place is a green point with its
+heading, a rejected place red, an untried place grey. Maps are checked, because recordings may come from strangers.
 """
 
 from __future__ import annotations
@@ -70,13 +70,13 @@ def _cell(text: str) -> str:
 
 
 def _text(line: str) -> str:
-    """Escape Markdown. Otherwise, a viewer would fetch pictures from the links of a stranger's recording."""
+    """Escape Markdown. Otherwise, a viewer would load pictures from links that the recording of a stranger contains."""
     return _ACTIVE.sub(r"\\\g<0>", " ".join(line.splitlines()))
 
 
 PICTURE: Final = "picture"
-_MAX_CLASSES: Final = 60_000  # largest number of classes, because the viewer stores a class in 16 bits
-MAX_PIXELS: Final = 1 << 24  # largest number of pixels; pictures of robot cameras have a tenth
+_MAX_CLASSES: Final = 60_000  # maximum number of classes, because the viewer stores a class in 16 bits
+MAX_PIXELS: Final = 1 << 24  # maximum number of pixels; pictures of robot cameras have a tenth of it
 
 
 class QueryPicture:
@@ -87,11 +87,11 @@ class QueryPicture:
         self._scene = scene
         self._path, self._legend = columns.path(QUERIES, PICTURE), columns.path(QUERIES, PICTURE, "legend")
         self._names = columns.path(QUERIES, PICTURE, "names")
-        self._classes: dict[str, int] = {}  # the number of each body's class in the picture, by the body's name
+        self._classes: dict[str, int] = {}  # the class number of each body in the picture, by the body's name
         self._colors: dict[str, Color] = {}  # the colour of each body
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Show the picture of a query, if there is a picture."""
+        """Show the picture of a query, if it has one."""
         if not record.HasField("picture"):
             return
         picture = record.picture
@@ -108,7 +108,7 @@ class QueryPicture:
         swatches = rr.Points2D(places, colors=[self._colors[body] for body in seen], radii=[row / 6])
         self._columns.send(self._legend, now, swatches)
         names = [(x, y + row / 4) for x, y in places]
-        # an own colour, because names in the colours of bodies would be invisible on some backgrounds
+        # a fixed colour, because names in the colours of bodies would be invisible on some backgrounds
         self._columns.send(self._names, now, rr.Points2D(names, labels=seen, colors=[GREY], radii=[0.0]))
 
     def _class(self, world: str, body: str) -> int:
@@ -125,10 +125,10 @@ class QueryPicture:
 
 
 PLACES: Final = "places"
-_ABOVE: Final = 0.01  # height above the surface in m; the map must not hide the marks
+_ABOVE: Final = 0.01  # height in m above the surface, so that the map doesn't hide the marks
 _POINT: Final = 0.025  # radius in m
 _TAKEN: Final = 0.05
-_HEADING: Final = 0.15  # length of the arrow of a taken place in m
+_HEADING: Final = 0.15  # length in m of the arrow of a taken place
 _ALPHA: Final = 150
 _MAX_LABELS: Final = 200
 _COLORS: Final = {TAKEN: GREEN, NOT_TRIED: GREY}
@@ -138,7 +138,7 @@ class QueryPlaces(Marks):
     """The map and the samples of the last query for places, until the next such query or motion."""
 
     def show(self, record: Query, now: TimePoint) -> None:
-        """Show a query for places. An invalid map raises ValueError."""
+        """Show a query for places. If the map is invalid, ValueError is raised."""
         if not record.HasField("grid"):
             return
         self.clear(now)
@@ -161,7 +161,7 @@ class QueryPlaces(Marks):
 
 
 def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[rr.AsComponents]:
-    """Return the taken places with their headings, or a label with the results above the map if no place was taken."""
+    """Return the taken places with their headings; if no place was taken, a label above the map with the results."""
     text = fates_text(record)
     chosen = [number for number, name in enumerate(names) if name == TAKEN]
     if not chosen:
@@ -172,7 +172,7 @@ def _taken(record: Query, spots: NDArray[np.float64], names: list[str]) -> list[
 
 
 def _cells(record: Query) -> rr.Mesh3D | None:
-    """Return the cells with a score as coloured squares; None without scores."""
+    """Return the cells with a score as coloured squares; None if there are no scores."""
     grid = record.grid
     scores = scores_of(grid)
     rows, columns = np.nonzero(scores)
@@ -194,8 +194,8 @@ def _cells(record: Query) -> rr.Mesh3D | None:
     )
 
 
-MAX_CELLS: Final = 1 << 20  # largest number of cells of a map. Usual maps have some thousands of cells.
-_FARTHEST: Final = 1e6  # largest distance from the world's origin in m
+MAX_CELLS: Final = 1 << 20  # largest number of cells of a map. Most maps have some thousands of cells.
+_FARTHEST: Final = 1e6  # maximum distance in m from the world's origin
 
 
 def scores_of(grid: Grid) -> NDArray[np.float64]:
@@ -223,7 +223,7 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
 
 
 def spots_of(grid: Grid) -> NDArray[np.float64]:
-    """Return the positions of a map's sampled places in m (n, 3). An invalid place raises ValueError."""
+    """Return the positions of a map's sampled places in m (n, 3). If a place is invalid, ValueError is raised."""
     positions = [list(spot.position) for spot in grid.spots]
     for spot, place in zip(grid.spots, positions, strict=True):
         if len(place) != 3 or not all(math.isfinite(part) and abs(part) <= _FARTHEST for part in place):
@@ -236,7 +236,7 @@ def spots_of(grid: Grid) -> NDArray[np.float64]:
 _MAX_LETTERS: Final = 60
 _ANSWERS: Final = "answers"
 _NO: Final = ("false", "null", "[]", "")
-#: Words for blocking by the name of the evidence with the blocking bodies.
+#: Words for blocking, by the name of the evidence that contains the blocking bodies.
 _BLOCKING: Final = {"obstacles": "is in the way", "hidden_by": "hides it"}
 
 
@@ -244,7 +244,7 @@ class QueryMarks(Marks):
     """Target, posture, contacts and obstacles of the last query, until the next task begins."""
 
     def hide_label(self, now: TimePoint) -> None:
-        """Hide the label of the target, which would be next to the label of a failure."""
+        """Hide the label of the target, because it would be next to the label of a failure."""
         for path in self._paths:
             if path.endswith("/target"):
                 self._columns.send(path, now, rr.Points3D.from_fields(show_labels=False))

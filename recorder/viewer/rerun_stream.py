@@ -1,7 +1,8 @@
 """Rerun streams, to a viewer or into an ``.rrd`` file: they buffer rows of components, and send them as columns.
 
 Every row is on three time lines: ``step number`` (of the record), ``sim`` (simulated time) and ``wall`` (the clock).
-Later rows of a time point replace earlier rows. All colours are readable on the viewer's dark and light backgrounds.
+A later row at the same time replaces an earlier row. All colours are readable on the viewer's dark and light
+backgrounds.
 """
 
 from __future__ import annotations
@@ -23,20 +24,20 @@ if TYPE_CHECKING:
     ColumnMaker: TypeAlias = Callable[[Sequence[tuple[Any, ...]]], Iterable[rr.ComponentColumn]]
 
 STEP: Final = "step number"  # time line of the records' numbers; the log's column is as wide as this name
-APPLICATION: Final = "pycram"  # viewers remember a layout for this name
-_WRITE_TIMEOUT: Final = 60.0  # the rows of a file must be written in this time, s
-_SWITCH: Final = "RERUN"  # this environment variable turns viewers off
+APPLICATION: Final = "pycram"  # viewers remember the user's layout under this name
+_WRITE_TIMEOUT: Final = 60.0  # time in s within which the rows of a file must be written
+_SWITCH: Final = "RERUN"  # environment variable that turns viewers off
 
 
 @contextlib.contextmanager
 def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None) -> Iterator[rr.RecordingStream]:
     """Open a stream for rows, even if the environment variable ``RERUN`` turns viewers off.
 
-    ``connect`` sets the sink of the stream. Until then, Ctrl-C is deferred.
+    ``connect`` sets the sink of the stream. Until the stream has a sink, Ctrl-C is deferred.
     """
     switched = os.environ.pop(_SWITCH, None)
     try:
-        with Uninterrupted():  # after a Ctrl-C, the library would complain about a stream without a sink
+        with Uninterrupted():  # otherwise, after a Ctrl-C, the library would complain about a stream without a sink
             stream = rr.RecordingStream(APPLICATION)
             if connect is not None:
                 connect(stream)
@@ -50,13 +51,13 @@ def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None
 def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
     """Open a stream that replaces a file. The file is complete at the end of the block.
 
-    Failed writing raises OSError.
+    If writing fails, OSError is raised.
     """
     with stream_to_viewer(lambda stream: stream.save(file)) as stream:
         yield stream
         try:
             stream.flush(timeout_sec=_WRITE_TIMEOUT)
-        except RuntimeError as error:  # the library raises RuntimeError for all errors
+        except RuntimeError as error:  # the library raises RuntimeError for every error
             raise OSError(str(error)) from error
         stream.disconnect()
 
@@ -65,8 +66,8 @@ class TimePoint(NamedTuple):
     """A point on the three time lines."""
 
     step: int
-    sim: int  # simulated time in ns
-    wall: int  # ns since the Unix epoch
+    sim: int  # simulated time, ns
+    wall: int  # wall-clock time, ns since the Unix epoch
 
 
 def up_to(step: int) -> str:
@@ -80,7 +81,7 @@ def sim_ns(sim_step: int) -> int:
 
 
 class Series:
-    """Buffered rows of an entity, which become columns."""
+    """Buffered rows of an entity; they are sent as columns."""
 
     __slots__ = ("maker", "rows", "times")
 
@@ -90,7 +91,7 @@ class Series:
         self.rows: list[tuple[Any, ...]] = []
 
     def add(self, time: TimePoint, row: tuple[Any, ...]) -> None:
-        """Add a row in the form that the maker expects."""
+        """Add a row, in the form that the maker of components expects."""
         self.times.append(time)
         self.rows.append(row)
 
@@ -98,7 +99,7 @@ class Series:
 class Columns:
     """Buffers of all entities of a stream, below an optional root entity. This class isn't thread-safe.
 
-    Rows up to the step ``until`` are on a fourth time line, which ends there (:func:`up_to`).
+    Rows up to the step ``until`` are also on a fourth time line, which ends there (:func:`up_to`).
     """
 
     def __init__(self, stream: rr.RecordingStream, root: str = "", until: int | None = None) -> None:
@@ -113,15 +114,15 @@ class Columns:
         return rr.new_entity_path([*self._root, *parts])
 
     def series(self, path: str, maker: ColumnMaker) -> Series:
-        """Return the buffer for frequent rows of an entity and maker."""
+        """Return the buffer for rows of an entity that come often, by the maker of their components."""
         makers = self._series.setdefault(path, {})
         if maker not in makers:
             makers[maker] = Series(maker)
         return makers[maker]
 
     def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
-        """Send a row immediately. The entity has these components from then on."""
-        self._flush(path)  # rows of an entity stay in order
+        """Send a row immediately. From then on, the entity has these components."""
+        self._flush(path)  # rows of an entity must stay in order
         batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
         columns = [
             rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
@@ -130,7 +131,7 @@ class Columns:
         self._send(path, [time], columns)
 
     def clear(self, path: str, time: TimePoint) -> None:
-        """Clear an entity from a time on. Entities below it stay."""
+        """Clear an entity from a time on. Entities below it aren't cleared."""
         self.send(path, time, rr.Clear(recursive=False))
 
     def send_static(self, path: str, archetype: rr.AsComponents) -> None:
@@ -154,7 +155,7 @@ class Columns:
                 times, rows = series.times, series.rows
                 series.times, series.rows = [], []
                 late = [self._until is not None and time.step > self._until for time in times]
-                for part in sorted({*late}):  # a call sends all of its rows to the same time lines
+                for part in sorted({*late}):  # a call can send rows only to the same time lines
                     chosen = [number for number, is_late in enumerate(late) if is_late == part]
                     self._send(path, [times[each] for each in chosen], series.maker([rows[each] for each in chosen]))
 

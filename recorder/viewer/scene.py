@@ -1,7 +1,7 @@
 """Bodies in the viewer's 3D scene: their shapes at the recorded poses.
 
-The entity of a link has the link's transform between frames with the names of ``/tf``. Entities below have the shapes.
-A removed body has no shapes, but its frames stay, because the viewer needs a path to the root.
+The entity of a link has the transform of the link; the frames have the names of ``/tf``. The entities below contain the
+shapes. A removed body has no shapes, but its frames stay, because the viewer needs their path to the root.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ class SceneBody:
     """A body in the scene."""
 
     loaded: LoadBody
-    joints: dict[str, float] = field(default_factory=dict)  # positions in rad or m by name
-    color: tuple[float, ...] = ()  # RGBA 0..1; none: the model's colours
+    joints: dict[str, float] = field(default_factory=dict)  # positions of joints in rad or m, by name
+    color: tuple[float, ...] = ()  # RGBA 0..1; empty for the model's colours
     pose: Pose = geometry.IDENTITY  # pose of the base in the world
     shapes: set[str] = field(default_factory=set)  # paths of the shapes' entities
-    links: dict[str, _Link] = field(default_factory=dict)  # links with recorded poses by name; "" is the base
+    links: dict[str, _Link] = field(default_factory=dict)  # links with recorded poses, by name; "" is the base
 
 
 class ViewerScene:
-    """The bodies of all worlds; ``prefix`` begins the names of all frames."""
+    """The bodies of all worlds; the names of all frames begin with ``prefix``."""
 
     def __init__(self, columns: Columns, prefix: str = "") -> None:
         self._columns = columns
@@ -65,7 +65,7 @@ class ViewerScene:
         self._transforms: dict[tuple[str, str], Series] = {}  # poses by world and frame, of removed bodies, too
         self._first: TimePoint | None = None
         self.bodies: dict[str, dict[str, SceneBody]] = {}  # the bodies by world and name
-        self.robots: dict[str, str] = {}  # names of the controlled robots by world
+        self.robots: dict[str, str] = {}  # names of the controlled robots, by world
         self.absent: dict[str, None] = {}  # missing files, ``<sha256>/<file name>``, one for each body
 
     def attach(self, asset: AssetFile) -> None:
@@ -82,7 +82,7 @@ class ViewerScene:
         return self._prefix + (frame_name(world, body, link) if body else ROOT)
 
     def pose(self, world: str, body: str, link: str = "") -> Pose | None:
-        """Return the current pose of a body's base or link in the world; None without such a body or link."""
+        """Return the current pose of a body's base or link in the world; None if there is none."""
         if not link:
             scene_body = self.bodies.get(world, {}).get(body)
             return scene_body.pose if scene_body is not None else None
@@ -93,7 +93,7 @@ class ViewerScene:
         return geometry.multiply(scene_body.pose, model.forward_kinematics(scene_body.joints, link))
 
     def _with_link(self, world: str, body: str, link: str) -> tuple[SceneBody, Urdf] | None:
-        """Return a body and its model; None without the body, the model or the link."""
+        """Return a body and its model; None if one is missing."""
         scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
         return (scene_body, model) if scene_body is not None and model is not None and link in model.links else None
 
@@ -113,9 +113,9 @@ class ViewerScene:
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Return the positions in the world of the joints from the first given joint to a link, m.
+        """Return the positions in the world in m of the joints from the first given joint to a link.
 
-        ``joints`` has positions in rad or m; other joints don't move. The list is empty without a model.
+        ``joints`` contains positions in rad or m; other joints don't move. Without a model, the list is empty.
         """
         found = self._with_link(world, body, link)
         if found is None:
@@ -132,7 +132,7 @@ class ViewerScene:
     def link_position(
         self, world: str, body: str, link: str, offset: Vector
     ) -> Callable[[Mapping[str, float]], Vector] | None:
-        """Return a function that computes the position of a link's point in the body's base; None without such a link.
+        """Return a function that computes the position of a link's point in the body's base; None if there is none.
 
         The argument of the function has positions of joints in rad or m. Other joints don't move.
         """
@@ -148,7 +148,7 @@ class ViewerScene:
         return position
 
     def motions(self, record: Mutation | Keyframe) -> list[BodyMotion]:
-        """Return the motions of a record in the order of simulated time, and note the models of new bodies."""
+        """Return the motions of a record in the order of simulated time; store the models of new bodies."""
         return self._frames.motions(record)
 
     def begin(self, record: Mutation | Keyframe, now: TimePoint) -> None:
@@ -175,7 +175,7 @@ class ViewerScene:
             self._draw(record.world, bodies[record.set_color.body], tuple(record.set_color.color), now)
 
     def move(self, world: str, motion: BodyMotion, now: TimePoint) -> SceneBody | None:
-        """Move a body, and return the body; None without such a body."""
+        """Move a body, and return the body; None if there is none."""
         body = self.bodies[world].get(motion.body)
         if body is None:
             return None
@@ -194,7 +194,7 @@ class ViewerScene:
         return body
 
     def _transforms_of(self, world: str, frame: Frame, pose: Pose) -> Series:
-        """Return the buffer of a frame's poses. The first pose holds from the beginning of the recording."""
+        """Return the buffer of a frame's poses. The first pose is valid from the beginning of the recording."""
         transforms = self._transforms.get((world, frame.child))
         if transforms is None:
             path = self._columns.path(world, BODIES, frame.body, *([frame.link] if frame.link else []))
@@ -218,11 +218,11 @@ class ViewerScene:
         return body
 
     def _mesh(self, name: str) -> bytes | None:
-        """Return the content of a mesh. Models in recordings name a mesh ``<sha256>/<file>``."""
+        """Return the content of a mesh. In recorded models, the name of a mesh is ``<sha256>/<file>``."""
         return self._files.get(name.partition("/")[0])
 
     def shapes(self, world: str, body: str) -> list[Shape]:
-        """Return the visual shapes of a body in the frame of its base; none without a model."""
+        """Return the visual shapes of a body in the frame of its base; [] if it has no model."""
         scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
         content = self._files.get(scene_body.loaded.assets[0].sha256) if scene_body is not None and model else None
         if scene_body is None or model is None or content is None:
@@ -233,7 +233,7 @@ class ViewerScene:
         ]
 
     def color(self, world: str, body: str) -> tuple[int, int, int]:
-        """Return the colour of a body, or the mean colour of its shapes; grey if unknown."""
+        """Return the colour of a body; otherwise the mean colour of its shapes, or grey."""
         own = self.bodies[world][body].color if body in self.bodies.get(world, {}) else ()
         colors = [own] if own else [shape.color for shape in self.shapes(world, body)] or [GREY]
         red, green, blue = (round(255 * sum(color[at] for color in colors) / len(colors)) for at in range(3))
@@ -263,7 +263,7 @@ class ViewerScene:
 
 def _transforms(parent: str, child: str, rows: Sequence[tuple[Any, ...]]) -> rr.ComponentColumnList:
     count = len(rows)
-    numbers = chain.from_iterable(chain.from_iterable(rows))  # each row is a pose
+    numbers = chain.from_iterable(chain.from_iterable(rows))  # each row contains one pose
     poses = np.fromiter(numbers, np.float32, 7 * count).reshape(-1, 7)
     return rr.Transform3D.columns(
         translation=poses[:, :3],
@@ -279,10 +279,10 @@ _MEDIA_TYPES: Final = {"stl": "model/stl", "obj": "model/obj"}
 def draw(
     shapes: Sequence[Shape], meshes: Callable[[str], bytes | None], color: Color | None
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
-    """Yield the entities of a link's shapes: an entity for all boxes, an entity for each mesh, and so on.
+    """Yield the entities of a link's shapes: one for all boxes, one for each mesh, and so on.
 
-    An entity is a name that is unique within the link, and components. ``meshes`` returns the content of a mesh, or
-    None for an unknown mesh. If ``color`` is None, shapes have their own colours.
+    The name of an entity is unique within the link; it comes with the components. ``meshes`` returns the content of a
+    mesh, or None if it is missing. If ``color`` is None, shapes have the colours of the model.
     """
     for kind in ("box", "cylinder", "sphere", "capsule"):
         alike = [shape for shape in shapes if shape.kind == kind]
@@ -312,7 +312,7 @@ def _solids(kind: str, shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.A
     radii, lengths = zip(*sizes, strict=True)
     if kind == "cylinder":
         return rr.Cylinders3D(lengths=lengths, radii=radii, centers=centers, quaternions=turns, **look)
-    # the viewer's capsules begin at their origin, without the caps; a URDF's capsules are centred
+    # capsules of the viewer begin at their origin, without the caps; those of a URDF have their middle there
     feet = [geometry.transform(shape.pose, (0.0, 0.0, -shape.size[1] / 2)) for shape in shapes]
     return rr.Capsules3D(lengths=lengths, radii=radii, translations=feet, quaternions=turns, **look)
 
@@ -327,7 +327,7 @@ def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
 
 
 def offset(described: Mapping[str, Any], name: str) -> Pose:
-    """Return a described pose in a link, by default the frame of the link."""
+    """Return a described pose in a link; without a description, that of the link's frame."""
     found = described.get(name, {})
     x, y, z = found.get("xyz", (0.0, 0.0, 0.0))
     return (x, y, z), geometry.from_rpy(*found.get("rpy", (0.0, 0.0, 0.0)))

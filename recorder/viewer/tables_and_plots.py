@@ -55,7 +55,7 @@ class LogLines:
         self._lines = {kind: columns.series(columns.path(LOG, topic[1:]), _lines) for kind, topic in TOPICS.items()}
 
     def show(self, record: Record, text: str, level: Log.Level.ValueType, now: TimePoint) -> None:
-        """Add the line of a record, if there is a line."""
+        """Add the line of a record, if it has one."""
         if has_line(record):
             self._lines[type(record)].add(now, (text, _LEVELS[level]))
 
@@ -80,7 +80,7 @@ def _word(enum: EnumTypeWrapper, number: int) -> str:
 
 
 def _line(file: str, line: int) -> str:
-    """Return the place of a line without folders, because columns are narrow."""
+    """Return the place of a line; folders are left out, because columns are narrow."""
     return notebook.place(file.rpartition("/")[2], line)
 
 
@@ -96,7 +96,7 @@ _COLUMNS: Final[Mapping[type[Record], tuple[str, ...]]] = {
     Output: ("stream", "level", "logger"),
     Check: ("phase", "property", "step", "margin", "values", "callers"),
 }
-"""Columns of each table, in addition to the common columns."""
+"""Columns of each table, after the columns that all tables have."""
 
 _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
     "after": lambda record: by_name(record.after_json),
@@ -118,18 +118,18 @@ _CELLS: Final[Mapping[str, Callable[[Any], object]]] = {
     "values": lambda record: values(record.values),
     "status": lambda record: _word(Task.Status, record.status) if record.status else "running",
 }
-"""Values of the columns that aren't fields of records."""
+"""Values of those columns that aren't fields of records."""
 
 _COMMON: Final = ("world", "task", "thread", "cause", "text")
 _Sourced: TypeAlias = Task | Mutation | Event | Subscription | Fluent | Query | Refusal | Check
 _SOURCED: Final = (*get_args(_Sourced), Output)
-"""Types of records with a line of the plan. Records omit the line if their task has the same line."""
+"""Types of records with a line of the plan. A record has no line if its task has the same line."""
 
 KINDS: Final = tuple(TOPICS[kind].removeprefix("/") for kind in _COLUMNS)  # names of the tables
 
 
 class RecordTables:
-    """A table for each type of record, except for keyframes, which contain no new facts."""
+    """A table for each type of record; keyframes have none, because they contain no new facts."""
 
     def __init__(self, columns: Columns) -> None:
         self._tables = {
@@ -139,7 +139,7 @@ class RecordTables:
             )
             for kind, names in _COLUMNS.items()
         }
-        self._sources: dict[int, str] = {}  # call sites of the running tasks by id
+        self._sources: dict[int, str] = {}  # call sites of the running tasks, by id
 
     def show(self, record: Record, text: str, now: TimePoint) -> None:
         """Add a record with its line of text."""
@@ -172,7 +172,7 @@ HEIGHTS: Final = "heights"
 JOINTS: Final = "joints"
 FLUENTS: Final = "fluents"
 PROPERTIES: Final = "properties"
-_STEPS: Final = rr.components.InterpolationMode.StepAfter  # a value holds until the next record
+_STEPS: Final = rr.components.InterpolationMode.StepAfter  # each value is valid until the next record
 
 
 class Plots:
@@ -184,7 +184,7 @@ class Plots:
         self._series: dict[tuple[str, ...], Series] = {}
 
     def show(self, world: str, body: SceneBody, motion: BodyMotion, now: TimePoint) -> None:
-        """Add the changed values of a motion. The body must already have moved."""
+        """Add the changed values of a motion. The body must have moved before in the scene."""
         for joint, value in motion.joints.items():
             self._add((JOINTS, world, motion.body, joint), value, now)
         if not body.loaded.fixed_base:
@@ -207,7 +207,7 @@ class Plots:
         if last is not None and last[1] == value:
             return
         self._last[key] = (now, value)
-        if last is None:  # a curve begins with the first change
+        if last is None:  # the curve begins with the first change
             return
         series = self._series.get(key)
         if series is None:

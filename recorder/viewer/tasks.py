@@ -1,8 +1,8 @@
 """Tasks in the viewer: lanes over time, and the task tree as a graph.
 
-At the end of a task, its beginning is sent again with the outcome, and replaces the earlier row. The graph shows the
+When a task ends, its beginning is sent again with the outcome, and replaces the earlier row. The graph shows the
 running tasks, the tasks around them, the latest tasks, and the path to a failure. Only the last few children of a task
-are shown, and of succeeded tasks only the last task's children.
+are shown; among succeeded tasks, only the last one has its children.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from recorder.tasks.lanes import Lane, Lanes
 from recorder.tasks.rendering import COLORS
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW, Color, Columns, Series, TimePoint
 
-LANES: Final = "level"  # titles of lanes contain this name
+LANES: Final = "level"  # name that titles of lanes contain
 _MARKS: Final = {State.FAILED: " \u2717", State.CANCELLED: " \u2013", State.SUCCEEDED: " \u2713"}
 _TIMED_OUT: Final = " timed out"
-_MAX_NAMES: Final = 300  # this many names of tasks have colours in a lane; further tasks are named by kind
+_MAX_NAMES: Final = 300  # number of task names that have colours in a lane; others are named by kind
 
 
 @dataclass(slots=True)
@@ -62,7 +62,7 @@ class TaskTimeline:
             lane.states.add(now, ("",))
 
     def show_parting(self, other: str, first: TimePoint, now: TimePoint) -> None:
-        """Show in an own lane where the run begins to differ from another run."""
+        """Show in a lane of its own where the run begins to differ from another run."""
         path = self._columns.path(LANES, "0", other)
         labels = [f"as in {other}", f"differs from {other}"]
         self._columns.send_static(path, rr.StateConfiguration(values=labels, labels=labels, colors=[GREY, YELLOW]))
@@ -99,11 +99,11 @@ _COLORS: Final = {
     State.CREATED: YELLOW,
 }
 _PLAN: Final = "plan"
-_MAX_TASKS: Final = 300  # largest number of tasks in the tree
-_MAX_CHILDREN: Final = 7  # a task shows at most this many children
+_MAX_TASKS: Final = 300  # maximum number of tasks in the tree
+_MAX_CHILDREN: Final = 7  # maximum number of children of a task that are shown
 _THINNING: Final = 1000  # after 1,000 updates, every second update is drawn, after 2,000 every third, ...
-_ACROSS: Final = 120.0  # pixels between a task and its children, to the right
-_DOWN: Final = 34.0  # pixels between neighbours, downwards
+_ACROSS: Final = 120.0  # distance in pixels from a task to its children, to the right
+_DOWN: Final = 34.0  # distance in pixels between neighbours, downwards
 _MAX_LETTERS: Final = 24
 
 
@@ -115,7 +115,7 @@ class TaskGraph:
         self._path = columns.path("tasks", GRAPH)
         self._tree = Tree(limit=_MAX_TASKS)
         self._count = 0
-        self.plan = ""  # name of the outermost node
+        self.plan = ""  # name of the node for the plan
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Show the tree after a task's start or end."""

@@ -37,15 +37,16 @@ from recorder.viewer.tables_and_plots import (
 )
 from recorder.viewer.tasks import GRAPH, LANES, TaskGraph, TaskTimeline
 
-_BATCH: Final = 20_000  # number of records in a batch; smaller batches take more time, larger batches more memory
+_BATCH: Final = 20_000  # number of records in a batch; smaller batches take more time, and larger batches more memory
 _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neither add nor remove bodies
 
 
 class Translator:
-    """A translator that shows records in a viewer; not thread-safe.
+    """Translates records, and shows them in a viewer; not thread-safe.
 
-    ``root`` is the root entity and the prefix of frames. ``folds`` is whether beliefs and properties are shown, which
-    takes time for each record. ``partings`` has the names of other runs by the step at which this run first differs.
+    ``root`` is the root entity, and the prefix of all frames. ``folds`` is whether beliefs and properties are shown;
+    that takes time for each record. ``partings`` contains the names of other runs, by the step at which this run begins
+    to differ.
     """
 
     def __init__(
@@ -71,7 +72,7 @@ class Translator:
         self._task_marks, self._query_marks = TaskMarks(columns, scene), QueryMarks(columns, scene)
         self._picture, self._places = QueryPicture(columns, scene), QueryPlaces(columns, scene)
         self._sim_ns = 0  # simulated time of the latest record with a world
-        self._previous_ns = 0  # wall time of the previous record
+        self._previous_ns = 0  # wall time of the record before
         self._waiting = 0  # number of records in the buffers
         self._shown: dict[type[Record], Callable[[Any, TimePoint], None]] = {
             Task: self._show_task,
@@ -84,7 +85,7 @@ class Translator:
         }
 
     def layout(self, front: str, eye: tuple[Vector, Vector] | None = None) -> Layout:
-        """Return the layout of the views so far."""
+        """Return the layout of the views, as it is known so far."""
         return Layout(self.worlds.centres, front, self._timeline.count, eye)
 
     def attach(self, asset: AssetFile) -> None:
@@ -92,7 +93,7 @@ class Translator:
         self.scene.attach(asset)
 
     def show(self, record: Record) -> None:
-        """Translate the next record. Rows are sent in batches, at the latest by :meth:`flush`."""
+        """Translate the next record. Rows are sent in batches; :meth:`flush` sends all."""
         if record.world:
             self._sim_ns = sim_ns(record.sim_step)
         now = TimePoint(record.seq, self._sim_ns, record.wall_time_ns)
@@ -106,7 +107,7 @@ class Translator:
         shown = self._shown.get(type(record))
         if shown is not None:
             shown(record, now)
-        if record.world and type(record) is not Output:  # a plan may print before it acts
+        if record.world and type(record) is not Output:  # a plan may print before it acts in a world
             self.worlds.follow(record)
         self._previous_ns = now.wall
         self._waiting += 1
@@ -119,7 +120,7 @@ class Translator:
         self._waiting = 0
 
     def finish(self) -> None:
-        """Add the worlds in which no plan acted, and send all buffered rows."""
+        """Add the worlds in which no plan has acted, and send all buffered rows."""
         self.worlds.add_others()
         self.flush()
 
@@ -148,12 +149,12 @@ class Translator:
             self._query_marks.hide_label(now)
         if record.phase == Task.STARTED:
             self._query_marks.clear(now)
-            if record.kind == "motion":  # the motion uses the taken place
+            if record.kind == "motion":  # the next motion uses the taken place
                 self._places.clear(now)
 
     def _show_change(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         world, end = record.world, record.sim_step
-        effect = record.effect if isinstance(record, Mutation) else None  # access to the field is slow
+        effect = record.effect if isinstance(record, Mutation) else None  # reading the field is slow
         only_moves = isinstance(record, Mutation) and record.WhichOneof("command") in _MOTIONS
         motions = self.scene.motions(record)
         if not only_moves or world not in self.scene.bodies:
@@ -193,9 +194,9 @@ class ActiveWorlds:
 
     def __init__(self, scene: ViewerScene) -> None:
         self._scene = scene
-        self._open: dict[str, None] = {}  # open worlds in which a plan acted
+        self._open: dict[str, None] = {}  # open worlds in which a plan has acted
         self.centres: dict[str, Vector] = {}  # centres of worlds in m when plans began to act in them
-        self.front = ""  # the first open world; "" before a plan acts
+        self.front = ""  # the first of these worlds; "" before a plan acts
 
     def follow(self, record: Record) -> None:
         """Add a world when a plan begins to act there, or remove a closed world. The scene already shows the record."""
@@ -211,13 +212,13 @@ class ActiveWorlds:
         self.front = next(iter(self._open), self.front)
 
     def add_others(self) -> None:
-        """Add the worlds in which no plan acted."""
+        """Add the worlds in which no plan has acted."""
         for world in self._scene.bodies:
             self.centres.setdefault(world, self._scene.centre(world))
 
 
 def acts(record: Record) -> bool:
-    """Return whether a plan acts in the record's world. Opening, filling and closing a world don't count."""
+    """Return whether a plan acts in the record's world. Opening, filling and closing a world don't count as acting."""
     return bool(record.world) and _is_act(_action(record))
 
 
@@ -226,16 +227,16 @@ def _is_act(action: str) -> bool:
 
 
 def _action(record: Record) -> str:
-    """Return the change of a record: a mutation's command or "keyframe"; "" for other records."""
-    if type(record) is Mutation:  # isinstance takes five times as long for other types
-        return record.WhichOneof("command") or "change"  # "change" is a command of another release
+    """Return the change of a record: a mutation's command or "keyframe"; "" if it has none."""
+    if type(record) is Mutation:  # isinstance would take five times as long for other types
+        return record.WhichOneof("command") or "change"  # "change" stands for a command that only another release knows
     return _KEYFRAME if type(record) is Keyframe else ""
 
 
 ORIGIN: Final = (0.0, 0.0, 0.0)
 _WORLD: Final = "world_1"  # default name of the first world
-_EYE: Final = (-2.6, -2.6, 2.3)  # position relative to a world's centre in m
-#: Heights of the view of tasks as shares of a window with 1080 pixels: its title, a lane, least and largest height.
+_EYE: Final = (-2.6, -2.6, 2.3)  # position in m, relative to a world's centre
+#: Heights in the view of tasks, as shares of a window of 1080 pixels: title, lane, minimum and maximum height.
 _TITLE, _LANE, _MIN_LANES, _MAX_LANES = 0.05, 0.04, 0.28, 0.5
 
 
@@ -243,8 +244,8 @@ _TITLE, _LANE, _MIN_LANES, _MAX_LANES = 0.05, 0.04, 0.28, 0.5
 class Layout:
     """The data that determine the views of a recording."""
 
-    worlds: Mapping[str, Vector] = field(default_factory=dict)  # known centres of worlds in m
-    front: str = ""  # the world with the open tab
+    worlds: Mapping[str, Vector] = field(default_factory=dict)  # known centres of worlds in m, by world
+    front: str = ""  # the world whose tab is open
     lanes: int = 0  # number of lanes of tasks
     eye: tuple[Vector, Vector] | None = None  # viewpoint in the world in front, and the middle of its picture, m
 
@@ -265,7 +266,7 @@ def side_by_side(layouts: Mapping[str, Layout], until: int | None = None) -> rrb
 
 
 def _whole(views: rrb.Container, until: int | None) -> rrb.Blueprint:
-    # a viewer can't be told the first step, but it can follow the end of a time line, which is this step
+    # a viewer can't be given its first step, but it follows the end of a time line, which is this step
     timeline = STEP if until is None else up_to(until)
     state = None if until is None else PlayState.Following
     return rrb.Blueprint(
@@ -325,6 +326,6 @@ def _scene(root: str, world: str, centre: Vector, eye: tuple[Vector, Vector] | N
 
 
 def _path(*parts: str) -> str:
-    """Return the path of an entity. Names of worlds and recordings may have any characters."""
+    """Return the path of an entity. Names of worlds and recordings may contain any characters."""
     named = [part for part in parts if part]
     return new_entity_path(named) if named else ""

@@ -1,9 +1,10 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
-Other users and pages of other servers must not get records, so each request must contain the secret token of the
+Other users and pages of other servers must not get records. Each request must therefore contain the secret token of the
 address, name this server as its ``Host`` (against DNS rebinding), and have no other ``Origin`` than the page. The page
-works without a network. The viewer's files are WebAssembly in the viewer's program, which only serves them over HTTP;
-the library's own server listens on all addresses of the machine. So the program runs until its files are fetched.
+works without a network. The viewer's files are WebAssembly within the viewer's program, which only serves them over
+HTTP; the library's own server would listen on all addresses of the machine. The program therefore runs until its files
+were read from it.
 """
 
 from __future__ import annotations
@@ -34,28 +35,28 @@ from recorder.viewer.connection import HOST, ViewerGone, free_port
 
 _PORT: Final = 9090  # preferred port of pages
 _MAX_TRIES: Final = 5
-_START_TIMEOUT: Final = 5.0  # the file must be written in this time, s
-_PIECE: Final = 1 << 20  # largest number of bytes in a write
+_START_TIMEOUT: Final = 5.0  # time in s within which the file must be written
+_PIECE: Final = 1 << 20  # maximum number of bytes in one write
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
 
 class WebPage:
     """A page with the viewer and all rows of a stream, until this process ends.
 
-    If it can't be served, ViewerGone is raised.
+    If the page can't be served, ViewerGone is raised.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         try:
             self._records = GrowingFile(stream)
-        except (OSError, RuntimeError) as error:  # the library raises RuntimeError for all errors
+        except (OSError, RuntimeError) as error:  # the library raises RuntimeError for every error
             raise ViewerGone(f"the page can't be served: {error}") from error
         for _ in range(_MAX_TRIES):
             try:
                 server = PageServer(free_port(_PORT), cache(read_viewer_files), self._records.pieces)
                 break
-            except OSError:  # another program has just taken the port
+            except OSError:  # another program has taken the port in the meantime
                 continue
         else:
             raise ViewerGone("the page can't be served: no port is free")
@@ -70,9 +71,9 @@ class WebPage:
 
 @contextlib.contextmanager
 def private_link(address: str) -> Iterator[str]:
-    """Yield the address of a private file that redirects browsers to a page. The file exists in the block.
+    """Yield the address of a private file that redirects browsers to a page. The file exists during the ``with`` block.
 
-    Other users can see the arguments of a browser's process, but can't read the file.
+    Other users can see the arguments of a browser's process, but can't read this file.
     """
     with tempfile.NamedTemporaryFile("w", prefix="pycram-page-", suffix=".html") as file:
         file.write(f'<!doctype html><meta http-equiv="refresh" content="0;url={html.escape(address)}">')
@@ -81,7 +82,7 @@ def private_link(address: str) -> Iterator[str]:
 
 
 class GrowingFile:
-    """The records of a stream in a file without a name."""
+    """The records of a stream, in a file without a name."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._grown = threading.Condition()
@@ -97,7 +98,7 @@ class GrowingFile:
             self._grown.notify_all()
 
     def pieces(self) -> Iterator[bytes]:
-        """Yield the content from the beginning, and then all added content. The iteration never ends."""
+        """Yield the content from the beginning, then all content that is added. The iteration never ends."""
         at = 0
         while True:
             with self._grown:
@@ -109,7 +110,7 @@ class GrowingFile:
 
 RECORDS: Final = "records.rrd"
 INDEX: Final = "index.html"
-_REQUEST_TIMEOUT: Final = 10.0  # a client must send its request in this time, s
+_REQUEST_TIMEOUT: Final = 10.0  # time in s within which a client must send its request
 _TYPES: Final = {"html": "text/html", "js": "text/javascript", "wasm": "application/wasm", "ico": "image/x-icon"}
 _HEADERS: Final = {
     "Content-Security-Policy": (
@@ -117,38 +118,38 @@ _HEADERS: Final = {
         "style-src 'self' 'unsafe-inline'; connect-src 'self' data: blob:; frame-ancestors 'none'"
     ),
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",  # addresses contain the token
+    "Referrer-Policy": "no-referrer",  # not logged, because addresses contain the token
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
 
 
 class PageServer(ThreadingHTTPServer):
-    """A server of the page, with its own threads, until the server is closed or this process ends.
+    """A server of the page with threads of its own, until the server is closed or this process ends.
 
     Args:
-        port: The port; 0 for any free port. An occupied port raises OSError.
-        files: A function that returns the content of each file of the page. The first request of a file calls it.
-        pieces: A function that yields the content of ``RECORDS`` from the beginning, for each browser.
+        port: The port; 0 for any free port. If the port is occupied, OSError is raised.
+        files: Returns the content of each file of the page. It is called when a file is first requested.
+        pieces: Yields the content of ``RECORDS`` from the beginning, for each browser.
     """
 
     daemon_threads = True
-    allow_reuse_address = False  # occupied ports are refused
+    allow_reuse_address = False  # an occupied port must be an error
 
     def __init__(self, port: int, files: Callable[[], dict[str, bytes]], pieces: Callable[[], Iterable[bytes]]) -> None:
         super().__init__((HOST, port), _Request)
         self.files, self.pieces = files, pieces
-        self.host = f"{HOST}:{self.server_port}"  # name and port of the server in requests
-        self.token = secrets.token_urlsafe(16)  # each request must contain the token
+        self.host = f"{HOST}:{self.server_port}"  # name and port of the server, as requests name it
+        self.token = secrets.token_urlsafe(16)  # the token, which each request must contain
         threading.Thread(target=self.serve_forever, name="page", daemon=True).start()
 
     @property
     def address(self) -> str:
-        """The address of the page's folder. Everybody with this address can read the records."""
+        """The address of the page's folder. Everybody who has this address can read the records."""
         return f"http://{self.host}/{self.token}/"
 
     def server_bind(self) -> None:
-        """Bind without a lookup of this machine's name on the network."""
+        """Bind without looking up the name of this machine on the network."""
         self.socket.bind(self.server_address)
         self.server_address = self.socket.getsockname()
         self.server_name, self.server_port = HOST, int(self.server_address[1])
@@ -172,8 +173,8 @@ class _Request(BaseHTTPRequestHandler):
         if not secrets.compare_digest(token.encode("latin-1", "replace"), self.server.token.encode()):
             self._refuse(HTTPStatus.FORBIDDEN)
             return
-        self.connection.settimeout(None)  # a browser in the background is slow
-        with contextlib.suppress(ConnectionError):  # the browser closed the connection
+        self.connection.settimeout(None)  # a browser in the background reads slowly
+        with contextlib.suppress(ConnectionError):  # the browser has closed the connection
             self._send(name or INDEX)
 
     def _send(self, name: str) -> None:
@@ -192,14 +193,14 @@ class _Request(BaseHTTPRequestHandler):
     def _begin(self, media_type: str, size: int | None) -> None:
         self.send_response(HTTPStatus.OK)
         self.send_header("Content-Type", media_type)
-        if size is not None:  # without a size, the content ends with the connection
+        if size is not None:  # as there is no size, the content ends with the connection
             self.send_header("Content-Length", str(size))
         for name, value in _HEADERS.items():
             self.send_header(name, value)
         self.end_headers()
 
     def _refuse(self, status: HTTPStatus) -> None:
-        """Send an answer without content, so that strangers learn nothing."""
+        """Send an answer without content, so that strangers get no information."""
         self.close_connection = True
         with contextlib.suppress(OSError):
             self.send_response(status)
@@ -212,9 +213,9 @@ class _Request(BaseHTTPRequestHandler):
 
 NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
 _PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
-_TIMEOUT: Final = 20.0  # the program must answer in this time, s
+_TIMEOUT: Final = 20.0  # time in s within which the program must answer
 _ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
-# With an address of records, the program only serves the page. CI=1 turns its usage statistics off.
+# With an address of records, the program only serves the page. CI=1 turns the program's usage statistics off.
 _OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")
 _ENVIRONMENT: Final = {"CI": "1", "NO_COLOR": "1", "RUST_LOG": "re_sdk=info"}
 _END_WITH_PARENT: Final = """
@@ -250,7 +251,7 @@ def read_viewer_files() -> dict[str, bytes]:
 
 
 def _port(process: subprocess.Popen[bytes]) -> int:
-    """Return the port that the program prints. A port that was free earlier may now belong to another server."""
+    """Return the port that the program has printed. A port that was free before may now belong to another server."""
     said = b""
     for line in process.stderr or ():
         said = line
