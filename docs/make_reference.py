@@ -28,24 +28,23 @@ if TYPE_CHECKING:
 _HEAD: Final = """\
 # Reference: motions and actions
 
-All motions and actions, with their slots, values, units, defaults and failures. `make reference` writes this page from
-the code that checks and executes designators. Lengths are in m, angles in rad, poses in the world frame; quaternions
-are [x, y, z, w]. An optional slot may be left out, or be None.
+This page lists all motions and actions, with their slots, values, units, defaults and failures. `make reference` writes
+the page from the code that checks and executes designators. Lengths are in m, angles in rad, poses in the world frame;
+quaternions are [x, y, z, w]. You may leave out an optional slot, or set it to None.
 """
 _ACTIONS: Final = """\
-`perform(transporting(object=milk, target="island"))` executes an action: it chooses values for empty slots, and tries
-the next choice when one fails. `pycram.action_designators` has a typed constructor for each action; it returns
-`ActionDesignator(type=..., ...)`. In keyword arguments, write the names of slots with `_` for `-`, such as
-`reachable_for=`; add a `_` to names that are Python keywords, such as `in_=`. If there is no candidate, because an
-object isn't found or no place is suitable (`NoPlace`), an action fails before anything moves. Every action also has
-these slots:
+`perform(transporting(object=milk, target="island"))` executes an action. The action chooses values for empty
+slots; if one choice fails, it tries the next choice. `pycram.action_designators` has a typed constructor for each
+action, which returns `ActionDesignator(type=..., ...)`. In keyword arguments, write the names of slots with `_` for
+`-`, such as `reachable_for=`; add a `_` to names that are Python keywords, such as `in_=`. If an object isn't
+found, or no place is suitable (`NoPlace`), the action fails before anything moves. Every action also has these slots:
 """
 _MOTIONS: Final = """\
 `perform(moving(target=[1, 0, 0]))` executes a motion. `pycram.motion_designators` has a typed constructor for each
-motion; it returns `MotionDesignator(type=..., ...)`. A slot also accepts a designator of an object or a place as its
-value. In the `continuous` environment, where motions take simulated time, motions can fail in more ways.
+motion, which returns `MotionDesignator(type=..., ...)`. The value of a slot may also be a designator of an object or a
+place. In the `continuous` environment, where motions take simulated time, motions can fail in more ways.
 """
-_ARMS: Final = "`NAME-arm` stands for a slot for each arm of the robot, such as `left-arm`."
+_ARMS: Final = "For each arm of the robot, `NAME-arm` is a slot with the arm's name, such as `left-arm`."
 
 
 def reference() -> str:
@@ -56,9 +55,13 @@ def reference() -> str:
     failures: set[type[PlanFailure]] = {ActionFailed, NoPlace}
     parts = [_HEAD, "## Actions\n", _ACTIONS, _table(common)]
     for each in types:
-        fails = "`ActionFailed`, if no choice succeeds" if each.choices else "the failures of its parts"
+        fails = (
+            "`ActionFailed` if no choice succeeds"
+            if each.choices
+            else "the failure of a motion or action that it performs"
+        )
         slots = _table(slot for slot in each.slots if slot not in common)
-        parts += [f"### {each.type}\n", f"{each.text}\n", slots, *demands(each), f"Fails with {fails}.\n"]
+        parts += [f"### {each.type}\n", f"{each.text}\n", slots, *demands(each), f"The action fails with {fails}.\n"]
     parts += ["## Objects and places\n"]
     for kind in (ObjectDesignator, LocationDesignator):
         text = inspect.getdoc(kind) or ""
@@ -78,9 +81,9 @@ def _motion(motion: MotionType, module: ProcessModule) -> str:
     parts = [f"### {motion.type}\n", f"{inspect.getdoc(module) or ''}\n", _table(motion.slots), *demands(motion)]
     if any("NAME" in slot.name for slot in motion.slots):
         parts.append(f"{_ARMS}\n")
-    parts.append(f"Fails with {_names(module.failures)}.")
+    parts.append(f"The motion can fail with {_names(module.failures)}.")
     if module.failures_in_time:
-        parts[-1] += f" In simulated time also with {_names(module.failures_in_time)}."
+        parts[-1] += f" In simulated time, it can also fail with {_names(module.failures_in_time)}."
     return "\n".join([*parts, ""])
 
 
@@ -126,7 +129,7 @@ def _failure(kind: type[PlanFailure], source: str) -> str:
     described = "; ".join(f"`{name}`: {_line(meaning)}" for name, meaning in fields)
     base = kind.__mro__[1]
     more = "" if base is PlanFailure else f", a kind of `{base.__name__}`"
-    return f"- **{kind.__name__}**{more}: {text}." + (f" Fields: {described}." if described else "")
+    return f"- **{kind.__name__}**{more}: {text}." + (f" Its fields are {described}." if described else "")
 
 
 def main(arguments: Sequence[str]) -> None:

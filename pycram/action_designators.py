@@ -39,7 +39,7 @@ def closing(
         arm: Name of the arm; by default any arm within reach.
         place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
         orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("closing", **locals()))
@@ -61,7 +61,7 @@ def delivering(
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         put: Exact place of the object, a LocationDesignator with a position; by default places of the target.
         place: Place of the robot, a LocationDesignator; by default places within reach of the target.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("delivering", **locals()))
@@ -87,7 +87,7 @@ def fetching(
         place: Place of the robot, a LocationDesignator; by default places within reach of the object.
         clear: Whether to clear obstacles away first; by default only after they caused a failure. Without a place, this
             also closes drawers and doors beside the object, and opens the object's own as far as possible.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("fetching", **locals()))
@@ -105,7 +105,7 @@ def handing_over(
 ) -> ActionDesignator:
     """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The second hand grasps the object at a point next to the first hand. Then the first hand releases it. If the robot
+    The second hand grasps the object beside the first hand; then the first hand releases the object. If the robot
     doesn't hold the object, or has no other gripper, the action fails before anything moves.
 
     Args:
@@ -116,7 +116,7 @@ def handing_over(
         orientation: Orientation of the giving hand's tool at that place, a quaternion [x, y, z, w].
         place: Place of the robot, a LocationDesignator; by default its present place, if necessary turned away from
             obstacles.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("handing-over", **locals()))
@@ -156,7 +156,7 @@ def looking(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         target: A LocationDesignator, the name of a surface (to its middle), an Object, or [x, y, z] in m, world frame.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("looking", **locals()))
@@ -169,13 +169,13 @@ def navigating(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Drives to a place, unless the robot is there.
+    """Drives the robot to a place, unless it is already at this place.
 
     Args:
         target: A LocationDesignator for the robot, or the position [x, y, z] of its base in m, world frame.
-        orientation: Orientation of the base, a quaternion [x, y, z, w] in the world frame; by default that of the
-            place, else unchanged.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        orientation: Orientation of the base, a quaternion [x, y, z, w] in the world frame; by default the orientation
+            of the place, else unchanged.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("navigating", **locals()))
@@ -201,10 +201,10 @@ def opening(
         handle: Link of the container's handle, if ``container`` is the furniture.
         arm: Name of the arm; by default any arm within reach.
         distance: Width of a drawer in m, or angle of a door in rad; by default 0.4 m or 1.2 rad, or at least half of
-            it.
+            that.
         place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
         orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("opening", **locals()))
@@ -216,13 +216,13 @@ def parking_arms(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Folds the arms, if possible together, and with the objects that they hold.
+    """Folds the arms, if possible together; held objects move along.
 
-    In an environment with ``level``, an arm that holds an object is drawn back instead, with the object upright.
+    In an environment with ``level``, an arm with a held object moves back instead, and keeps the object upright.
 
     Args:
         arm: Name of the arm; by default all arms.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("parking-arms", **locals()))
@@ -241,7 +241,7 @@ def perceiving(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("perceiving", **locals()))
@@ -262,7 +262,7 @@ def picking_up(
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
             side.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("picking-up", **locals()))
@@ -282,7 +282,7 @@ def placing(
         object: An Object, an ObjectDesignator, or a type of objects; in a hand.
         target: A LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m, world frame.
         orientation: Orientation of the object, a quaternion [x, y, z, w] in the world frame; by default upright.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("placing", **locals()))
@@ -294,16 +294,16 @@ def searching(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Searches for an object until the camera sees the object, and returns it.
+    """Searches for an object until the camera sees it, and returns the object.
 
     The search begins at the believed place of the object. Next, the robot looks at all surfaces, the nearest first:
-    from its present place, then from places near the surfaces. At last, the robot opens closed drawers and doors, looks
-    inside and closes them. The action fails with ObjectNotFound, which names the searched places. A robot without a
-    camera uses the state of the world.
+    from its present place, then from places near the surfaces. At last, it opens closed drawers and doors, looks
+    inside, and closes them. If it finds no object, the action fails with ObjectNotFound and the searched places. A
+    robot without a camera uses the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("searching", **locals()))
@@ -325,15 +325,15 @@ def transporting(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        target: Its new place: a LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m,
-            world frame.
+        target: New place of the object: a LocationDesignator, the name of a surface, an Object to put it on, or [x, y,
+            z] in m, world frame.
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
             side.
-        place: Place of the robot for taking the object, a LocationDesignator; by default places within reach.
+        place: Place of the robot while it takes the object, a LocationDesignator; by default places within reach.
         clear: Whether to clear obstacles away first.
         close: Whether to close opened drawers and doors at the end, if possible.
-        budget: Number of tries that may fail, also in subactions; by default 20, or what the outer action has left.
+        budget: Number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget.
         projected: Whether to try the best choices in projections first; False by default.
     """
     return ActionDesignator(filled("transporting", **locals()))

@@ -78,7 +78,7 @@ def accessing(
     arm: str | None = None,
     distance: float | None = None,
 ) -> MotionDesignator:
-    """Grips a handle and moves its joint to the given distance, together with the contents; a distance of 0 closes.
+    """Grips a handle and moves its joint to the given distance, with the contents; a distance of 0 means closed.
 
     Args:
         drawer_joint: A name.
@@ -152,7 +152,7 @@ def detecting(
     *,
     object_type: str | Object | ObjectDesignator,
 ) -> MotionDesignator:
-    """Finds an object of a type in the camera's view; among several, the one with the largest visible share.
+    """Finds an object of a type in the camera's view; of several objects, the most visible object.
 
     Args:
         object_type: A type of objects, or an object of that type.

@@ -140,7 +140,7 @@ _COMMON: Final = (
     Slot(
         "budget",
         _BUDGET,
-        text="number of tries that may fail, also in subactions; by default 20, or what the outer action has left",
+        text="number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget",
     ),
     Slot("projected", _FLAG, text="whether to try the best choices in projections first; False by default"),
 )

@@ -308,12 +308,12 @@ def transporting(
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
-        target: Its new place: a LocationDesignator, the name of a surface, an Object to put it on, or [x, y, z] in m,
-            world frame.
+        target: New place of the object: a LocationDesignator, the name of a surface, an Object to put it on, or
+            [x, y, z] in m, world frame.
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
             side.
-        place: Place of the robot for taking the object, a LocationDesignator; by default places within reach.
+        place: Place of the robot while it takes the object, a LocationDesignator; by default places within reach.
         clear: Whether to clear obstacles away first.
         close: Whether to close opened drawers and doors at the end, if possible.
     """

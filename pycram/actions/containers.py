@@ -265,8 +265,8 @@ def opening(
         joint: Name of the container's joint, if ``container`` is the furniture.
         handle: Link of the container's handle, if ``container`` is the furniture.
         arm: Name of the arm; by default any arm within reach.
-        distance: Width of a drawer in m, or angle of a door in rad; by default 0.4 m or 1.2 rad, or at least half of
-            it.
+        distance: Width of a drawer in m, or angle of a door in rad; by default 0.4 m or 1.2 rad, or at least
+            half of that.
         place: Place of the robot's base, [x, y, z] in m; by default a place from which the arm can move the handle.
         orientation: Orientation of the robot's base at that place, a quaternion [x, y, z, w].
     """

@@ -120,7 +120,7 @@ def handing_over(
 ) -> Object:
     """Passes an object from one hand to another hand, in front of the robot, and returns the object.
 
-    The second hand grasps the object at a point next to the first hand. Then the first hand releases it. If the robot
+    The second hand grasps the object beside the first hand; then the first hand releases the object. If the robot
     doesn't hold the object, or has no other gripper, the action fails before anything moves.
 
     Args:

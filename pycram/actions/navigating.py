@@ -39,12 +39,12 @@ def _places(target: Any, orientation: Sequence[float] | None = None) -> Iterator
 
 @action("navigating", choices=_places, checked={"target": place_for_the_robot})
 def navigating(target: Any, orientation: Sequence[float] | None = None) -> None:
-    """Drives to a place, unless the robot is there.
+    """Drives the robot to a place, unless it is already at this place.
 
     Args:
         target: A LocationDesignator for the robot, or the position [x, y, z] of its base in m, world frame.
-        orientation: Orientation of the base, a quaternion [x, y, z, w] in the world frame; by default that of the
-            place, else unchanged.
+        orientation: Orientation of the base, a quaternion [x, y, z, w] in the world frame; by default the
+            orientation of the place, else unchanged.
     """
     position, turn = BulletWorld.current_robot().get_position_and_orientation()
     there = orientation is None or geometry.angle(turn, orientation) < _THERE[1]
@@ -69,9 +69,9 @@ def park() -> None:
 
 @action("parking-arms")
 def parking_arms(arm: str | None = None) -> None:
-    """Folds the arms, if possible together, and with the objects that they hold.
+    """Folds the arms, if possible together; held objects move along.
 
-    In an environment with ``level``, an arm that holds an object is drawn back instead, with the object upright.
+    In an environment with ``level``, an arm with a held object moves back instead, and keeps the object upright.
 
     Args:
         arm: Name of the arm; by default all arms.

@@ -23,7 +23,7 @@ _SLOTS: Final = SlotTable(
 
 
 class ObjectDesignator(ResolvedDesignator):
-    """An object, such as ``ObjectDesignator(type="milk")``; the robot's beliefs resolve it, the latest belief first.
+    """An object, such as ``ObjectDesignator(type="milk")``; the robot's latest belief is the first solution.
 
     Solutions have ``object``, ``position`` and ``orientation``: the object, and the pose at which the robot believes it
     to be.

@@ -23,7 +23,7 @@ RECOGNISABLE: Final = 0.5
 
 
 class Detecting(SimulatedModule):
-    """Finds an object of a type in the camera's view; among several, the one with the largest visible share."""
+    """Finds an object of a type in the camera's view; of several objects, the most visible object."""
 
     failures = (PerceptionError, MissingPart)
 

@@ -48,8 +48,8 @@ _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches
 class PickUp(SimulatedModule):
     """Moves the gripper to an object, closes it and takes the object, with a finger on each side of the object.
 
-    The whole motion is planned before anything moves, and checked again before and after the gripper closes. The module
-    also takes an object from another hand of the robot; this hand then releases the object and is drawn back.
+    PyCRAM plans the whole motion before anything moves, and checks it again before and after the gripper closes. The
+    motion also takes an object from another hand of the robot; the other hand then releases the object and moves back.
     """
 
     failures = (GraspFailed, DoesNotFit, Unreachable, Blocked, GripperBlocked, MissingPart)

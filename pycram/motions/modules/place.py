@@ -55,7 +55,7 @@ class Place(SimulatedModule):
     """Puts a held object down on a support; without a given orientation, the object is upright.
 
     Placing succeeds if all objects come to rest, the object stands where it was released, and its neighbours and
-    objects on the robot stay. If the object leans on the hand, the hand is drawn back, and the object must still stand.
+    objects on the robot stay. If the object leans on the hand, the hand moves back, and the object must still stand.
     """
 
     failures = (PlaceFailed, Unreachable, MissingPart)
