@@ -83,7 +83,7 @@ def _motion(motion: MotionType, module: ProcessModule) -> str:
         parts.append(f"{_ARMS}\n")
     parts.append(f"The motion can fail with {_names(module.failures)}.")
     if module.failures_in_time:
-        parts[-1] += f" In simulated time, it can also fail with {_names(module.failures_in_time)}."
+        parts[-1] += f" In simulated time, the motion can also fail with {_names(module.failures_in_time)}."
     return "\n".join([*parts, ""])
 
 
@@ -126,10 +126,10 @@ def _failure(kind: type[PlanFailure], source: str) -> str:
     text = re.sub(r":class:`(\w+)`", r"`\1`", _line(inspect.getdoc(kind) or ""))
     body = re.search(rf"^class {kind.__name__}\b.*?(?=^\S)", source, re.DOTALL | re.MULTILINE)
     fields = re.findall(r"^ {4}(?: {4}self\.)?([a-z]\w*)(?:: | = ).*?  # (.*)$", body[0] if body else "", re.MULTILINE)
-    described = "; ".join(f"`{name}`: {_line(meaning)}" for name, meaning in fields)
+    described = "".join(f"\n    - `{name}`: {_line(meaning)}" for name, meaning in fields)
     base = kind.__mro__[1]
     more = "" if base is PlanFailure else f", a kind of `{base.__name__}`"
-    return f"- **{kind.__name__}**{more}: {text}." + (f" Its fields are {described}." if described else "")
+    return f"- **{kind.__name__}**{more}: {text}.{described}"
 
 
 def main(arguments: Sequence[str]) -> None:
