@@ -195,7 +195,7 @@ def world_state_detecting(
     *,
     object_type: str | Object | ObjectDesignator,
 ) -> MotionDesignator:
-    """Finds the nearest object of a type in the state of the world, even a hidden one.
+    """Finds the nearest object of a type in the state of the world, even if the object is hidden.
 
     Args:
         object_type: A type of objects, or an object of that type.

@@ -63,7 +63,7 @@ def _sightings(robot: Object, source: str, bodies: Iterable[Object]) -> dict[str
 
 
 class WorldStateDetecting(SimulatedModule):
-    """Finds the nearest object of a type in the state of the world, even a hidden one."""
+    """Finds the nearest object of a type in the state of the world, even if the object is hidden."""
 
     failures = (PerceptionError,)
 
