@@ -266,7 +266,7 @@ def options_parser() -> Parser:
     tutorial = add_command(
         "tutorial",
         "check exercises of the tutorial",
-        "Runs your solutions of a chapter's exercises, and checks their recordings. Exit code 1: one of them is wrong.",
+        "Runs your solutions of a chapter's exercises, and checks their recordings. Exit code 1: an exercise is wrong.",
     )
     tutorial.add_argument("action", choices=("check",), help="what to do")
     tutorial.add_argument("chapter", metavar="CHAPTER", type=int, choices=range(1, 8), help="the chapter, 1 to 7")

@@ -190,7 +190,7 @@ def _keep_page(recording: Recording) -> None:
     """Serve the viewer's page until Ctrl-C if a terminal started the plan."""
     if recording.viewer is None or not sys.stdin.isatty():
         return
-    tell("pycram: the page stays until Ctrl-C")
+    tell("pycram: the page is served until Ctrl-C")
     with contextlib.suppress(KeyboardInterrupt):
         recording.viewer.wait()
 

@@ -147,7 +147,9 @@ def check(url: str | None) -> None:
     try:
         viewer = Target.parse(f"{ViewerKind.CONNECT.value}:{url}").url
     except RecordingError as error:
-        raise ReplayError(f"{url} isn't the address of a viewer; on this machine, it is {address(PORT)}") from error
+        raise ReplayError(
+            f"{url} isn't the address of a viewer; a viewer on this machine has the address {address(PORT)}"
+        ) from error
     if not answers(viewer):
         raise ReplayError(f"no viewer answers at {url}; to start one, run: rerun")
 

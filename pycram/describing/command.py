@@ -101,7 +101,7 @@ def _with_grippers(urdf: str) -> str:
     source = find(urdf)
     arms = [(arm, hand) for arm, hand in guess(load.load(urdf), suction=True).arms if not arm.fingers]
     if not arms:
-        raise AssetError(urdf, "no arm is without a gripper")
+        raise AssetError(urdf, "all arms have a gripper")
     robot = canonical_urdf.read(source, xacro_files.expanded(source, read_bytes(source)))
     robot.set("name", f"{robot.get('name')}_with_gripper")
     for arm, hand in arms:

@@ -504,7 +504,7 @@ class Kind(Opening):
         actions = [branch for branch in branches if callable(branch)]
         if len(actions) != len(branches):
             wrong = next(branch for branch in branches if not callable(branch))
-            raise BadArgument("branch", wrong, "a function, or one list for failures")
+            raise BadArgument("branch", wrong, "a function, or a single list that collects failures")
         host = current_block()
         return self._run(actions) if host is None else host.start(self._policy.name, lambda: self._run(actions))
 

@@ -121,7 +121,7 @@ class FailureHandling:
                 attempt = attempts.following()
                 yield attempt
                 if not attempt.used:
-                    raise UsageError("the body of `for attempt in failure_handling(5):` has to be `with attempt:`")
+                    raise UsageError("the body of `for attempt in failure_handling(5):` must be `with attempt:`")
         finally:
             attempts.close()
 

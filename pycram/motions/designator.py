@@ -263,7 +263,7 @@ class Designator(ABC):
     def equate(self, other: Self) -> None:
         """Equate this designator with another designator: append it to the chain of ``other``."""
         if not isinstance(other, Designator):
-            raise BadArgument("other", other, "a designator to equate with")
+            raise BadArgument("other", other, "another designator")
         with _chains_lock:
             own, theirs = self._chain, other._chain
             if own is theirs:

@@ -204,7 +204,7 @@ def _project_all(
     if cause := obstacle():
         raise NotProjectable(cause)
     if room is not None and not can_limit_memory():
-        raise NotProjectable("this system can't limit the memory of a copy; leave out memory=")
+        raise NotProjectable("this system can't limit the memory of a copy; leave out the argument memory")
     projections: dict[int, _Projection] = {}
     outcomes: dict[int, Outcome] = {}  # outcomes of the candidates that have ended
     recorded: list[Outcome] = []

@@ -110,7 +110,7 @@ class _Store:
             raise SweepRefused(f"{url}: {error}; all nodes need it") from error
         kinds = (self._files.protocol, *self._files.protocol)  # the protocol is a string or a tuple
         if "memory" in kinds:
-            raise SweepRefused(f"{url}: this file system ends with its process; name a folder or another URL")
+            raise SweepRefused(f"{url}: files there are lost when the process ends; name a folder or another URL")
         self.is_local = "file" in kinds
         self._files.makedirs(self.root, exist_ok=True)
 

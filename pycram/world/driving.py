@@ -325,7 +325,7 @@ def resume(body: Object, following: records.Following) -> None:
 def _check(body: Object, trajectory: Trajectory) -> None:
     """Raise BadArgument for a trajectory that the body could never follow; recorded values may be impossible."""
     if trajectory.duration > _MAX_SECONDS:
-        raise BadArgument("times", trajectory.duration, f"an end after at most {_MAX_SECONDS:g} s")
+        raise BadArgument("times", trajectory.duration, f"a duration of at most {_MAX_SECONDS:g} s")
     if len(trajectory.times) * len(trajectory.coordinates) > _MAX_NUMBERS:
         size = f"{len(trajectory.times)} rows of {len(trajectory.coordinates)}"
         raise BadArgument("positions", size, f"at most {_MAX_NUMBERS} numbers")

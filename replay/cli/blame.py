@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("object", metavar="OBJECT[.JOINT]", help="the object, or one of its joints")
-    parser.add_argument("--at", metavar="STEP", help=f"last step of the search: {HINT}")
+    parser.add_argument("--at", metavar="STEP", help=f"the last step that is searched: {HINT}")
     parser.add_argument(
         "--world", metavar="NAME", help="world of the object (default: the last opened world with the object)"
     )

@@ -16,7 +16,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
         ),
         "tree": (
             ("run.mcap", "the task tree, with the path to the failure"),
-            ("run.mcap --at failure", "the task tree when it failed"),
+            ("run.mcap --at failure", "the task tree at the failure"),
         ),
         "log": (
             ("run.mcap --object milk --kind mutation", "all changes of the milk"),
@@ -28,7 +28,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
         ),
         "source": (
             ("run.mcap", "the recorded source files"),
-            ("run.mcap -o source/", "write them into a folder"),
+            ("run.mcap -o source/", "write the source files into a folder"),
         ),
         "view": (
             ("run.mcap --at failure", "the scene in the Rerun viewer"),
@@ -42,7 +42,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
         ),
         "report": (
             ("run.mcap -o run.html", "a page to send, with pictures and a film"),
-            ("run.mcap --good good.mcap", "with the difference from a good run"),
+            ("run.mcap --good good.mcap", "the same, compared with a good run"),
         ),
         "check": (
             ("run.mcap 'never contact(pr2, kitchen)'", "whether a property holds; if not, where"),
@@ -93,11 +93,11 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap task:pick-up@start", "a debugger at the start of a task"),
         ),
         "fix": (
-            ("run.mcap", "the smallest edit that makes it succeed"),
+            ("run.mcap", "the smallest edit that repairs the plan"),
             ("run.mcap --apply", "the same, and write it into the plan"),
         ),
         "last-chance": (
-            ("run.mcap", "when it was too late, and what helped before"),
+            ("run.mcap", "the last step where it could succeed"),
             ("run.mcap --budget 20", "the same, in at most 20 runs"),
         ),
         "minimise": (
@@ -105,7 +105,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap -o small.py --budget 50", "the same, in at most 50 runs"),
         ),
         "test": (
-            ("run.mcap -o test_plan.py", "a pytest that fails until it is mended"),
+            ("run.mcap -o test_plan.py", "a pytest that fails until a repair"),
             ("run.mcap failure -o test_x.py", "a pytest of the failed motion in its scene"),
         ),
         "resume": (
@@ -119,7 +119,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("runs/ --html report.html", "a report with plots and pictures"),
         ),
         "separate": (
-            ("runs/", "what separates failures from successes"),
+            ("runs/", "facts that separate failures from successes"),
             ("runs/ --cause 1", "the same for one cause of failures"),
         ),
         "sql": (

@@ -210,7 +210,7 @@ class Adapter:
         program = arguments.get("program")
         recording = arguments.get("recording") or (None if program else self._given)
         if not recording and not program:
-            raise ReplayError("launch: give recording, a file, or program, a plan that is recorded first")
+            raise ReplayError("launch: give 'recording' (a file), or 'program' (a plan that is recorded first)")
         if not recording:
             recording = self._recorded(str(program), list(arguments.get("args", ())), arguments.get("log"))
         log = self._open.enter_context(Recording(recording))

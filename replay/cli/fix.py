@@ -30,7 +30,7 @@ _MAX_OTHERS: Final = 3  # maximum number of candidates with other failures that 
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options for properties, for limits of the search, and for written files."""
-    parser.epilog = "Exit code 0: a repair was found. 1: none was found. For damaged files, see repair."
+    parser.epilog = "Exit code 0: a repair was found. 1: none was found. To copy a damaged file, see repair."
     parser.add_argument(
         "--holds", metavar="PROPERTY", action="append", default=[], help="a repaired run must have this property"
     )

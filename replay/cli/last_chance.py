@@ -24,7 +24,7 @@ _MAX_OTHERS: Final = 3  # maximum number of choices that don't help and are list
 
 def add(parser: argparse.ArgumentParser) -> None:
     """Add the options for properties, for limits of the search, and for the recording of the success."""
-    parser.epilog = "Exit code 0: a last chance was found. 1: none was found. To mend the plan, see fix."
+    parser.epilog = "Exit code 0: a last chance was found. 1: none was found. To repair the plan, see fix."
     parser.add_argument(
         "--holds", metavar="PROPERTY", action="append", default=[], help="a successful run must have this property"
     )
@@ -80,6 +80,6 @@ def _lines(trials: Trials, log: Recording, found: LastChance) -> Iterator[str]:
         where = f", at {found.line}: {found.line.text}" if found.line is not None else ""
         yield f"closed by step {found.closed}{where}"
     for step in found.exceptions:
-        yield f"not monotone: with the objects as before step {step}, it fails, too"
+        yield f"not monotone: the plan also fails with the objects as before step {step}"
     yield from (f"  no help: {phrases.one_line(each)}" for each in found.others[:_MAX_OTHERS])
     yield f"{phrases.plural(found.runs, 'run')}"

@@ -48,7 +48,7 @@ VERBS: Final = {
     "fix": "find the smallest edit with which the whole plan succeeds",
     "last-chance": "find the last step from which another choice or a repair leads to success",
     "minimise": "find a smaller plan and scene with the same failure",
-    "test": "write a pytest that fails as the run did, and passes when the plan is mended",
+    "test": "write a pytest that fails as the run did, and passes when the plan is repaired",
     "resume": "continue a plan whose process was killed",
     "export": "write a recording for Foxglove, its motions as a table (CSV, Parquet), or runs as a data set (LeRobot)",
     "repair": "copy the readable parts of a damaged recording, and list the lost parts",

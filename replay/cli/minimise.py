@@ -66,6 +66,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     left = f"{found.lines[1]} of {found.lines[0]} lines, {found.objects[1]} of {found.objects[0]} objects"
     lines = [f"{file}: {left}, after {found.runs} runs", f"  it fails in the same way: {found.failure}"]
     if found.exhausted:
-        lines.append("  the search ended at --budget; it may become smaller")
+        lines.append("  the search ended at --budget; the plan may become smaller")
     print_result(lambda: asdict(found) | {"file": str(file)}, lines, as_json=options.json)
     return FINE

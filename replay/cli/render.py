@@ -21,7 +21,9 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("steps", metavar="STEP", nargs="+", help=f"{HINT}; of several steps, all from one viewpoint")
+    parser.add_argument(
+        "steps", metavar="STEP", nargs="+", help=f"{HINT}; pictures of several steps are from one viewpoint"
+    )
     parser.add_argument(
         "-o", dest="file", metavar="FILE", help="file of the picture, or folder of several (default: LOG_STEP.png)"
     )

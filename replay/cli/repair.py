@@ -20,7 +20,7 @@ R = TypeVar("R")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "For a plan that fails, see fix."
+    parser.epilog = "To repair a plan that fails, see fix."
     add_output(parser, "sound")
 
 
@@ -47,7 +47,7 @@ def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
         yield f"lost   {losses.messages} messages that can't be decoded"
     yield from (f"lost   the attached file {name}: {cause}" for name, cause in losses.files.items())
     if not (losses.steps or losses.chunks or losses.messages or losses.files):
-        yield "lost   nothing, as far as known"
+        yield "lost   nothing that is known"
 
 
 def add_output(parser: argparse.ArgumentParser, kind: str) -> None:

@@ -129,7 +129,7 @@ def _short(line: str) -> tuple[str, str]:
 def add_fork(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs before the step; "
-        "or a decision of --answer didn't come. "
+        "or a decision of --answer wasn't made. "
         "With --control, the exit code is 0 if the control run matches the recording, and 1 if it differs."
     )
     parser.add_argument(

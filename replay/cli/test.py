@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         "step",
         metavar="STEP",
         nargs="?",
-        help=f"rebuild the scene before the failed motion of this step, and perform it (default: run the plan): {HINT}",
+        help=f"rebuild the scene of this step's failed motion, which the test performs (default: run the plan): {HINT}",
     )
     add_output(parser, "file of the test (default: test_PLAN.py)")
     parser.add_argument(

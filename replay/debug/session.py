@@ -367,7 +367,7 @@ class Breakpoint:
     def counted(self) -> str:
         """The text of the breakpoint's steps."""
         if self.watched is not None:
-            return "the plan must run to find its changes"
+            return "its changes are found when the plan runs"
         count = len(self.steps)
         some = ", ".join(map(str, self.steps[:6])) + (", ..." if count > 6 else "")
         return f"step{'s' if count > 1 else ''} {some}" if count else "it never changes"

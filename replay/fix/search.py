@@ -103,7 +103,7 @@ def search(
             "the plan succeeds",
             *(f"{each} holds" for each in properties),
             *([f"{failed.name} is done"] if failed is not None else []),
-            "what it places stays at its target",
+            "placed objects stay at their targets",
         ]
     )
     unlikely: list[Repair] = []  # marked repairs; they are shown if there is no other
@@ -317,5 +317,5 @@ def changed_goal(before: Sequence[Node], done: Sequence[Node], failed: Node, edi
     for asked, now in zip([*_asked(before), failed] if edit.asks else (), _asked(done), strict=False):
         one, other = asked.parameters.get("target"), now.parameters.get("target")
         if asked.name == now.name and isinstance(one, list) and not _is_near(one, other):
-            return f"it changes what is asked for: the target {phrases.value(one)} becomes {phrases.value(other)}"
+            return f"it changes the task: the target {phrases.value(one)} becomes {phrases.value(other)}"
     return ""

@@ -91,7 +91,7 @@ def of_moment(log: Recording, task: Node, holds: Sequence[str] = ()) -> str:
 
 def _text(what: str, log: Recording, imports: Sequence[str], head: str, body: Sequence[str]) -> str:
     shown = phrases.one_line(what).replace("\\", "\\\\").replace('"', "'")
-    title = f'"""{shown}\n\nWritten by pycram-replay test {log.path.name}. It passes when the failure is mended.\n"""'
+    title = f'"""{shown}\n\nWritten by pycram-replay test {log.path.name}. It passes when the failure is repaired.\n"""'
     lines = [textwrap.fill(_without_unused_name(line, body), _WIDTH, break_long_words=False) for line in body]
     inner = textwrap.indent("\n".join(lines), "    ")
     return "\n".join((title, "", *imports, *(["", ""] if imports else [""]), head, inner, ""))

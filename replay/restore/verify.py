@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3  # of effects on another computer or with another engine, m or rad
 
-_DIFFERENT: Final = "repeated, the change has another effect"
+_DIFFERENT: Final = "when it is repeated, the change has another effect"
 _LATE_TOLERANCE: Final = 1e-6  # m or rad, tolerance of changes without physics in worlds that continue from a keyframe
 _ENVIRONMENT_KEYS: Final = (
     "pycram",

@@ -67,7 +67,7 @@ ANSWERABLE: Final = tuple(name for name in btr.__all__ if hasattr(getattr(btr, n
 _ANSWERS: Final = {
     "Verdict": "true or false",
     "Found[Object]": "a list of objects, such as [milk, bowl] or []",
-    _OF_MANY: "a list of true and false, one for each target",
+    _OF_MANY: "a list with true or false for each target",
 }
 
 # --- settings and the seed --------------------------------------------------------------------------------------------

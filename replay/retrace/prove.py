@@ -97,7 +97,7 @@ def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Pr
     """Return the verdict of a cause's forks. If any fork confirms the cause, it decides."""
     if not control.identical:
         difference = control.difference.text if control.difference is not None else ""
-        untested = f"without a change, the plan doesn't do the same again: {difference}"
+        untested = f"without changes, the plan doesn't repeat its recording: {difference}"
         return Proof(UNTESTED, f"not tested: {untested}", tuple(replace(each, verdict=UNTESTED) for each in tried))
     every = all(each.verdict == REFUTED for each in tried)
     weighty = [each for each in tried if each.verdict != REFUTED or every or each.trial.decisive]

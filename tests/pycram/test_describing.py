@@ -441,7 +441,7 @@ def test_an_arm_without_a_gripper_gets_two_fingers_in_a_urdf_of_its_own(
     again = describe(str(file), "--gripper", "two-finger")
     assert (again.returncode, again.stdout) == (2, ""), "the file exists"
     both = describe("gantry_with_gripper.urdf", "--gripper", "two-finger")
-    assert "no arm is without a gripper" in both.stderr
+    assert "all arms have a gripper" in both.stderr
 
 
 def test_grippers_of_two_arms_have_names_of_their_own() -> None:

@@ -373,7 +373,7 @@ def _pairs(value: object) -> frozenset[frozenset[str]]:
         raise BadArgument("may_touch", value, "a list of pairs of links")
     pairs = frozenset(frozenset(checks.texts("may_touch", pair)) for pair in value)
     if any(len(pair) != 2 for pair in pairs):
-        raise BadArgument("may_touch", value, "pairs of two different links each")
+        raise BadArgument("may_touch", value, "a list of pairs, each of two different links")
     return pairs
 
 

@@ -111,7 +111,7 @@ def free_places(
             continue
         surfaces.append((furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)))
     if not surfaces:
-        raise BadArgument("on", on, "at least one surface with its furniture")
+        raise BadArgument("on", on, "one or more surfaces with their furniture")
     name, reference = (side, None) if side is None or isinstance(side, str) else (side[0], unwrap(side[1]))
     if name is not None and name not in SIDES:
         raise UnknownName("side", name, "a surface or an object", SIDES)

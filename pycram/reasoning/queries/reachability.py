@@ -182,7 +182,7 @@ def _summed_up(verdicts: Sequence[Verdict]) -> Choice:
 
 def _repeated(name: str, given: Sequence[T], count: int) -> Sequence[T]:
     if len(given) not in {1, count}:
-        raise BadArgument(name, len(given), f"1 value or {count} values")
+        raise BadArgument(name, len(given), f"a single value, or {count} values")
     return given if len(given) == count else [given[0]] * count
 
 

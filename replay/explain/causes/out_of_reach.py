@@ -138,7 +138,7 @@ class NoCandidate(Cause):
     """All candidates, such as grasps or postures, were rejected."""
 
     kind = "no-candidate"
-    untestable = "nothing that a fork can move bars the candidates"
+    untestable = "no object that a fork can move blocks the candidates"
     asked: Query  # the choice, with its candidates and the reasons why they were rejected
     count: int  # number of candidates
 

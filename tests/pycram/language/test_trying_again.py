@@ -166,7 +166,7 @@ def test_only_the_named_failures_and_never_bugs_are_retried() -> None:
 def test_misused_failure_handlings_are_refused() -> None:
     with pytest.raises(UsageError, match="for attempt in failure_handling"), failure_handling(5):
         pass
-    with pytest.raises(UsageError, match="has to be `with attempt:`"):
+    with pytest.raises(UsageError, match="must be `with attempt:`"):
         for _ in failure_handling(5):
             pass
 

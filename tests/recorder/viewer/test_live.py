@@ -354,7 +354,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
         ends.callback(process.kill)
         assert process.stderr is not None
         lines: list[str] = []
-        while not ("the page stays until Ctrl-C" in "".join(lines) and "live at" in "".join(lines)):
+        while not ("the page is served until Ctrl-C" in "".join(lines) and "live at" in "".join(lines)):
             lines.append(process.stderr.readline())
             assert lines[-1], lines
         address = re.search(r"recorder: live at (http://127\.0\.0\.1:\d+/\S+/)\?\S*url=(\S+)", "".join(lines))

@@ -200,7 +200,7 @@ def test_watches_find_where_a_state_or_a_variable_changed(plan_log: Path, debug:
     assert watched.startswith("Watch 1: milk.z > 0.6: steps ")
     assert (at(over), over.splitlines()[0]) == (up[1], "watch milk.z > 0.6: False -> True")
     assert (at(changed), changed.splitlines()[0]) == (up[0], "watch milk.z: 0.2 -> 0.5")
-    assert variable == "Watch 2: lifted: the plan must run to find its changes\n"
+    assert variable == "Watch 2: lifted: its changes are found when the plan runs\n"
     assert (at(one), one.splitlines()[0]) == (up[1], "watch lifted: 1 -> 2")
     assert at(two) == 0, "it was 1 at its first record: it has not changed before"
     assert (at(three), three.splitlines()[-3][:4]) == (up[1], "step")

@@ -222,7 +222,7 @@ def test_another_target_changes_what_is_asked_for() -> None:
     done, failed = [motion([1, 0, 0])], motion([8, 0, 0])
     value, operator = Edit(0, 1, "", "", asks=True), Edit(0, 1, "", "")
     mark = changed_goal(done, [*done, motion([0.8, 0, 0])], failed, value)
-    assert mark == "it changes what is asked for: the target [8, 0, 0] becomes [0.8, 0, 0]"
+    assert mark == "it changes the task: the target [8, 0, 0] becomes [0.8, 0, 0]"
     assert changed_goal(done, [motion([2, 0, 0]), failed], failed, value)
     assert not changed_goal(done, [*done, failed], failed, value)
     assert not changed_goal(done, [*done, motion([0.8, 0, 0])], failed, operator)
