@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import recorder  # noqa: F401  it limits numpy's threads, so the import of numpy must follow
+import recorder  # noqa: F401  limits numpy's threads, so numpy must be imported later
 
 if TYPE_CHECKING:
     from pycram.actions import perform

@@ -191,7 +191,7 @@ class Behavior(Enum):
 
 
 class _Seen:
-    """A state that a counter has seen. States are counted later: functions mustn't run during changes."""
+    """A state that a counter counts later, because no function of a network may run during a change."""
 
     __slots__ = ("before", "count", "state", "value")
 

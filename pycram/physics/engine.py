@@ -238,7 +238,7 @@ class Engine:
     def set_joints(
         self, body: LoadedBody, positions: Mapping[str, float], speeds: Mapping[str, float] | None = None
     ) -> None:
-        """Set joints to positions (rad or m), with speeds (rad/s or m/s) or at rest. Motors then hold them."""
+        """Set joints to positions (rad or m), with speeds (rad/s or m/s) or at rest. Motors hold them."""
         for name, position in positions.items():
             joint, speed = body.joints[name], speeds[name] if speeds else 0.0
             bullet.resetJointState(body.id, joint.index, position, speed, physicsClientId=self._client)

@@ -695,4 +695,4 @@ _FUNCTIONS: Final = {
 _BY_NAME: Final = ("holding", "contact", "on")  # functions of names
 _OF_NUMBERS: Final = ("abs", "round", "sum", "len", "sqrt", "degrees")
 _ANGLES: Final = {"upright": 1, "angle": 0}  # index of the first angle among the arguments
-_OF_BODIES: Final = ("distance", "angle", "tilt", "upright")  # a text argument of these functions is an object
+_OF_BODIES: Final = ("distance", "angle", "tilt", "upright")  # in these functions, a text means an object

@@ -385,7 +385,7 @@ class Prompt(cmd.Cmd):
     def do_shell(self, text: str) -> None:
         """``!`` EXPR: the value of an expression that looks like a command; a statement can't be executed.
 
-        A statement would let the plan differ from the recording that guides it.
+        After a statement, the plan would differ from the recording that guides it.
         """
         if text and not _is_statement(text):
             self._evaluate(text, pretty=False)

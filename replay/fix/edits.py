@@ -44,7 +44,7 @@ class Edit:
     what: str  # text of the edit
     text: str  # the whole source after the edit
     asks: bool = False  # whether a value or name changes, rather than the way in which values are computed
-    chance: bool = False  # whether nothing but a success speaks for the edit
+    chance: bool = False  # whether only the success of the run supports it
 
 
 class Editor:

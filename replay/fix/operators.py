@@ -54,7 +54,7 @@ class Change(NamedTuple):
     cost: float
     parts: tuple[tuple[ast.AST | tuple[int, int], str], ...]  # nodes, or places in bytes
     asks: bool = False  # whether a value or name changes, rather than how values are computed
-    chance: bool = False  # whether nothing but a success speaks for the change
+    chance: bool = False  # whether only the success of the run supports it
 
 
 def _to(node: ast.AST, new: str, cost: float, what: str = "", *, asks: bool = False, chance: bool = False) -> Change:

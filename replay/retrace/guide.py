@@ -46,7 +46,7 @@ class Guide(NullSink):
         self._reading = threading.Lock()
         self._report = report
         self._ended = False
-        self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # of running tasks, recorded and new
+        self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # call stacks, recorded and new
         # the recorded interruptions, by the number of the poll that they interrupt; None until they are read
         self._strikes: dict[int, Collection[int]] | None = None
         self.equal = 0  # number of equal records so far
