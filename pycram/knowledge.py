@@ -29,8 +29,7 @@ class Belief:
     position: Vector  # position of the object's base in the world, m; for a held object, its present position
     orientation: Quaternion  # orientation of the object's base, xyzw
     sim_step: int  # simulated step (1/240 s) of the world at which the robot learned the pose
-    #: Step of the look, grasp or placement that set the belief; -1 if no running recording contains the step.
-    step: int
+    step: int  # step of the look, grasp or placement that set the belief; -1 if no running recording contains the step
     #: "seen"; "told" (the robot read the world's state); "held"; "placed" (the robot released the object there).
     source: str
 

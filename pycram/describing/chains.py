@@ -13,8 +13,7 @@ from recorder import geometry
 if TYPE_CHECKING:
     from recorder.urdf import Urdf, UrdfJoint
 
-ARM: Final = 4
-"""Minimum number of successive joints of an arm."""
+ARM: Final = 4  # minimum number of successive joints of an arm
 _SEVERAL: Final = 2  # minimum number of fingers on a wrist
 _TURNS_ALL: Final = math.pi  # range of a joint in rad: wrists have a larger range, and jaws a smaller range
 _HEAD: Final = re.compile(r"head|neck", re.IGNORECASE)

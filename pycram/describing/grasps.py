@@ -18,8 +18,7 @@ from pycram.world.object import Object
 from recorder import geometry
 from recorder.geometry import Pose, Vector
 
-OBJECTS: Final = ("cup", "bottle", "spoon")
-"""Names of the objects that an arm picks up."""
+OBJECTS: Final = ("cup", "bottle", "spoon")  # names of the objects that an arm picks up
 _PLACES: Final = 5  # number of places on the table for each object
 _SAMPLES: Final = 1000  # number of sampled postures; the places on the table are below the tool in some of them
 _TOP: Final = 0.72  # height in m of the table's top

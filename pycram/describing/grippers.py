@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-TIPS: Final = 0.015
-"""Distance in m from the tool frame to the finger tips."""
+TIPS: Final = 0.015  # distance in m from the tool frame to the finger tips
 _PADS: Final = 0.02  # length in m of the pads on the fingers, measured from the tips
 _NEAR_TIP: Final = 0.02  # maximum distance in m between finger tips and a link that counts as grasping
 _MAX_DEPTH: Final = 0.03  # m

@@ -37,8 +37,7 @@ __all__ = ["Designator", "DesignatorError", "MotionDesignator", "ResolvedDesigna
 
 _chains_lock = threading.Lock()  # one lock serves all chains, because chains can be joined
 
-#: All parameters of a motion, action, object or place, by name.
-Solution: TypeAlias = Mapping[str, Any]
+Solution: TypeAlias = Mapping[str, Any]  # all parameters of a motion, action, object or place, by name
 Resolver: TypeAlias = Callable[[Any], Iterable[Solution] | None]
 Function = TypeVar("Function", bound="Callable[..., object]")
 

@@ -29,11 +29,9 @@ from recorder import geometry
 from recorder.geometry import Pose, Vector
 from recorder.records import STEPS_PER_SECOND
 
-#: A function that moves parts of the robot by a plan.
-Step: TypeAlias = Callable[[], None]
+Step: TypeAlias = Callable[[], None]  # a function that moves parts of the robot by a plan
 
-TIMEOUT: Final = 5
-"""Maximum simulated time in s until all objects are at rest."""
+TIMEOUT: Final = 5  # maximum simulated time in s until all objects are at rest
 
 LEVEL: Final[ContextVar[bool]] = ContextVar("pycram_level", default=False)
 """Whether motions keep held objects upright; see :func:`pycram.motions.process_module.execution_environment`."""
@@ -58,8 +56,7 @@ class Execution:
     :class:`ContinuousExecution` moves in simulated time; its steps raise PlanFailure if there is no path.
     """
 
-    takes_time = False
-    """Whether simulated time passes during a motion, so that other motions can continue."""
+    takes_time = False  # whether simulated time passes during a motion, so that other motions can continue
 
     def whole(self, world: BulletWorld) -> AbstractContextManager[None]:
         """Return the context in which all steps of a motion run."""

@@ -58,16 +58,12 @@ Modules: TypeAlias = Mapping[str, Module]
 Result: TypeAlias = Any
 Chooser: TypeAlias = Callable[[Designator], "ProcessModule | None"]
 
-AS_ASKED: Final = "as asked"
-"""The only candidate of a choice if the plan leaves nothing open."""
+AS_ASKED: Final = "as asked"  # the only candidate of a choice if the plan leaves nothing open
 
-FOLLOWING: Final = (TrackingLost, Displaced, TrajectoryEnded)
-"""Types of failures of motions that follow a trajectory."""
+FOLLOWING: Final = (TrackingLost, Displaced, TrajectoryEnded)  # types of failures of motions that follow a trajectory
 
-SIMULATED: Final = "simulated"
-"""The execution environment in which motions are instantaneous."""
-CONTINUOUS: Final = "continuous"
-"""The execution environment in which motions take simulated time."""
+SIMULATED: Final = "simulated"  # the execution environment in which motions are instantaneous
+CONTINUOUS: Final = "continuous"  # the execution environment in which motions take simulated time
 
 _ONE_AT_A_TIME: Final = Resources(moves=frozenset({"module"}))
 _TOGETHER: Final = Resources()
@@ -336,8 +332,7 @@ class ProcessModule(ABC):
     Motions that a module performs are parts of its motion, and use the resources of that motion.
     """
 
-    one_at_a_time = True
-    """False for a module without state, so that two arms can use the module at the same time."""
+    one_at_a_time = True  # false for a module without state, so that two arms can use the module at the same time
 
     failures: ClassVar[tuple[type[PlanFailure], ...]] = ()
     """Failures that the module may raise in any environment; docs/reference/designators.md lists those of PyCRAM."""

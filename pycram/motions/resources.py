@@ -34,8 +34,7 @@ from pycram.scheduling.cancellation import Binding, wait
 from pycram.scheduling.schedule import Condition
 from recorder.tracing.context import current_name
 
-#: The name that represents all resources of a robot.
-WHOLE_ROBOT: Final = "the whole robot"
+WHOLE_ROBOT: Final = "the whole robot"  # the name that represents all resources of a robot
 
 
 class ResourceError(UsageError):
@@ -95,8 +94,7 @@ class Resources:
         return " and ".join(f"{verb} {', '.join(sorted(names))}" for verb, names in parts if names) or "needs nothing"
 
 
-EVERYTHING: Final = Resources(moves=frozenset({WHOLE_ROBOT}))
-"""The resources of a motion with unknown needs."""
+EVERYTHING: Final = Resources(moves=frozenset({WHOLE_ROBOT}))  # the resources of a motion with unknown needs
 
 
 def _overlap(a: AbstractSet[str], b: AbstractSet[str]) -> bool:

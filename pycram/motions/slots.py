@@ -27,8 +27,7 @@ if TYPE_CHECKING:
 
 #: The form in which plans write slots, constraints and properties.
 Description: TypeAlias = Iterable[tuple[str, object]] | Mapping[str, object]
-#: Any value of a slot.
-Value: TypeAlias = Any
+Value: TypeAlias = Any  # any value of a slot
 T = TypeVar("T")
 Type = TypeVar("Type", bound="SlotTable")
 

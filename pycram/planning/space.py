@@ -93,11 +93,9 @@ class Clearance:
         # own links may overlap a little more, because hulls are larger than links.
         self.strict = True
         self.checks = 0  # number of checked configurations
-        # number of times that each pair of links was in the way
-        self.blocking: Counter[Pair] = Counter()
+        self.blocking: Counter[Pair] = Counter()  # number of times that each pair of links was in the way
         self._allow(start)
-        # pairs that overlap more at the goal than at the start, deepest first
-        self.touched = self._allow(goal)
+        self.touched = self._allow(goal)  # pairs that overlap more at the goal than at the start, deepest first
 
     def _allow(self, row: Array) -> list[CollisionPair]:
         """Allow links to be as near as in a configuration (d,). Return the forbidden contacts in that configuration."""

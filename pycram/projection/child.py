@@ -81,8 +81,7 @@ class Child:
         return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
     def _reap(self) -> None:
-        # after an interrupt here, a later kill() reaps the process
-        _, self.status = os.waitpid(self.pid, 0)
+        _, self.status = os.waitpid(self.pid, 0)  # after an interrupt here, a later kill() reaps the process
         self.ended = True
         os.close(self._reading)
 

@@ -52,10 +52,7 @@ def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
 
 
 def print_json(value: object, *, flush: bool = False) -> None:
-    """Print a result as a line of JSON.
-
-    NaN and infinity become strings, and invalid bytes become escapes.
-    """
+    """Print a result as a line of JSON. NaN and infinity become strings, and invalid bytes become escapes."""
     print(_json(value), flush=flush)
 
 

@@ -180,10 +180,7 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the stored checksum"]
 
     def refresh(self) -> bool:
-        """Scan the new part of a growing file; return whether there was one.
-
-        Closed files never have a new part.
-        """
+        """Scan the new part of a growing file; return whether there was one. Closed files never have a new part."""
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:

@@ -18,8 +18,7 @@ from recorder.records import Plain
 from recorder.records.beliefs import sightings
 from recorder.records.text import unseen_text
 
-RECOGNISABLE: Final = 0.5
-"""Minimum visible share of an object that the robot can recognise."""
+RECOGNISABLE: Final = 0.5  # minimum visible share of an object that the robot can recognise
 
 
 class Detecting(SimulatedModule):

@@ -153,8 +153,7 @@ def rotation_error(now: Array, goal: Array) -> Array:
     sine = norms(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
-    # the sine vanishes at half a turn, so any axis is good
-    flipped = (sine < _OPPOSITE) & (cosine < 0)
+    flipped = (sine < _OPPOSITE) & (cosine < 0)  # the sine vanishes at half a turn, so any axis is good
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])
         sine = norms(vector)

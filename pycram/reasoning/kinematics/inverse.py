@@ -116,8 +116,7 @@ def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
 def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:
     """Return changes (n, joints) of postures that reduce errors (n, 3 or 6), whose norms are ``length`` (n, 1)."""
     correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
-    # a joint at its limit doesn't move farther
-    gradient = np.einsum("nrj,nr->nj", jacobian, correction)
+    gradient = np.einsum("nrj,nr->nj", jacobian, correction)  # a joint at its limit doesn't move farther
     stuck = chain.bounded & (
         ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
     )
