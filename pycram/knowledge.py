@@ -49,10 +49,7 @@ def believed(what: str | Object, *, robot: Object | None = None) -> Belief | Non
 
 
 def beliefs(what: str | Object | None = None, *, robot: Object | None = None) -> list[Belief]:
-    """Return a robot's beliefs about objects, the latest first; by default about all objects.
-
-    :func:`believed` describes arguments and errors.
-    """
+    """Return a robot's beliefs about objects, the latest first; by default about all objects; see :func:`believed`."""
     wanted, who = unwrap(what), _robot(robot)
     if wanted is not None and not isinstance(wanted, str | Object):
         raise BadArgument("what", wanted, "an Object, or a type or a name of objects")

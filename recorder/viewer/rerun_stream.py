@@ -1,8 +1,7 @@
 """Rerun streams, to a viewer or into an ``.rrd`` file: they buffer rows of components, and send them as columns.
 
-Every row is on three time lines: ``step number`` (of the record), ``sim`` (simulated time) and ``wall`` (the clock).
-A later row at the same time replaces an earlier row. All colours are readable on the viewer's dark and light
-backgrounds.
+Every row is on three time lines: ``step number`` (of the record), ``sim`` (simulated time) and ``wall`` (the clock). A
+later row at the same time replaces an earlier row. All colours are readable on the viewer's dark and light backgrounds.
 """
 
 from __future__ import annotations
