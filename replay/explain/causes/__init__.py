@@ -14,7 +14,7 @@ from replay.explain.causes.out_of_reach import TOO_FAR, NoCandidate, Obstructing
 from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import Raised
 from replay.explain.causes.waiting import Interruption, Timeout
-from replay.explain.causes.worlds import ForkedChange, NoGravity, OtherWorld
+from replay.explain.causes.worlds import ClosedContainer, ForkedChange, NoGravity, OtherWorld
 from replay.explain.causes.written import Written
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 KINDS: Final[tuple[type[Cause], ...]] = (
     ForkedChange,
     OtherWorld,
+    ClosedContainer,
     NoGravity,
     Swallowed,
     RefusedRequest,
@@ -40,7 +41,7 @@ KINDS: Final[tuple[type[Cause], ...]] = (
     NoCandidate,
 )
 _DECIDING: Final = (
-    *("other-world", "gravity", "swallowed-failure", "refused"),
+    *("other-world", "closed", "gravity", "swallowed-failure", "refused"),
     *("physics", "no-longer-true", "removed", "timeout", "written"),
 )
 _BEHIND: Final = 0.2  # distance behind the robot's base, m
@@ -70,6 +71,8 @@ def decides(case: FailureCase, cause: Cause) -> bool:
 def lacks_step(case: FailureCase, causes: Sequence[Cause]) -> bool:
     """Return whether a call is missing before the failed call, whose own line counts then."""
     first = next(iter(causes), None)
+    if isinstance(first, ClosedContainer):
+        return True
     if isinstance(first, HandState):
         return first.precondition == "held"
     if not isinstance(first, UnreachedTarget) or not decides(case, first) or case.robot is None:

@@ -1,22 +1,27 @@
-"""The object is in another world, the world's gravity doesn't pull things down, or a fork changed the world."""
+"""The object is in another world, a container is closed, gravity doesn't pull down, or a fork changed the world."""
 
 from __future__ import annotations
 
+import ast
 import builtins
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from recorder.plan_lines import syntax_nodes
 from recorder.records import Mutation, Run
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, bodies_in, since
 from replay.history.blame import commanded
+from replay.history.source import Line
 from replay.report import phrases
 
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
+_CLOSED: Final = re.compile(r"(.+?),? which (?:is|are) closed: open it first")
+_OPENING: Final = re.compile(r"(^|\.)(opening|accessing)$")
 _FORKED: Final = 10  # maximum number of changes that a fork makes at a step
 #: Matches messages about objects that move, hang or lack support.
 _OF_GRAVITY: Final = re.compile(r"\bmoves at|\bhangs?\b|\bin the air\b|\bsupport|\brest\b|\bfall")
@@ -56,6 +61,33 @@ class OtherWorld(Cause):
         yield f"{self.body} is in {self.world}{loaded}; it isn't in {self.needed}"
         if self.opened is not None:
             yield f"step {self.opened.step}: {self.world} was opened{self.opened.originator}"
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedContainer(Cause):
+    """An object should have been put into a container that was closed."""
+
+    kind = "closed"
+    container: str
+    opening: Line | None  # a later line of the same function that opens something; None without such a line
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[ClosedContainer]:
+        """Yield the closed container that a failure names, and the line that would have opened it later."""
+        found = _CLOSED.match(str(case.data.get("last", "")))
+        if found is None or case.failure.type != "NoPlace" or case.task is None:
+            return
+        asked = case.line_of(case.task.started)
+        nodes = syntax_nodes(case.source.text(asked.file)) if asked is not None else ()
+        calls = (node for node in nodes if isinstance(node, ast.Call) and _OPENING.search(ast.unparse(node.func)))
+        later = (case.source.line(asked.file, call.lineno) for call in calls if asked and call.lineno > asked.number)
+        opening = next((line for line in later if line and asked and line.function == asked.function), None)
+        yield ClosedContainer((case.step,), found[1], opening)
+
+    def _words(self) -> Iterator[str]:
+        yield f"{self.container} was closed at step {self.steps[0]}"
+        if self.opening is not None:
+            yield f"{phrases.place(self.opening)} comes later: {phrases.short(self.opening.text)}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -255,3 +255,27 @@ def test_the_other_hand_has_it_since_a_step(explained: Callable[..., Why], tmp_p
     assert hand.holder == "right"
     assert hand.change.line.number == line_of(tmp_path, "robot.attach")
     assert "the right gripper did, taken at step" in str([*hand.lines()])
+
+
+@pytest.mark.slow
+def test_a_closed_container_tells_the_line_that_opens_it_too_late(
+    explained: Callable[..., Why], tmp_path: Path
+) -> None:
+    why = explained("""
+        from pycram import perform
+        from pycram.action_designators import opening, parking_arms, transporting
+        from pycram.designator import LocationDesignator
+        Object("kitchen", "environment", "kitchen.urdf")
+        milk = Object("milk", "milk", "milk.stl", [1.3, 1.0, 0.96])
+        world.robot = Object("pr2", "robot", "pr2.urdf")
+        world.settle()
+        def put_away():
+            perform(parking_arms())
+            perform(transporting(object=milk, target=LocationDesignator(in_="fridge")))
+            perform(opening(container="fridge"))
+        put_away()
+    """)
+    cause, *_ = why.causes
+    assert (cause.kind, cause.container) == ("closed", "fridge")
+    assert cause.opening.number == line_of(tmp_path, "perform(opening")
+    assert why.sources[0].number == line_of(tmp_path, "perform(transporting")
