@@ -113,7 +113,7 @@ def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]
 
 
 class _Imagined:
-    """An action with a solution, as a function for a projection."""
+    """A function that performs an action with a solution. A projection calls it."""
 
     def __init__(self, kind: ActionType, solution: Solution) -> None:
         self.__qualname__ = kind.type

@@ -25,7 +25,7 @@ with needed():
 
 _SIZE: Final = (800, 600)  # pixels
 _AWAY: Final = (1.0, 0.7, 0.45)  # direction from the robot to the viewpoint
-_ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the viewpoint: above walls, in front of fronts
+_ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the camera: it sees over walls, and sees the doors
 _MARGIN: Final = 1.1  # distance of the camera, as a multiple of the distance at which the robot just fills the picture
 _OVERSAMPLING: Final = 2
 _FIELD: Final = math.tan(math.radians(25))  # tangent of half the horizontal field of view

@@ -452,7 +452,7 @@ class Engine:
         return (body, link) if body >= 0 else None
 
     def closest_points(self, a: LoadedBody, b: LoadedBody, distance: float = 0.0) -> list[ClosestPoint]:
-        """Return the closest points of all pairs of links of two bodies that are within a distance in m."""
+        """Return the closest points of each two links of two bodies, if the links are at most ``distance`` m apart."""
         points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
         return _named(a, b, points)
 

@@ -266,7 +266,7 @@ _cause: ContextVar[Mapping[Journal, int]] = ContextVar("pycram_cause", default=M
 
 @contextmanager
 def caused_by(event: Mapping[Journal, int]) -> Iterator[None]:
-    """Mark the records of a block as caused by an event. ``event`` is the step of this event in each journal."""
+    """Mark the records of a block as caused by an event. ``event`` has the step of the event's record by journal."""
     token = _cause.set(event)
     try:
         yield

@@ -1,7 +1,7 @@
 """Marks in the scene: targets and failures of tasks, attachments, cameras, and paths of trajectories.
 
 The mark of a failure and its line in the log are one entity, so selecting the line shows the position. The planned path
-of a tool or base is a blue line, and the part that was driven a thicker green line. At the end of the path, both lines
+of a tool or base is a blue line. The part that was driven is a thicker green line. At the end of the path, both lines
 disappear. After a stop, the lines stay until the next trajectory of the body; the planned part is grey.
 """
 
@@ -290,8 +290,8 @@ class _Path:
     """The path of one tool frame or base."""
 
     now: Callable[[], Vector]  # a function that returns the present position in the world
-    entity: str  # path of the planned line's entity
-    driven_entity: str  # path of the driven line's entity
+    entity: str  # name of the entity with the planned line
+    driven_entity: str  # name of the entity with the line of the driven part
     label: str  # label of the planned line
     planned: Sequence[Vector]  # points in the frame of the planned line's entity
     driven: list[Vector] = field(default_factory=list)  # points in the world

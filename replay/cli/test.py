@@ -23,7 +23,8 @@ def add(parser: argparse.ArgumentParser) -> None:
         "step",
         metavar="STEP",
         nargs="?",
-        help=f"rebuild the scene of this step's failed motion, which the test performs (default: run the plan): {HINT}",
+        help="write a test that rebuilds the scene before the failed motion of this step, and performs the motion "
+        f"(default: a test that runs the plan): {HINT}",
     )
     add_output(parser, "file of the test (default: test_PLAN.py)")
     parser.add_argument(

@@ -263,7 +263,7 @@ def _changed_place(before: RecordReader, log: RecordReader) -> str:
 
 
 def _put(log: RecordReader) -> list[MoveBody]:
-    """Return the plan's own moves of objects."""
+    """Return the moves of objects by the plan itself, outside of tasks."""
     moves = (each for each in log.records(Mutation) if each.HasField("move_body") and not each.task)
     return [each.move_body for each in moves]
 

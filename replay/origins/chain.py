@@ -391,7 +391,7 @@ class Tracer:
         return ""
 
     def _is_replaced(self, name: str, note: Note, node: ast.Assign) -> bool:
-        """Return whether an iteration replaces a value of earlier iterations that began before the loop."""
+        """Return whether an iteration of a loop replaces a value that the name had before the loop."""
         loop = next((each for each in self._parents(node) if isinstance(each, (ast.For, ast.While, *_SCOPES))), None)
         binds = [each for each, _ in self._binds[note.frame, name] if each.time < note.time]
         if not isinstance(loop, ast.For | ast.While) or not binds or binds[-1].number != note.number:

@@ -216,7 +216,7 @@ def along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
         if abs(along[2]) > _UPRIGHT:
             continue
         skew = math.atan2(along[1], along[0]) - math.atan2(y, x)
-        skew = (skew + math.pi / 4) % (math.pi / 2) - math.pi / 4  # for fingers, a quarter turn makes no difference
+        skew = (skew + math.pi / 4) % (math.pi / 2) - math.pi / 4  # fingers close along either side of a rectangle
         if abs(skew) > _SKEW:
             yield geometry.product(geometry.from_rpy(0.0, 0.0, skew), turn)
         return

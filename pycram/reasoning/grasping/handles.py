@@ -130,7 +130,7 @@ class Handle:
         return grips
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and the highest corner of the handle in its frame; the origin without shapes."""
+        """Return the lowest and highest corner of the handle in its frame; without shapes, twice its origin."""
         shapes = shapes_of(self.container.model.path, "collision")
         if self.link not in shapes.links:
             return np.zeros(3), np.zeros(3)

@@ -410,7 +410,7 @@ def _last_name(node: ast.expr) -> str:
 
 
 def _task_of(tree: Tree, function: str, step: int) -> Node | None:
-    """Return the last branch with the name of a function of the plan."""
+    """Return the last branch that runs a function of the plan."""
     named = [node for _, node in tree.walk() if node.kind == "branch" and node.name.rpartition(".")[2] == function]
     return next((node for node in reversed(named) if node.created.wall_ns and node.started.seq <= step), None)
 
