@@ -180,7 +180,7 @@ def test_slots_may_hold_values_that_cannot_be_printed() -> None:
 
 
 def test_only_designators_can_be_equated() -> None:
-    with pytest.raises(BadArgument, match="equate"):
+    with pytest.raises(BadArgument, match="another designator"):
         MotionDesignator([("type", "x")]).equate("x")
     assert not MotionDesignator([("type", "x")]).equal(None)
 

@@ -145,7 +145,7 @@ def test_a_plan_is_recorded_first_and_debugged_at_its_failure(editor: Editor, tm
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        ({}, "give recording, a file, or program"),
+        ({}, "give 'recording' (a file), or 'program'"),
         ({"recording": "/nowhere.mcap"}, "/nowhere.mcap"),
         ({"program": "/nowhere.py"}, "there is no such plan"),
     ],

@@ -701,10 +701,10 @@ def test_an_error_of_our_own_is_said_as_one(
 def test_the_bounds_are_those_of_the_page() -> None:
     page = (Path(__file__).parents[3] / "docs" / "guides" / "damaged_recordings.md").read_text()
     for bound in (
-        f"up to {MAX_INFLATED >> 20} MiB",
+        f"{MAX_INFLATED >> 20} MiB",
         f"{MAX_RATIO} times the file, or {FREE >> 20} MiB",
         f"2^{MAX_STEP.bit_length() - 1}",
-        f"| 2^{MAX_PARTS.bit_length() - 1}, of which",
+        f"| 2^{MAX_PARTS.bit_length() - 1};",
         f"up to {FAR:.0e} m, rad".replace("+0", ""),
         f"{MAX_DEPTH:,} |",
         f"2^{MAX_PIXELS.bit_length() - 1}",
