@@ -41,7 +41,9 @@ def test_a_page_shows_what_a_reader_gets(name: str, tmp_path: Path) -> None:
 @pytest.mark.costly
 @pytest.mark.needs("Jupyter")
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", CHAPTERS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=pytest.mark.long) if "/7_" in each else each for each in CHAPTERS]
+)
 def test_the_notebook_of_a_chapter_shows_what_the_chapter_shows(name: str, tmp_path: Path) -> None:
     text = (DOCS / "tutorial" / name).read_text(encoding="utf-8")
     assert_shown(cells(text), notebook_outputs(text, tmp_path))

@@ -271,7 +271,10 @@ def test_what_a_failed_motion_chose_from_is_told_everywhere(
         assert "out of reach by 0.211 m or more" in text, verb
     assert "OutOfReach" in shown["show"]
     excerpt = (
-        (DOCS / "guides" / "reasoning.md").read_text().partition("choices of the failed motion:\n\n```\n")[2].partition("```")[0]
+        (DOCS / "guides" / "reasoning.md")
+        .read_text()
+        .partition("choices of the failed motion:\n\n```\n")[2]
+        .partition("```")[0]
     )
     lines = {re.sub(r"\d+", "#", line) for line in shown["why"].splitlines()}
     assert excerpt
