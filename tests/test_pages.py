@@ -41,9 +41,7 @@ def test_a_page_shows_what_a_reader_gets(name: str, tmp_path: Path) -> None:
 @pytest.mark.costly
 @pytest.mark.needs("Jupyter")
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(
-    "name", [pytest.param(each, marks=pytest.mark.long) if each.startswith("7_") else each for each in CHAPTERS]
-)
+@pytest.mark.parametrize("name", CHAPTERS)
 def test_the_notebook_of_a_chapter_shows_what_the_chapter_shows(name: str, tmp_path: Path) -> None:
     text = (DOCS / "tutorial" / name).read_text(encoding="utf-8")
     assert_shown(cells(text), notebook_outputs(text, tmp_path))
