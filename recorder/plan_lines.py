@@ -43,6 +43,21 @@ def syntax_nodes(text: str) -> tuple[ast.AST, ...]:
         return ()
 
 
+def last_name(node: ast.AST | None) -> str:
+    """Return the last name of an expression, such as ``door`` of ``self.door``; "" without a name."""
+    return str(getattr(node, "attr", getattr(node, "id", "")))
+
+
+def called_name(node: ast.AST) -> str:
+    """Return the name of the function or method that a node calls; "" if it calls none."""
+    return last_name(node.func) if isinstance(node, ast.Call) else ""
+
+
+def stored(node: ast.AST) -> set[str]:
+    """Return the variables that a syntax node assigns."""
+    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
+
+
 def _is_passed(argument: ast.AST, own: set[str]) -> bool:
     match argument:
         case ast.Starred(value=value) | ast.keyword(arg=None, value=value):

@@ -202,9 +202,8 @@ def _sources(why: Why) -> Iterator[Line]:
     failed = None if lacks_step(case, why.causes) else stack[-1]
     for file, ranks in starts.items():
         flow = Flow(case.source.text(file))
-        for number in flow.lines(ranks, failed.number if failed is not None and failed.file == file else 0)[
-            :_MAX_SOURCES
-        ]:
+        numbers = flow.lines(ranks, failed.number if failed is not None and failed.file == file else 0)
+        for number in numbers[:_MAX_SOURCES]:
             found = case.source.line(file, number)
             yield from [found] if found is not None else []
 

@@ -17,7 +17,7 @@ from replay.explain.causes.trials import Proof, TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.scene import InvolvedBody, facing
 from replay.explain.why import ChangesSince, TriedAction, Why
-from replay.history.oddities import UNUSED, is_strong, oddities
+from replay.history.oddities import is_strong, oddities
 from replay.history.source import Line
 from replay.report import phrases, report
 from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of
@@ -162,7 +162,7 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
         yield from section("Why", causes)
         return
     sources = [] if origins else [*section("Lines that it may come from", _sources(why))]
-    slips = sources and not forked and is_strong(_slip(why, why.sources[0]) or UNUSED)
+    slips = sources and not forked and is_strong(_slip(why, why.sources[0]))
     yield from sources if slips else ()
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
     yield from origin if forked else ()

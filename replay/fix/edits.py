@@ -13,8 +13,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from recorder.plan_lines import called_name, stored
 from replay.fix.operators import FAR, OPERATORS, Change, similar_name
-from replay.fix.plan_syntax import PlanSyntax, asserts, called_name, loads, stored
+from replay.fix.plan_syntax import PlanSyntax, asserts, loads
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier

@@ -9,7 +9,8 @@ import re
 from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
-from replay.fix.plan_syntax import PlanSyntax, called_name, loads, stored, written_number
+from recorder.plan_lines import called_name, last_name, stored
+from replay.fix.plan_syntax import PlanSyntax, loads, written_number
 
 _FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
 _OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
@@ -264,7 +265,7 @@ def _calls(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         for world in worlds if len(worlds) > 1 else ():
             yield _to(node, f"{plan.segment(node)[:-1]}, world={world})", 0.4, f"world={world}")
     elif isinstance(node, ast.Name | ast.Attribute) and node in plan.called:
-        name = getattr(node, "attr", getattr(node, "id", ""))
+        name = last_name(node)
         if name in _OTHERS:
             yield _to(node, ast.unparse(node).removesuffix(name) + _OTHERS[name], 0.55)
 

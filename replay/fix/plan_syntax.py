@@ -7,6 +7,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from recorder.plan_lines import called_name, stored
+
 _CHECKING: Final = ("print", "monitored")  # their arguments have no effect on the world
 #: Functions and methods that change the world, or a container.
 _ACTING: Final = (
@@ -189,17 +191,6 @@ def written_number(node: ast.AST) -> int | float | None:
     """Return the number of a constant; None for another node."""
     value = node.value if isinstance(node, ast.Constant) else None
     return value if isinstance(value, int | float) and not isinstance(value, bool) else None
-
-
-def called_name(node: ast.AST) -> str:
-    """Return the name of the function or method that a node calls; "" if it calls none."""
-    function = node.func if isinstance(node, ast.Call) else None
-    return str(getattr(function, "attr", getattr(function, "id", "")))
-
-
-def stored(node: ast.AST) -> set[str]:
-    """Return the variables that a syntax node assigns."""
-    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}
 
 
 def loads(node: ast.AST, names: set[str]) -> bool:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
-from recorder.plan_lines import syntax_nodes
+from recorder.plan_lines import called_name, last_name, stored, syntax_nodes
 
 Found: TypeAlias = Iterator[tuple[ast.AST, str]]
 
@@ -48,7 +48,7 @@ class _Source:
 
     def calls(self, node: Any, *names: str) -> list[ast.Call]:
         """Return the calls of functions and methods in a node, and in the plan's functions that it calls."""
-        inner = [self.functions[_called(each)] for each in _calls(node) if _called(each) in self.functions]
+        inner = [self.functions[called_name(each)] for each in _calls(node) if called_name(each) in self.functions]
         return [each for part in (node, *inner) for each in _calls(part, *names)]
 
 
@@ -56,9 +56,11 @@ class _Source:
 def oddities(text: str) -> dict[int, str]:
     """Return what looks like a slip in the lines of a source, in words by the number of the line."""
     nodes = syntax_nodes(text)
-    found: dict[int, str] = {}
-    for rule in _RULES if nodes else ():
-        for node, words in rule(_Source(nodes)):
+    if not nodes:
+        return {}
+    source, found = _Source(nodes), dict[int, str]()
+    for rule in _RULES:
+        for node, words in rule(source):
             found.setdefault(getattr(node, "lineno", 0), words)
     return found
 
@@ -68,34 +70,26 @@ def is_strong(words: str) -> bool:
     return bool(words) and not words.endswith(UNUSED)
 
 
-def _name(node: Any) -> str:
-    return getattr(node, "id", getattr(node, "attr", ""))
-
-
 def _loaded(node: Any) -> list[str]:
     """Return the names and attributes that a node reads."""
-    return [_name(each) for each in ast.walk(node) if isinstance(getattr(each, "ctx", None), ast.Load) and _name(each)]
+    return [
+        last_name(each)
+        for each in ast.walk(node)
+        if isinstance(getattr(each, "ctx", None), ast.Load) and last_name(each)
+    ]
 
 
-def _names(node: Any, context: type[ast.expr_context] = ast.Load) -> set[str]:
-    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, context)}
-
-
-def _stored(node: Any) -> set[str]:
-    return _names(node, ast.Store)
-
-
-def _called(node: Any) -> str:
-    return _name(node.func) if isinstance(node, ast.Call) else ""
+def _names(node: Any) -> set[str]:
+    return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Load)}
 
 
 def _calls(node: Any, *names: str) -> list[ast.Call]:
-    return [each for each in ast.walk(node) if isinstance(each, ast.Call) and (not names or _called(each) in names)]
+    return [each for each in ast.walk(node) if isinstance(each, ast.Call) and (not names or called_name(each) in names)]
 
 
 def _changed(node: Any) -> set[str]:
     """Return the names whose containers a node changes."""
-    return {_name(getattr(each.func, "value", None)) for each in _calls(node, *_CHANGING)} - {""}
+    return {last_name(getattr(each.func, "value", None)) for each in _calls(node, *_CHANGING)} - {""}
 
 
 def _number(node: Any) -> float | None:
@@ -147,11 +141,11 @@ def _of_loops(source: _Source) -> Found:
         last, ends = node.body[-1], any(isinstance(each, ast.Break | ast.Return | ast.Raise) for each in ast.walk(node))
         if len(node.body) > 1 and isinstance(last, ast.Return | ast.Break):
             yield last, "this ends the loop in its first iteration"
-        kept = (_stored(node) - _stored(node.target)) & _names(source.function_of(node))
+        kept = (stored(node) - stored(node.target)) & _names(source.function_of(node))
         if isinstance(last, ast.Try) and last.handlers and not ends and kept:
             yield last.body[-1], "the loop goes on after a success"
         for late in (each for each in ast.walk(node) if isinstance(each, ast.Lambda)):
-            for name in _names(late.body) & _stored(node.target) - {each.arg for each in late.args.args}:
+            for name in _names(late.body) & stored(node.target) - {each.arg for each in late.args.args}:
                 yield late, f"it reads {name} when it is called, as the loop left it"
 
 
@@ -163,9 +157,11 @@ def _parameters(source: _Source) -> Found:
             if isinstance(value, _MUTABLE) and name in _changed(node):
                 yield value, f"all calls of {node.name} share the default of {name}"
         for loop in (each for each in ast.walk(node) if isinstance(each, ast.For)):
-            yield from ((loop, f"the loop replaces the parameter {name}") for name in {*given} & _stored(loop.target))
+            yield from ((loop, f"the loop replaces the parameter {name}") for name in {*given} & stored(loop.target))
         for call in _calls(source.module, node.name):
-            others = {(one, _name(other)) for one, other in zip(given, call.args, strict=False) if one != _name(other)}
+            others = {
+                (one, last_name(other)) for one, other in zip(given, call.args, strict=False) if one != last_name(other)
+            }
             if len(others) > 1 and {one for one, _ in others} == {other for _, other in others}:
                 yield call, f"the parameters are {', '.join(given)}"
 
@@ -181,13 +177,15 @@ def _halved(source: _Source) -> Found:
 
 def _bounds(source: _Source) -> Found:
     for node in source.all(ast.For | ast.comprehension):
-        if _called(node.iter) != "range" or not node.iter.args:
+        if called_name(node.iter) != "range" or not node.iter.args:
             continue
         body = node if isinstance(node, ast.For) else source.around[id(node)]
-        name, first, last = _name(node.target), node.iter.args[0], node.iter.args[:2][-1]
+        name, first, last = last_name(node.target), node.iter.args[0], node.iter.args[:2][-1]
         parts = [each for each in ast.walk(body) if isinstance(each, ast.BinOp | ast.Subscript)]
         used = [
-            each for each in parts if name in (_name(getattr(each, part, None)) for part in ("left", "right", "slice"))
+            each
+            for each in parts
+            if name in (last_name(getattr(each, part, None)) for part in ("left", "right", "slice"))
         ]
         if any(isinstance(getattr(each, "op", None), ast.Add | ast.Sub) for each in used):
             continue
@@ -200,7 +198,7 @@ def _bounds(source: _Source) -> Found:
 def _unreached(source: _Source) -> Found:
     """Yield branches that take all cases of the next branch."""
     members = {
-        _name(target): {*map(ast.dump, filter(None, getattr(node.value, "keys", getattr(node.value, "elts", ()))))}
+        last_name(target): {*map(ast.dump, filter(None, getattr(node.value, "keys", getattr(node.value, "elts", ()))))}
         for node in source.all(ast.Assign)
         for target in node.targets
     }
@@ -211,8 +209,8 @@ def _unreached(source: _Source) -> Found:
             ):
                 if ast.dump(test.left) == ast.dump(node.test.left) and type(op) is type(node.test.ops[0]):
                     wide, (one, two) = node.test.comparators[0], map(_number, (node.test.comparators[0], other))
-                    contained = isinstance(op, ast.In) and set() < members.get(_name(other), set()) <= members.get(
-                        _name(wide), set()
+                    contained = isinstance(op, ast.In) and set() < members.get(last_name(other), set()) <= members.get(
+                        last_name(wide), set()
                     )
                     if one is not None and two is not None and isinstance(op, ast.Gt | ast.GtE | ast.Lt | ast.LtE):
                         contained = one <= two if isinstance(op, ast.Gt | ast.GtE) else one >= two
@@ -226,13 +224,13 @@ def _not_reset(source: _Source) -> Found:
         for at, loop in ((at, each) for at, each in enumerate(block) if isinstance(each, ast.For | ast.While)):
             inner = [each for each in ast.walk(loop) if isinstance(each, ast.For | ast.While) and each is not loop]
             changed = {
-                _name(each.target) for part in inner for each in ast.walk(part) if isinstance(each, ast.AugAssign)
+                last_name(each.target) for part in inner for each in ast.walk(part) if isinstance(each, ast.AugAssign)
             }
             changed |= {name for each in inner if isinstance(each, ast.While) for name in _changed(each)}
-            changed -= {name for each in ast.walk(loop) if isinstance(each, ast.Assign) for name in _stored(each)}
+            changed -= {name for each in ast.walk(loop) if isinstance(each, ast.Assign) for name in stored(each)}
             changed &= {name for call in _calls(loop) for name in _names(call)}
             for before in (each for each in block[:at] if isinstance(each, ast.Assign)):
-                for name in changed & _stored(before):
+                for name in changed & stored(before):
                     yield before, f"{name} isn't set again in each iteration of line {loop.lineno}"
 
 
@@ -261,21 +259,21 @@ def _unused_names(source: _Source) -> Found:
     local = Counter(
         each
         for node in source.functions.values()
-        for own in [_stored(node) | {each.arg for each in ast.walk(node.args) if isinstance(each, ast.arg)}]
+        for own in [stored(node) | {each.arg for each in ast.walk(node.args) if isinstance(each, ast.arg)}]
         for each in _loaded(node)
         if each in own
     )
-    checks = [each for each in source.nodes if isinstance(each, ast.Assert) or _called(each) == "print"]
+    checks = [each for each in source.nodes if isinstance(each, ast.Assert) or called_name(each) == "print"]
     checked = Counter(each for check in checks for each in _loaded(check))
     for node in (each for each in source.module.body if isinstance(each, ast.Assign)):
-        read = {name: source.loaded[name] - local[name] for name in _stored(node) - {"_"}}
+        read = {name: source.loaded[name] - local[name] for name in stored(node) - {"_"}}
         unused = ", ".join(sorted(name for name, count in read.items() if count <= checked[name]))
         if unused and not any(read.values()) and not _calls(node.value):
             yield node, f"{unused} {UNUSED}"
         again: dict[tuple[str, str], list[ast.Call]] = defaultdict(list)
         for call in _calls(source.module) if unused and len(read) > 1 else ():
-            if call.args and _name(call.args[0]) in read:
-                again[_called(call), _name(call.args[0])].append(call)
+            if call.args and last_name(call.args[0]) in read:
+                again[called_name(call), last_name(call.args[0])].append(call)
         for (_, name), calls in again.items():
             if len(calls) > 1:
                 yield calls[-1], f"{name} again; {unused} isn't used"
@@ -285,7 +283,7 @@ def _degrees(source: _Source) -> Found:
     """Yield angles that are in degrees where radians are expected."""
     for call in _calls(source.module, "sin", "cos", "tan"):
         function, names = source.function_of(call), _names(call)
-        made = [each for each in ast.walk(function) if isinstance(each, ast.Assign) and names & _stored(each)]
+        made = [each for each in ast.walk(function) if isinstance(each, ast.Assign) and names & stored(each)]
         names = names.union(*(_names(each.value) for each in made))
         given = [each for other in _calls(source.module, getattr(function, "name", "-")) for each in other.args]
         large = any((_number(each) or 0.0) > _LARGEST_ANGLE for each in given)
@@ -303,7 +301,7 @@ def _order(source: _Source) -> Found:
         for at, read in enumerate(block):
             if not isinstance(read, ast.Assign) or not source.calls(read.value, *_READING):
                 continue
-            owners, names = _names(read.value) - {*source.functions}, _stored(read)
+            owners, names = _names(read.value) - {*source.functions}, stored(read)
             for between, after in zip(block[at + 1 :], block[at + 2 :], strict=False):
                 moves = _calls(between, "wait_for") or (owners & _names(between) and not _calls(between, "print"))
                 uses = names & _names(after) and not owners & _names(after) and not isinstance(after, ast.Assert)

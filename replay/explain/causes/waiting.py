@@ -11,7 +11,7 @@ from functools import lru_cache
 from itertools import groupby
 from typing import TYPE_CHECKING, Final
 
-from recorder.plan_lines import syntax_nodes
+from recorder.plan_lines import called_name, last_name, syntax_nodes
 from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
 from recorder.tasks import Node, State, Tree
 from replay.errors import NoSuchName
@@ -386,11 +386,11 @@ def _setters(text: str, name: str) -> tuple[tuple[int, bool], ...]:
     for node in nodes:
         for target in node.targets if isinstance(node, ast.Assign) else ():
             for variable, value in _assigned(target, node.value):  # type: ignore[attr-defined]
-                if isinstance(value, ast.Call) and _last_name(value.func) == "Fluent":
+                if isinstance(value, ast.Call) and called_name(value) == "Fluent":
                     given = [*value.args[1:2], *(each.value for each in value.keywords if each.arg == "name")]
                     named[variable] |= {str(each.value) for each in given if isinstance(each, ast.Constant)}
     calls = (node.func for node in nodes if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute))
-    setters = [(call.lineno, named.get(_last_name(call.value))) for call in calls if call.attr in _SETTERS]
+    setters = [(call.lineno, named.get(last_name(call.value))) for call in calls if call.attr in _SETTERS]
     sure = [(line, True) for line, fluents in setters if fluents and name in fluents]
     return tuple(sure or [(line, False) for line, fluents in setters if not fluents])
 
@@ -401,12 +401,7 @@ def _assigned(target: ast.expr, value: ast.expr) -> Iterator[tuple[str, ast.expr
         for each, of in zip(target.elts, value.elts, strict=False):
             yield from _assigned(each, of)
     else:
-        yield _last_name(target), value
-
-
-def _last_name(node: ast.expr) -> str:
-    """Return the last name of an expression, such as ``door`` of ``self.door``."""
-    return node.attr if isinstance(node, ast.Attribute) else node.id if isinstance(node, ast.Name) else ""
+        yield last_name(target), value
 
 
 def _task_of(tree: Tree, function: str, step: int) -> Node | None:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.plan_lines import syntax_nodes
+from recorder.plan_lines import called_name, syntax_nodes
 from recorder.records import Mutation, Run
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, bodies_in, since
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 _CLOSED: Final = re.compile(r"(.+?),? which (?:is|are) closed: open it first")
-_OPENING: Final = re.compile(r"(^|\.)(opening|accessing)$")
+_OPENING: Final = ("opening", "accessing")
 _FORKED: Final = 10  # maximum number of changes that a fork makes at a step
 #: Matches messages about objects that move, hang or lack support.
 _OF_GRAVITY: Final = re.compile(r"\bmoves at|\bhangs?\b|\bin the air\b|\bsupport|\brest\b|\bfall")
@@ -79,7 +79,7 @@ class ClosedContainer(Cause):
             return
         asked = case.line_of(case.task.started)
         nodes = syntax_nodes(case.source.text(asked.file)) if asked is not None else ()
-        calls = (node for node in nodes if isinstance(node, ast.Call) and _OPENING.search(ast.unparse(node.func)))
+        calls = (node for node in nodes if isinstance(node, ast.Call) and called_name(node) in _OPENING)
         later = (case.source.line(asked.file, call.lineno) for call in calls if asked and call.lineno > asked.number)
         opening = next((line for line in later if line and asked and line.function == asked.function), None)
         yield ClosedContainer((case.step,), found[1], opening)

@@ -66,22 +66,18 @@ class Written(Cause):
         """Yield the trial without the last of the changes; a loading has none, because the plan needs the object."""
         last = next(Written.find(case), self)
         if self.change.how != "load" and last.change.step == self.change.step:
-            if self.change.how == "command" and self.change.task is None:
-                skip = f"set_position(object={written(self.body)})=skip"
-                yield Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,), compares=True)
-            for trial in trials.put_back(case, self.change):
-                yield replace(trial, compares=True)
-            if self.part in _AXES and case.world is not None and self.body in case.world.bodies:
-                near = [
-                    at + _ASIDE * (axis == self.part)
-                    for axis, at in zip(
-                        _AXES,
-                        state_at(case.log, self.change.step).worlds[case.world.name].bodies[self.body].position,
-                        strict=True,
-                    )
-                ]
-                for trial in trials.placed(case, self.body, near, self.change.step):
-                    yield replace(trial, compares=True)
+            yield from (replace(trial, compares=True) for trial in self._without(case))
+
+    def _without(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trials without the change, with the former pose, and with another value."""
+        if self.change.how == "command" and self.change.task is None:
+            skip = f"set_position(object={written(self.body)})=skip"
+            yield Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,))
+        yield from trials.put_back(case, self.change)
+        if self.part in _AXES and case.world is not None and self.body in case.world.bodies:
+            now = state_at(case.log, self.change.step).worlds[case.world.name].bodies[self.body].position
+            near = [at + _ASIDE * (axis == self.part) for axis, at in zip(_AXES, now, strict=True)]
+            yield from trials.placed(case, self.body, near, self.change.step)
 
     def _words(self) -> Iterator[str]:
         if self.value is not None:
