@@ -30,7 +30,7 @@ from recorder.records import STEPS_PER_SECOND, Check, Keyframe, LoadBody, Mutati
 from recorder.records.motion import ROOT, FrameTree, changed_bodies, frame_name
 from recorder.records.text import has_line, text_of
 from recorder.records.values import first_position
-from recorder.tasks.lanes import Lanes
+from recorder.tasks.tree import Lanes
 from recorder.urdf import Shape, read_shapes
 from replay.errors import NONSENSE, Damaged, nonsense
 

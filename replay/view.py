@@ -27,8 +27,7 @@ from recorder.errors import RecordingError
 from recorder.geometry import Vector
 from recorder.records import Check
 from recorder.records.values import AssetFile
-from recorder.system import user
-from recorder.user_folders import cache_folder, is_own
+from recorder.system import cache_folder, is_own, user
 from recorder.viewer.connection import END_TIMEOUT, PORT, Target, ViewerGone, ViewerKind, ViewerWindow, address, answers
 from recorder.viewer.rerun_stream import STEP, stream_to_file
 from recorder.viewer.translator import ORIGIN, Layout, Translator, acts, blueprint, side_by_side

@@ -31,7 +31,7 @@ from recorder.tracing.context import current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
-    from pycram.scheduling.strikes import Clock
+    from pycram.scheduling.cancellation import Clock
 
 Value: TypeAlias = Any  # any value of a fluent
 #: Values of leaves at one moment. Each operation adds its own value, so it computes the value only once.

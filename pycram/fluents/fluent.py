@@ -16,7 +16,7 @@ matters, as in ``(speed != 0).AND(distance / speed < 10)``.
 
 Setting a fluent pulses it, even if the value stays the same. A network pulses when its value changes.
 :meth:`Fluent.pulsed` counts pulses; :meth:`Fluent.rising`, :meth:`Fluent.falling` and :meth:`Fluent.changed` count
-changes. :func:`~pycram.fluents.whenever.whenever` handles pulses and changes.
+changes. :func:`~pycram.fluents.fluent.whenever` handles pulses and changes.
 
 A wait never misses a value, however short it lasts. A change only appends a new state; the waiting thread computes the
 values. Functions of networks run in the thread that reads or waits, without any lock held. Such functions should be
@@ -30,7 +30,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
-from typing import Final, Self
+from typing import Final, Self, overload
 
 from pycram.fluents.expressions import (
     Behavior,
@@ -53,11 +53,11 @@ from pycram.foundation import checks
 from pycram.foundation.errors import export, qualified_name
 from pycram.foundation.failures import BadArgument, UsageError
 from pycram.foundation.refusals import refusing
+from pycram.language.branch import lazy, run
 from pycram.language.nesting import await_turn
-from pycram.scheduling.cancellation import checkpoint, raise_if_cancelled, wait_until
+from pycram.scheduling.cancellation import Deadline, checkpoint, raise_if_cancelled, wait_until
 from pycram.scheduling.future import unwrap
 from pycram.scheduling.schedule import Condition, scheduler
-from pycram.scheduling.strikes import Deadline
 from recorder.tracing.call_stack import call_site
 from recorder.tracing.span import span
 
@@ -434,3 +434,65 @@ def first_value(expression: Expression, timeout: float | None = None) -> Value:
     with StateStream(expression) as stream, nullcontext() if timeout is None else Deadline(timeout) as limit:
         values = (expression.value(state) for state in stream.states(limit))
         return next((value for value in values if value is not None), None)
+
+
+@overload
+def whenever(fluent: Fluent) -> Iterator[Value]: ...
+
+
+@overload
+def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
+
+
+@lazy("`s(whenever, fluent, body)`: without a body, `whenever` returns an iterator for a `for` loop")
+def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
+    """Run a body whenever a fluent's value is not None; the body repeats while the value stays like that.
+
+    To run the body once for each change, use a counter: :meth:`Fluent.rising`, :meth:`Fluent.falling`,
+    :meth:`Fluent.changed` or :meth:`Fluent.pulsed`. The behavior of a counter decides whether one run of the body
+    handles several changes::
+
+        for _ in whenever(door.pulsed()):
+            look_at(door)
+
+        with pursue as s:
+            s(whenever, (battery < 20).rising(), charge)
+            s(plan)
+
+    Both forms run in the thread that calls them. The repetition ends when the surrounding block is decided and so
+    cancels the branch, and when the body raises an error. A ``break`` also ends the loop.
+
+    Returns:
+        Without a body, the result is an iterator that waits, and yields each value that isn't None.
+
+    Raises:
+        BadArgument: ``fluent`` isn't a fluent, or the body isn't callable.
+        Cancelled: The branch is cancelled.
+    """
+    watched = unwrap(fluent)
+    if not isinstance(watched, Fluent):
+        raise BadArgument("fluent", watched, "a fluent")
+    runs = _runs(watched.expression)
+    if body is None:
+        return runs
+    if not callable(body):
+        raise BadArgument("body", body, "a function without arguments")
+    for _ in runs:
+        with span("whenever", watched.name):
+            run(body)
+    return None
+
+
+def _runs(expression: Expression) -> Iterator[Value]:
+    await_turn()
+    counters = [leaf for leaf in expression.leaves if isinstance(leaf, PulseCounter)]
+    while True:
+        checkpoint()
+        value = first_value(expression)
+        for counter in counters:
+            counter.take()
+        try:
+            yield value
+        finally:
+            for counter in counters:
+                counter.settle()

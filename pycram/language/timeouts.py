@@ -15,9 +15,16 @@ from typing import TYPE_CHECKING
 from pycram.foundation.checks import number
 from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.language.nesting import scope, sequential
-from pycram.scheduling.cancellation import CancelScope, current_scope, entered, raise_if_cancelled
+from pycram.scheduling.cancellation import (
+    CancelScope,
+    Deadline,
+    Limit,
+    current_scope,
+    entered,
+    limited,
+    raise_if_cancelled,
+)
 from pycram.scheduling.schedule import scheduler
-from pycram.scheduling.strikes import Deadline, Limit, limited
 from pycram.world.simulation import WorldClock
 from recorder.records import STEPS_PER_SECOND
 from recorder.tracing.span import Cancelled, span

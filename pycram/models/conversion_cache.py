@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.models.files import read_bytes
 from pycram.models.texture import warn_of_missing
-from recorder.user_folders import cache_folder
+from recorder.system import cache_folder
 
 if TYPE_CHECKING:
     Piece = tuple[str, bytes, Sequence[float] | None]
 
 _WORTH: Final = 50_000  # size in bytes of a binary STL below which a conversion is faster than a look-up
 _LARGEST: Final = 1_000_000_000  # total size in bytes above which the least recently used entries are deleted
-_CODE: Final = ("canonical_urdf.py", "mesh.py", "object_urdf.py", "shapes.py", "texture.py")
+_CODE: Final = ("canonical_urdf.py", "load.py", "mesh.py", "shapes.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)
 _MATERIALS: Final = re.compile(rb"^\s*mtllib\s+(.+?)\s*$", re.MULTILINE)

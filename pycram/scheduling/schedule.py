@@ -46,7 +46,7 @@ from recorder.tracing.call_stack import CallSite, plan_frame, plan_frames, recor
 from recorder.tracing.context import enter_branch, new_branch
 
 if TYPE_CHECKING:
-    from pycram.scheduling.strikes import StrikeSource
+    from pycram.scheduling.cancellation import StrikeSource
 
 _BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  ids of threads that existed before the plan
 #: Limit in s of a sleep; Python doesn't wake a thread for a signal that arrives just before the thread sleeps.

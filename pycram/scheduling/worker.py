@@ -7,9 +7,8 @@ from collections.abc import Callable
 from contextvars import copy_context
 from typing import TypeVar
 
-from pycram.scheduling.cancellation import join, raise_if_cancelled
+from pycram.scheduling.cancellation import StrikeSource, join, raise_if_cancelled
 from pycram.scheduling.schedule import refuse_held, scheduler
-from pycram.scheduling.strikes import StrikeSource
 from recorder.tracing.context import current_name
 from recorder.tracing.span import span
 

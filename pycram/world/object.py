@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, NoWorld, UnknownName, WorldClosed
@@ -17,10 +17,11 @@ from pycram.models import load
 from pycram.models.furniture import furniture_of, tops_of
 from pycram.models.load import Model
 from pycram.models.robots.description import Misfitting, RobotDescription, find_description
+from pycram.models.shapes import piece_bounds
 from pycram.models.surfaces import NONE, Container, Surface
 from pycram.physics.body import LoadedBody
 from pycram.scheduling.future import unwrap
-from pycram.world import attachment, joints, overlaps, sizes
+from pycram.world import attachment, joints, overlaps
 from pycram.world.attachment import BodyAttachment
 from pycram.world.transaction import ReadOnlyAttributes, update
 from recorder import geometry, records
@@ -30,6 +31,7 @@ from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
+
 
 #: None, in attributes whose world, robot or description may be missing. Type checkers accept any use of it, so plans
 #: need no assertions.
@@ -475,11 +477,11 @@ def _object(argument: str, value: object) -> Object:
 def _warn_of_shape(body: Object) -> None:
     """Warn that an object's mesh is probably in millimetres, or that hollow meshes of a URDF are filled."""
     is_mesh = not body.path.lower().endswith((".urdf", ".xacro"))  # lengths in a URDF are always in m
-    width = sizes.width(body.model.path) if is_mesh and not body.fixed else 0.0
-    if width > sizes.WIDEST:
-        warnings.warn_explicit(sizes.warning(body.name, width), sizes.Oversized, *call_site())
+    wide = width(body.model.path) if is_mesh and not body.fixed else 0.0
+    if wide > WIDEST:
+        warnings.warn_explicit(warning_of_size(body.name, wide), Oversized, *call_site())
     if not is_mesh and not body.is_robot and (filled := load.filled_links(body.model)):
-        warnings.warn_explicit(sizes.warning_of_filled(body.name, filled), sizes.Filled, *call_site())
+        warnings.warn_explicit(warning_of_filled(body.name, filled), Filled, *call_site())
 
 
 def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
@@ -491,3 +493,41 @@ def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
         out = "; ".join(f"{part} ({reason})" for part, reason in misfits.items())
         what = f"a description without these parts, which don't fit its URDF: {out}"
     warnings.warn_explicit(f"{robot.name} has {what}; {remedy}", Misfitting, *call_site())
+
+
+WIDEST: Final = 10.0  # width in m of a free object's mesh above which its unit is probably wrong
+_NAMED: Final = 5  # maximum number of links that a warning names
+
+
+class Oversized(UserWarning):
+    """The mesh of a free object is wider than 10 m, so its file is probably in another unit than metres."""
+
+
+class Filled(UserWarning):
+    """A URDF has a hollow collision mesh in one piece. The engine takes the convex hull of it, so nothing gets in."""
+
+
+def width(model: Path) -> float:
+    """Return the largest extent of a link of a checked URDF, in m."""
+    lows: dict[str, list[float]] = {}
+    highs: dict[str, list[float]] = {}
+    for link, (low, high) in piece_bounds(model):
+        lows[link] = [*map(min, low, lows.get(link, low))]
+        highs[link] = [*map(max, high, highs.get(link, high))]
+    return max(
+        (top - bottom for link in lows for bottom, top in zip(lows[link], highs[link], strict=True)), default=0.0
+    )
+
+
+def warning_of_size(body: str, wide: float) -> str:
+    """Return the message of the warning that an object is oversized."""
+    return f"{body} is {wide:.3g} m wide: is its file in millimetres? Object(..., scale=0.001)"
+
+
+def warning_of_filled(body: str, links: Sequence[str]) -> str:
+    """Return the message of the warning that hollow collision meshes are filled."""
+    names = ", ".join(links[:_NAMED]) + (f" and {len(links) - _NAMED} more" if len(links) > _NAMED else "")
+    return (
+        f"{body}: the collision mesh of {names} is hollow and in one piece, so the engine takes its solid convex hull; "
+        "write its convex parts as an OBJ with a group for each, or as several <collision> elements"
+    )

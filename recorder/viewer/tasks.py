@@ -16,8 +16,8 @@ import rerun as rr
 from recorder.records import Task
 from recorder.records.text import is_timed_out
 from recorder.tasks import Node, State, Tree
-from recorder.tasks.lanes import Lane, Lanes
 from recorder.tasks.rendering import COLORS
+from recorder.tasks.tree import Lane, Lanes
 from recorder.viewer.rerun_stream import BLUE, GREEN, GREY, RED, YELLOW, Color, Columns, Series, TimePoint
 
 LANES: Final = "level"  # name that titles of lanes contain

@@ -18,7 +18,6 @@ from recorder.records.beliefs import is_look
 from recorder.records.motion import ROOT
 from recorder.records.text import text_of
 from recorder.records.values import AssetFile
-from recorder.viewer.beliefs_and_properties import FoldedWorlds
 from recorder.viewer.marks import FAILURES, Attachments, CameraFrustums, TaskMarks, TrajectoryPaths
 from recorder.viewer.queries import PAGE, PICTURE, QUERIES, QueryMarks, QueryPage, QueryPicture, QueryPlaces
 from recorder.viewer.rerun_stream import STEP, Columns, TimePoint, sim_ns, up_to
@@ -31,6 +30,7 @@ from recorder.viewer.tables_and_plots import (
     LOG,
     PROPERTIES,
     RECORDS,
+    FoldedWorlds,
     LogLines,
     Plots,
     RecordTables,

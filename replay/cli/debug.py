@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from recorder.plan_lines import deciding
 from recorder.records import STEPS_PER_SECOND, Output, Record, Run, format_failure
+from recorder.system import cache_folder
 from recorder.terminal import coloured, has_colours
-from recorder.user_folders import cache_folder
 from replay.cli import main
 from replay.cli.console import print_message, visible
 from replay.cli.main import FINE
@@ -571,7 +571,7 @@ class Prompt(cmd.Cmd):
 
     def complete_watch(self, text: str, *rest: Any) -> list[str]:
         """Complete the name of a quantity."""
-        from replay.debug.expressions import quantity_names  # noqa: PLC0415  as above
+        from replay.debug.session import quantity_names  # noqa: PLC0415  as above
 
         found = _beginning(text, quantity_names(self.log, self.session.step))
         return found or self.completedefault(text, *rest)

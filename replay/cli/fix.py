@@ -17,7 +17,7 @@ from replay.cli.retrace import AGAIN
 from replay.errors import ReplayError
 from replay.recording import Recording
 from replay.report import phrases
-from replay.report.page import write
+from replay.report.report import write
 
 if TYPE_CHECKING:
     from replay.fix.last_chance import LastChance

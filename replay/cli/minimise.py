@@ -12,7 +12,7 @@ from replay.cli.main import FINE
 from replay.cli.retrace import AGAIN
 from replay.errors import ReplayError
 from replay.recording import Recording
-from replay.report.page import write
+from replay.report.report import write
 
 _BUDGET: Final = 200
 

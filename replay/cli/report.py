@@ -22,7 +22,7 @@ from replay.history.source import Line, PlanSource
 from replay.history.summary import summary
 from replay.recording import Recording
 from replay.report import phrases
-from replay.report.page import embedded, page, write
+from replay.report.report import embedded, page, write
 from replay.state.fold import last_open_step
 
 _FILM: Final = 24  # number of pictures in the film

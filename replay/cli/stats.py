@@ -19,8 +19,8 @@ from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE
 from replay.errors import ReplayError
 from replay.recording import Recording
-from replay.report.page import embedded, page, write
 from replay.report.phrases import one_line, percent, plural, short
+from replay.report.report import embedded, page, write
 from replay.runs.statistics import FailureCause, Share, Slow, Statistics, plan_of, statistics
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from replay.cli.minimise import add_output, output
 from replay.errors import ReplayError
 from replay.history.steps import HINT
 from replay.recording import Recording
-from replay.report.page import write
+from replay.report.report import write
 
 
 def add(parser: argparse.ArgumentParser) -> None:

@@ -25,8 +25,8 @@ from recorder.mcap_sink import McapSink
 from recorder.provenance import metadata
 from recorder.recording import redirected
 from recorder.records import Run
+from recorder.system import cache_folder
 from recorder.tracing.journal import NullSink, Sink
-from recorder.user_folders import cache_folder
 from replay.errors import ReplayError
 from replay.file.record_reader import RecordReader
 from replay.history.source import PlanSource

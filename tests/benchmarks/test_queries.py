@@ -19,7 +19,7 @@ import pytest
 
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
-from pycram.models import rigid_parts, shapes
+from pycram.models import shapes
 from pycram.models.shapes import solids_of
 from pycram.physics.engine import bullet
 from pycram.reasoning.collision import boxes, simulation_clone
@@ -142,7 +142,7 @@ def forget() -> None:
     """Begin as if no query had been asked yet, nor anything been loaded for one."""
     for cached in (shapes.shapes_of, shapes._read, shapes._mesh, shapes._mesh_ends, boxes._bounds, solids_of):
         cached.cache_clear()
-    for cached in (rigid_parts.divided, rigid_parts.single_link):
+    for cached in (simulation_clone.divided, simulation_clone.single_link):
         cached.cache_clear()
     for cached in (forward.drivers, boxes._structure, boxes.joint_counts):
         cached.cache_clear()

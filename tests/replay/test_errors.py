@@ -11,9 +11,8 @@ import pytest
 
 from recorder.errors import PortableError, RecordingError
 from recorder.properties import BadProperty
-from replay.debug.expressions import NoQuantity
 from replay.debug.guided_plan import PlanEnded, PlanInterrupted
-from replay.debug.session import NoFurther, NoSuchPlace
+from replay.debug.session import NoFurther, NoQuantity, NoSuchPlace
 from replay.errors import (
     Damaged,
     LogClosed,

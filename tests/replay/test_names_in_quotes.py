@@ -11,7 +11,7 @@ import replay
 from pycram import bullet_world_reasoning as btr
 from pycram.bullet_world import BulletWorld, Object
 from replay.cli.main import main
-from replay.debug.expressions import NoQuantity, quantity_names, value_changes
+from replay.debug.session import NoQuantity, quantity_names, value_changes
 from replay.retrace.changes import checked_answer, parse_setting, settings
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError
 from pycram.models.files import resources
 from pycram.models.mesh import read_parts
-from pycram.world.sizes import Filled
+from pycram.world.object import Filled
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pycram.bullet_world import BulletWorld, Object
-from pycram.models import load, rigid_parts, shapes
+from pycram.models import load, shapes
 from pycram.physics.engine import Engine
+from pycram.reasoning.collision import simulation_clone
 from recorder import geometry
 from tests import large_kitchen
 
@@ -47,11 +48,11 @@ def test_rigid_parts_and_single_links_are_where_the_model_is(world: BulletWorld,
         return engine.load(path, row.get_link_position_and_orientation(link), fixed=True)
 
     path = row.model.path
-    rigid = [loaded(part.path, part.frame) for part in rigid_parts.divided(path)]
+    rigid = [loaded(part.path, part.frame) for part in simulation_clone.divided(path)]
     assert len(rigid) == 1 + len(row.joints), "what never moves, and each drawer"
     solid = shapes.shapes_of(path, "collision").links
-    assert sorted(link for part in rigid_parts.divided(path) for link in part.links) == sorted(solid)
-    single = [loaded(rigid_parts.single_link(path, link), link) for link in solid]
+    assert sorted(link for part in simulation_clone.divided(path) for link in part.links) == sorted(solid)
+    single = [loaded(simulation_clone.single_link(path, link), link) for link in solid]
     model = load.load("knife.stl")
     probe, there = engine.load(model.path, geometry.IDENTITY, fixed=False), Object("knife", "knife", "knife.stl")
     rng, near = random.Random(1), 0
@@ -75,7 +76,7 @@ def test_links_with_different_friction_are_different_parts(tmp_path: Path) -> No
     joint = '<joint name="{0}" type="fixed"><parent link="a"/><child link="{0}"/></joint>'
     file = tmp_path / "floor.urdf"
     file.write_text(f'<robot name="floor">{links}{joint.format("b")}{joint.format("c")}</robot>')
-    found = rigid_parts.divided(load.load(file).path)
+    found = simulation_clone.divided(load.load(file).path)
     assert [part.links for part in found] == [("a", "c"), ("b",)]
     assert [b"0.01" in part.path.read_bytes() for part in found] == [False, True]
 

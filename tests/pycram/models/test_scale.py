@@ -13,8 +13,8 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import AssetError, BadArgument, JointLimitError
 from pycram.models import store
 from pycram.models.files import find
-from pycram.world import sizes
-from pycram.world.sizes import Oversized
+from pycram.world import object as objects
+from pycram.world.object import Oversized
 from recorder.records import Mutation
 from replay.restore.verify import verify
 
@@ -77,7 +77,7 @@ def test_a_mesh_in_millimetres_falls_as_the_same_mesh_in_metres(tmp_path: Path, 
     trimesh.load(find("milk.stl"), force="mesh").export(tmp_path / f"own.{kind}")
     own = Object("own", "milk", tmp_path / f"own.{kind}", [0, 0, 0.2])
     scaled = Object("scaled", "milk", file, [1, 0, 0.2], scale=0.001)
-    assert sizes.width(scaled.model.path) == pytest.approx(sizes.width(own.model.path), rel=1e-4)
+    assert objects.width(scaled.model.path) == pytest.approx(objects.width(own.model.path), rel=1e-4)
     assert inertia(scaled) == pytest.approx(inertia(own), rel=1e-4)
     world.simulate(2)
     assert scaled.get_position()[2] == pytest.approx(own.get_position()[2], abs=5e-4)

@@ -14,9 +14,8 @@ import replay
 from pycram.bullet_world import BulletWorld, Object
 from recorder.records import Mutation, Run, Task
 from replay.cli.main import main
-from replay.debug.expressions import NoQuantity, value_changes
 from replay.debug.guided_plan import GuidedPlan
-from replay.debug.session import Session
+from replay.debug.session import NoQuantity, Session, value_changes
 from replay.retrace.plan_process import PlanProcess
 from tests.replay.debug.plans import TEXT, line
 from tests.replay.retrace.test_retrace import record
