@@ -8,16 +8,19 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import random
 import re
 import resource
+import statistics
 import subprocess
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from tempfile import TemporaryFile
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import replay
 from recorder.records import Mutation, Task, argument_values
@@ -25,7 +28,7 @@ from replay.history.tasks import uncaught_failure
 from tests.faults.kinds import faults
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from replay.recording import Recording
 
@@ -37,6 +40,14 @@ SHOWN: Final = 20  # lines of an explanation that a user reads
 WORLD_KINDS: Final = ("moved-object", "blocked-place", "slip", "shut")
 CONTINUOUS: Final = ("row", "sorting")  # plans that are short enough in simulated time
 _HOLDS: Final = re.compile(r"^# holds: (.*)$", re.MULTILINE)
+
+
+class Score(NamedTuple):
+    """How well a case is explained."""
+
+    ranks: dict[str, int]  # of the truth, by method
+    costs: dict[str, float]  # CPU time in s, by method
+    verdicts: Counter[str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,15 +193,38 @@ def _change(draw: random.Random, log: Recording, kind: str) -> tuple[int, str] |
 # --- scores -----------------------------------------------------------------------------------------------------------
 
 
-def guesses(case: Case, *options: str) -> list[tuple[str, int]]:
-    """Return the lines and steps that the first lines of an explanation name, in order, each once."""
+def explained(case: Case, *options: str) -> tuple[str, float]:
+    """Return the output of ``why``, and its CPU time in s with that of its processes."""
     command = [sys.executable, "-m", "replay", "why", case.recording.name, *options]
-    done = subprocess.run(command, cwd=case.recording.parent, capture_output=True, text=True, check=True, timeout=LIMIT)
-    shown = "\n".join(done.stdout.splitlines()[:SHOWN])
+    with TemporaryFile("w+", encoding="utf-8") as output:
+        asked = subprocess.Popen(command, cwd=case.recording.parent, stdout=output, stderr=subprocess.DEVNULL)
+        _, status, used = os.wait4(asked.pid, 0)
+        asked.returncode = os.waitstatus_to_exitcode(status)
+        assert not asked.returncode, f"seed {case.seed}: why {' '.join(options)} ended with {asked.returncode}"
+        output.seek(0)
+        return output.read(), used.ru_utime + used.ru_stime
+
+
+def guesses(case: Case, text: str) -> list[tuple[str, int]]:
+    """Return the lines and steps that the first lines of an explanation name, in order, each once."""
+    shown = "\n".join(text.splitlines()[:SHOWN])
     found = re.finditer(rf"{re.escape(case.file.name)}:(?P<line>\d+)|steps? (?P<step>\d+)", shown)
     return list(
         dict.fromkeys(("line", int(each["line"])) if each["line"] else ("step", int(each["step"])) for each in found)
     )
+
+
+def verdicts(case: Case, data: Mapping[str, Any]) -> Counter[str]:
+    """Count the verdicts on causes that name the truth, and on others. The former should be confirmed."""
+    found: Counter[str] = Counter()
+    for cause in data["causes"]:
+        text = json.dumps(cause)
+        named = [*guesses(case, text), *(("step", step) for step in cause.get("steps", []))]
+        lines = re.finditer(rf'{re.escape(case.file.name)}", "line": (\d+)', text)
+        named += [("line", int(each[1])) for each in lines]
+        truth = "the truth" if rank(case, named) else "another"
+        found[f"{(cause.get('proof') or {}).get('verdict', 'untested')}, {truth}"] += 1
+    return found
 
 
 def rank(case: Case, named: Sequence[tuple[str, int]]) -> int:
@@ -225,10 +259,18 @@ def baselines(case: Case) -> dict[str, list[tuple[str, int]]]:
     }
 
 
-def scored(case: Case) -> dict[str, int]:
-    """Return the rank of the truth by each method."""
-    ranks = {name: rank(case, named) for name, named in baselines(case).items()}
-    return {"why": rank(case, guesses(case)), **ranks}
+def scored(case: Case, *, again: bool) -> Score:
+    """Return the rank of the truth by each method; with ``again``, also by those that run the plan again."""
+    methods = {"why": (), "why --origins": ("--origins", "--recorded-source")} if again else {"why": ()}
+    ranks, costs = {}, {}
+    for name, options in methods.items():
+        text, costs[name] = explained(case, *options)
+        ranks[name] = rank(case, guesses(case, text))
+    found: Counter[str] = Counter()
+    if again:
+        text, costs["why --prove"] = explained(case, "--prove", "--recorded-source", "--json")
+        found = verdicts(case, json.loads(text))
+    return Score(ranks | {name: rank(case, named) for name, named in baselines(case).items()}, costs, found)
 
 
 def main() -> None:
@@ -237,9 +279,10 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--runs", type=int, default=300)
     parser.add_argument("-j", type=int, default=2, help="number of parallel runs")
+    parser.add_argument("--again", action="store_true", help="score why --origins and why --prove as well")
     options = parser.parse_args()
 
-    def one(seed: int) -> tuple[Case, dict[str, int]]:
+    def one(seed: int) -> tuple[Case, Score]:
         folder = options.folder / str(seed)
         file = folder / "truth.json"
         if file.is_file():
@@ -247,11 +290,15 @@ def main() -> None:
             case = Case(**{**facts, "recording": folder / facts["recording"]})
         else:
             case = make_case(seed, folder)
-        return case, scored(case)
+        return case, scored(case, again=options.again)
 
     with ThreadPoolExecutor(options.j) as workers:
         results = list(workers.map(one, range(options.runs)))
-    table(results)
+    table([(case, score.ranks) for case, score in results])
+    for name in results[0][1].costs:
+        print(f"CPU of {name}: {statistics.median(score.costs[name] for _, score in results):.1f} s in the median")
+    counted = sum((score.verdicts for _, score in results), Counter())
+    print("".join(f"\n{count:5} causes {verdict}" for verdict, count in sorted(counted.items())))
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     print(f"\n{len(results)} runs, {spent.ru_utime + spent.ru_stime:.0f} s of CPU")
 
