@@ -12,7 +12,7 @@ to their positions at its end. The engine's steps would take ten times as long.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -393,7 +393,7 @@ def _touching(body: Object, joint: str) -> list[CollisionPair]:
     return sorted(found, key=found.__getitem__, reverse=True)
 
 
-_NEAR: Final = 0.005  # minimum distance in m between bodies, plus the distance that a link covers in the interval
+_NEAR: Final = 0.001  # minimum distance in m between bodies, plus the distance that a link covers in the interval
 _ALONG: Final = 0.05  # maximum distance in m between the boxes of two moving links that may move together
 _RIGID: Final = (5e-3, 5e-2)  # largest relative motion in m and rad of links that move together
 
@@ -408,6 +408,7 @@ class Coasting:
         self._following: Sequence[tuple[Object, Sequence[str]]] = ()
         self._furniture: Sequence[Object] = ()  # furniture that follows trajectories
         self._rows: list[tuple[Object, str]] = []  # the moving links
+        self._moving: Mapping[Object, Sequence[str]] = {}  # the moving links by body
         self._columns: list[tuple[Object, str]] = []  # all links
         self._numbers: list[int] = []  # indices of the moving links among all links
         self._possible: NDArray[np.bool_] = np.zeros((0, 0), bool)  # pairs (moving link, link) that may collide
@@ -473,14 +474,15 @@ class Coasting:
         )
 
     def _find_pairs(self) -> None:
-        engine, objects = self._world.engine, self._world.objects
+        objects = self._world.objects
         self._columns = [(body, link) for body in objects for link in body.links]
-        self._boxes = np.array([engine.box(body.handle, link) for body, link in self._columns]).reshape(-1, 2, 3)
+        self._boxes = self._boxes_of({body: body.links for body in objects})
         has_shape = np.ptp(self._boxes, axis=1).max(axis=1) > 0.0
         moved: dict[tuple[Object, str], bool] = {}  # moving links, and whether a base moves each of them
         for body, joints in self._following:
             moved |= dict.fromkeys(_moving(body, joints), not joints)
         self._rows = [each for each, shaped in zip(self._columns, has_shape, strict=True) if shaped and each in moved]
+        self._moving = {body: [link for each, link in self._rows if each is body] for body, _ in self._rows}
         numbers = {each: number for number, each in enumerate(self._columns)}
         self._numbers = [numbers[each] for each in self._rows]
         roots = {body: attachment.root_of(body) for body in objects}
@@ -491,10 +493,14 @@ class Coasting:
         self._possible = others.reshape(-1, len(self._columns)) & has_shape & ~(driving[:, None] & np.array(still))
 
     def _moving_boxes(self) -> Array:
-        engine = self._world.engine
-        boxes = np.array([engine.box(body.handle, link) for body, link in self._rows]).reshape(-1, 2, 3)
+        boxes = self._boxes_of(self._moving)
         self._boxes[self._numbers] = boxes
         return boxes
+
+    def _boxes_of(self, links: Mapping[Object, Iterable[str]]) -> Array:
+        engine = self._world.engine
+        bounds = [box for body, names in links.items() for box in engine.boxes(body.handle, names)]
+        return np.array(bounds).reshape(-1, 2, 3)
 
     def _overlap(self, rows: Array, distances: Array) -> NDArray[np.bool_]:
         """Return which pairs of a moving link and a link have boxes nearer to each other than a distance in m."""
@@ -507,7 +513,7 @@ class Coasting:
 
     def _is_near(self, rows: Array, distances: Array) -> bool:
         """Return whether a link is nearer to a moving link than a distance in m, and doesn't move along with it."""
-        for row, column in np.argwhere(self._overlap(rows, distances)).tolist():
+        for row, column in zip(*np.nonzero(self._overlap(rows, distances)), strict=True):
             (body, link), (other, other_link) = self._rows[row], self._columns[column]
             if self._world.engine.link_closest_points(
                 body.handle, link, other.handle, float(distances[row]), link_b=other_link

@@ -349,9 +349,8 @@ class Object(ReadOnlyAttributes):
         The box is up to 3 mm too large on each side, because the engine pads shapes.
         """
         with self.world.lock:
-            engine = self.world.engine
             links = self.links if name is None else (self.check_link(name),)
-            boxes = [engine.box(self.handle, link) for link in links]
+            boxes = self.world.engine.boxes(self.handle, links)
         return (
             [min(box[0][i] for box in boxes) for i in range(3)],
             [max(box[1][i] for box in boxes) for i in range(3)],

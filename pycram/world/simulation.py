@@ -414,7 +414,9 @@ class RestDetector:
             known = [body for body in after if body in before]  # other branches may attach and load objects
             self._speeds.append({body: _speed(body, before[body], after[body], seconds) for body in known})
         self._rested = {
-            body: rested for body, state in after.items() if (rested := self._rest(body, state)) is not None
+            body: rested
+            for body, state in after.items()
+            if (rested := (state is before.get(body) and self._rested.get(body)) or self._rest(body, state))
         }
         last = self._speeds[-1] if self._speeds else {}
         self.restless = {body: last.get(body, Speed(0.0)) for body in after if body not in self._rested}
@@ -455,6 +457,8 @@ class RestDetector:
 
 def _speed(body: Object, before: Snapshot, after: Snapshot, seconds: float) -> Speed:
     """Return the greatest speed of an object or its joints between two states."""
+    if before is after:
+        return Speed(0.0)
     moved = Speed(math.dist(before.pose[0], after.pose[0]) / SLOW / seconds)
     turned = Speed(geometry.angle(before.pose[1], after.pose[1]) / SLOW_TURN / seconds, "", "rad/s")
     fastest = max(moved, turned)
