@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,13 +90,12 @@ class Rendering:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Drawable:
+class Drawable(NamedTuple):
     """A body with k links to render, from a physics engine or from a recording."""
 
     shapes: Shapes  # shapes of the links, in their frames
-    positions: NDArray[np.float64]  # (k, 3) positions of the links' frames in the world, m
-    orientations: NDArray[np.float64]  # (k, 4) orientations of the links' frames in the world, xyzw
+    positions: Sequence[Sequence[float]]  # (k, 3) positions of the links' frames in the world, m
+    orientations: Sequence[Sequence[float]]  # (k, 4) orientations of the links' frames in the world, xyzw
     color: Sequence[float] | None  # RGBA 0..1 of the whole body; None for the model's colours
     is_robot: bool  # whether links around the camera are its housing, which isn't rendered
 
@@ -112,14 +111,18 @@ def drawable_link(
         shapes.low[at : at + 1],
         shapes.high[at : at + 1],
     )
-    return Drawable(one, np.array([pose[0]]), np.array([pose[1]]), color, is_robot)
+    return Drawable(one, pose[:1], pose[1:], color, is_robot)
 
 
 def drawable(body: Object) -> Drawable:
     """Return an object of a live world to render; the caller holds the world's lock."""
     shapes = shapes_of(body.model.path)
-    frames = body.world.engine.link_frames(body.handle, shapes.links)
-    return Drawable(shapes, *frames, body.color, body.is_robot)
+    engine, handle = body.world.engine, body.handle
+    if len(handle.links) == 1:  # arrays for each of many objects would take most of the time
+        at, turn = engine.snapshot(handle).pose
+        return Drawable(shapes, [at] * len(shapes.links), [turn] * len(shapes.links), body.color, body.is_robot)
+    positions, orientations = engine.link_frames(handle, shapes.links)
+    return Drawable(shapes, positions.tolist(), orientations.tolist(), body.color, body.is_robot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,8 +197,8 @@ class Camera:
         boxes = _Boxes(
             low=np.concatenate([shapes.low for shapes in models]),
             high=np.concatenate([shapes.high for shapes in models]),
-            positions=np.concatenate([body.positions for body in bodies]),
-            turns=geometry.to_matrices(np.concatenate([body.orientations for body in bodies])),
+            positions=np.array([at for body in bodies for at in body.positions]),
+            turns=geometry.to_matrices(np.array([turn for body in bodies for turn in body.orientations])),
         )
         of_robots = np.array([bodies[index].is_robot for index, _ in links])
         eye = np.einsum("kji,kj->ki", boxes.turns, np.asarray(self.pose[0]) - boxes.positions)
