@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 from recorder.records import Fluent, Mutation, Plain, Query, Record, Refusal, Run, Task, without_addresses
 from recorder.records.text import is_choice
 from replay.file.lifetimes import title
-from replay.history.summary import Summary, summary
-from replay.history.tasks import causing_tasks
+from replay.history.tasks import Summary, causing_tasks, summary
 from replay.report import phrases, report
 from replay.state.fold import state_at
 from replay.state.json_data import kind_of, record_data

@@ -70,7 +70,7 @@ class Recording(RecordReader):
     """
 
     def _repr_html_(self) -> str:
-        from replay.history.summary import summary  # noqa: PLC0415  slow to import
+        from replay.history.tasks import summary  # noqa: PLC0415  slow to import
 
         info = summary(self)
         worlds = ", ".join(f"{title(each.world, each.lifetime)}: {each.seconds:.3f} s" for each in info.worlds)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from recorder.records import Revision, Run
 from replay.cli.console import print_result, print_text
 from replay.file.lifetimes import title
-from replay.history.summary import Summary, summary
+from replay.history.tasks import Summary, summary
 from replay.recording import Recording
 from replay.report.phrases import one_line
 from replay.state.json_data import record_data

@@ -19,7 +19,7 @@ from replay.errors import ReplayError
 from replay.explain import check, why_report
 from replay.explain.why import Why
 from replay.history.source import Line, PlanSource
-from replay.history.summary import summary
+from replay.history.tasks import summary
 from replay.recording import Recording
 from replay.report import phrases
 from replay.report.report import embedded, page, write

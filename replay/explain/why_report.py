@@ -15,9 +15,8 @@ from replay.compare import difference_lines
 from replay.explain.causes.case import Cause
 from replay.explain.causes.trials import Proof, TriedTrial
 from replay.explain.causes.waiting import Interruption
-from replay.explain.scene import InvolvedBody, facing
-from replay.explain.why import ChangesSince, TriedAction, Why
-from replay.history.oddities import is_strong, oddities
+from replay.explain.why import ChangesSince, InvolvedBody, TriedAction, Why, facing
+from replay.history.flow import is_strong, oddities
 from replay.history.source import Line
 from replay.report import phrases, report
 from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of

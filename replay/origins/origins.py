@@ -17,7 +17,7 @@ from recorder.records import Mutation
 from replay.explain.causes import decides, lacks_step
 from replay.explain.causes.case import Cause, CausingChange, hands, joints_of
 from replay.explain.causes.out_of_reach import ObstructingBody
-from replay.explain.causes.written import Written
+from replay.explain.causes.raised import Written
 from replay.file.record_reader import RecordReader
 from replay.history.blame import Blame, blame
 from replay.history.source import PlanSource

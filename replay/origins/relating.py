@@ -13,7 +13,7 @@ from recorder import geometry
 from recorder.records import Plain
 from replay.file.record_reader import RecordReader
 from replay.history.blame import blame
-from replay.history.oddities import is_strong, oddities
+from replay.history.flow import is_strong, oddities
 from replay.history.source import PlanSource
 from replay.origins.origin import Origin, PossibleMistake
 from replay.report import phrases

@@ -8,14 +8,21 @@ from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
 from replay.explain.causes.case import CausingChange, about
-from replay.explain.causes.changed import Gone, HandState, Misbelief, NoLonger
+from replay.explain.causes.changed import (
+    ClosedContainer,
+    ForkedChange,
+    Gone,
+    HandState,
+    Misbelief,
+    NoGravity,
+    NoLonger,
+    OtherWorld,
+)
 from replay.explain.causes.lacked import RefusedRequest, Swallowed
 from replay.explain.causes.out_of_reach import TOO_FAR, NoCandidate, ObstructingBody, UnreachedTarget
 from replay.explain.causes.physics import Physics
-from replay.explain.causes.raised import Raised
+from replay.explain.causes.raised import Raised, Written
 from replay.explain.causes.waiting import Interruption, Timeout
-from replay.explain.causes.worlds import ClosedContainer, ForkedChange, NoGravity, OtherWorld
-from replay.explain.causes.written import Written
 
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase

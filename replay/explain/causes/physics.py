@@ -18,7 +18,7 @@ from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, about, objects_in, result
-from replay.explain.causes.written import Written, compared
+from replay.explain.causes.raised import Written, compared
 from replay.history.blame import commanded, is_physics
 from replay.history.source import Line
 from replay.report import phrases

@@ -15,7 +15,7 @@ from recorder.tracing import journal
 from recorder.tracing.journal import Journal
 from recorder.tracing.span import span
 from replay.cli.main import main
-from replay.history.summary import summary
+from replay.history.tasks import summary
 
 if TYPE_CHECKING:
     from pathlib import Path

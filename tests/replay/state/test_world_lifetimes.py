@@ -17,7 +17,7 @@ from replay.cli.main import main
 from replay.compare import difference
 from replay.errors import NoSuchName
 from replay.file.lifetimes import title
-from replay.history.summary import summary
+from replay.history.tasks import summary
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
