@@ -269,7 +269,7 @@ def _of_loops(source: _Source) -> Found:
         if isinstance(last, ast.Try) and last.handlers and not ends and kept:
             yield last.body[-1], "the loop goes on after a success"
         for late in (each for each in ast.walk(node) if isinstance(each, ast.Lambda)):
-            for name in _names(late.body) & stored(node.target) - {each.arg for each in late.args.args}:
+            for name in sorted(_names(late.body) & stored(node.target) - {each.arg for each in late.args.args}):
                 yield late, f"it reads {name} when it is called, as the loop left it"
 
 
@@ -281,7 +281,9 @@ def _parameters(source: _Source) -> Found:
             if isinstance(value, _MUTABLE) and name in _changed(node):
                 yield value, f"all calls of {node.name} share the default of {name}"
         for loop in (each for each in ast.walk(node) if isinstance(each, ast.For)):
-            yield from ((loop, f"the loop replaces the parameter {name}") for name in {*given} & stored(loop.target))
+            yield from (
+                (loop, f"the loop replaces the parameter {name}") for name in sorted({*given} & stored(loop.target))
+            )
         for call in _calls(source.module, node.name):
             others = {
                 (one, last_name(other)) for one, other in zip(given, call.args, strict=False) if one != last_name(other)
@@ -354,7 +356,7 @@ def _not_reset(source: _Source) -> Found:
             changed -= {name for each in ast.walk(loop) if isinstance(each, ast.Assign) for name in stored(each)}
             changed &= {name for call in _calls(loop) for name in _names(call)}
             for before in (each for each in block[:at] if isinstance(each, ast.Assign)):
-                for name in changed & stored(before):
+                for name in sorted(changed & stored(before)):
                     yield before, f"{name} isn't set again in each iteration of line {loop.lineno}"
 
 
