@@ -20,6 +20,9 @@ _CHECKED: Final = 3.0  # rank of a line that only checks a value that another li
 _PASSING: Final = 2.5  # by how much a line without numbers comes after a line with numbers
 _CHANGING: Final = 1.0  # by how much a line that changes a container comes before others
 _LOADING: Final = 2.0  # by how much a line that loads an object comes after others
+_CONTROL: Final = ("for ", "with ", "while ", "if ", "elif ", "return ")
+_CONTROLLING: Final = 0.5  # by how much a line that controls the flow comes before others
+_PARKING: Final = 2.0  # by how much a line that parks arms comes after others
 _FURTHER: Final = {"condition": 1.5, "before": 1.0}  # added to the rank of such a part
 _LAST: Final = 100.0  # added to the rank of the failed call, unless it has numbers
 _HARMLESS: Final = ("", "hides", "line", "lines")  # first words of remarks that don't raise a line
@@ -141,6 +144,7 @@ def _walk(origin: Origin, rank: float, *, decided: bool = False) -> Iterator[tup
     """Yield the facts with their ranks: those far from the failure, or that only pass values on, come last."""
     strange = origin.remark.partition(" ")[0] not in _HARMLESS or _returns_stale(origin)
     own = rank - _SUSPECT * (strange or bool(origin.moved)) + _LOADING * ("Object(" in origin.text)
+    own += _PARKING * ('"park"' in origin.text) - _CONTROLLING * origin.text.startswith(_CONTROL)
     if origin.kind == "change":
         own -= _CHANGING
     elif not strange and (not decided or origin.name.endswith((".settle", ".simulate"))):
