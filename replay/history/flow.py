@@ -145,7 +145,6 @@ _MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
 _WITHOUT_RESULT: Final = ("append", "extend", "insert", "remove", "reverse", "sort", "clear", "add", "shuffle")
 _READING: Final = ("get_position", "get_pose", "get_orientation", "get_joint_position")
 _MEAN: Final = re.compile("mean|middle|mid|average|cent(er|re)")
-_OUTLIER: Final = 8.0  # a number that is larger than its neighbours by this factor
 _LARGEST_ANGLE: Final = 6.3  # larger angles are in degrees
 
 
@@ -435,18 +434,7 @@ def _order(source: _Source) -> Found:
                     yield read, f"{', '.join(sorted(names))}: read before line {between.lineno}, used after it"
 
 
-def _outlying(source: _Source) -> Found:
-    """Yield numbers that are far from the numbers of the neighbouring rows."""
-    for node in source.all(ast.Dict | ast.List | ast.Tuple):
-        rows = getattr(node, "values", getattr(node, "elts", ()))
-        lists = [each.elts for each in rows if isinstance(each, ast.List | ast.Tuple)]
-        for column in zip(*lists, strict=False) if len(lists) > 2 else [rows] * isinstance(node, ast.Dict):
-            sizes = sorted((abs(value), at) for at, each in enumerate(column) if (value := _number(each)) is not None)
-            if len(sizes) > 2 and sizes[-1][0] > _OUTLIER * max(sizes[-2][0], 0.1):
-                yield column[sizes[-1][1]], f"{sizes[-1][0]:g} is an outlier"
-
-
 _RULES: Final[Sequence[Callable[[_Source], Found]]] = (
     *(_of_one_node, _of_loops, _parameters, _bounds, _unreached, _not_reset),
-    *(_halved, _unused, _unused_names, _degrees, _order, _outlying),
+    *(_halved, _unused, _unused_names, _degrees, _order),
 )
