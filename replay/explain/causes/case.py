@@ -41,6 +41,7 @@ class Cause:
 
     kind: ClassVar[str]
     untestable: ClassVar[str] = "no change of a fork takes this cause away"  # why a cause may have no trials
+    explained_by: ClassVar[tuple[str, ...]] = ()  # kinds of causes that explain this cause if they have the same body
     steps: tuple[int, ...]  # sorted steps of the records that show the cause
 
     @classmethod
@@ -51,9 +52,10 @@ class Cause:
     def _words(self) -> Iterator[str]:
         raise NotImplementedError
 
-    def is_explained(self, found: Sequence[Cause]) -> bool:  # noqa: ARG002  most kinds don't need this argument
+    def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether another cause in ``found`` explains this cause."""
-        return False
+        body = getattr(self, "body", None)
+        return any(each.kind in self.explained_by and getattr(each, "body", None) == body for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:  # noqa: ARG002  most kinds need this argument
         """Yield trials: forks that take the cause away, the most direct fork first."""
@@ -285,7 +287,16 @@ class FailureCase:
         first = self.step if self.failed.first_motion is None else self.failed.first_motion
         if last.how == "before" or (last.how == "load" and last.record.seq < first):
             return None
+        return self.blamed(last)
+
+    def blamed(self, last: Blame) -> CausingChange:
+        """Return the last change of a body or joint as a causing change."""
         return self.change(last.record, last.body, last.how, joint=last.joint, size=(last.distance, last.angle))
+
+    def steps(self, *shown: int | CausingChange | None) -> tuple[int, ...]:
+        """Return the sorted steps of records and changes, and the step of the failure."""
+        known = (each.step if isinstance(each, CausingChange) else each for each in shown)
+        return tuple(sorted({*(step for step in known if step is not None), self.step}))
 
     def loaded(self, body: str) -> CausingChange | None:
         """Return the loading of a body that has not moved since then; None if another change came last."""

@@ -33,7 +33,6 @@ from replay.explain.causes.case import (
     since,
 )
 from replay.explain.causes.lacked import RefusedRequest, Swallowed, lacking
-from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import answers
 from replay.history.blame import commanded
 from replay.history.source import Line
@@ -86,7 +85,7 @@ class NoLonger(Cause):
         changes = tuple(sorted(_changes(case, asked), key=lambda change: change.step))
         if changes:
             seq = asked.seq if isinstance(asked, Query) else asked.last_step
-            yield NoLonger((seq, *(change.step for change in changes), case.step), asked, changes)
+            yield NoLonger(case.steps(seq, *changes), asked, changes)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether wrong beliefs explain the outdated perception."""
@@ -115,6 +114,7 @@ class Misbelief(Cause):
     """The robot's belief about an object was wrong."""
 
     kind = "misbelief"
+    explained_by = ("physics",)
     body: str
     source: str  # "seen", "told" (read from the world's state), or "placed" (the robot released it there)
     learned: int  # step at which the robot learned the belief; -1 before the recording
@@ -137,12 +137,8 @@ class Misbelief(Cause):
                 continue
             moved = case.changed(belief.object)
             change = moved if moved is not None and moved.step > belief.step else None
-            steps = sorted({step for step in (belief.step, change.step if change else -1, case.step) if step >= 0})
-            yield Misbelief(tuple(steps), belief.object, belief.source, belief.step, belief.position, away, change)
-
-    def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether physics moved the object."""
-        return any(isinstance(each, Physics) and each.body == self.body for each in found)
+            steps = case.steps(belief.step if belief.step >= 0 else None, change)
+            yield Misbelief(steps, belief.object, belief.source, belief.step, belief.position, away, change)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials in which the object is where the robot believed it to be."""
@@ -177,8 +173,7 @@ class Gone(Cause):
         again = (each for each in later if each.HasField("load_body") and each.world == removal.world)
         reloaded = next((each for each in again if each.load_body.body == name), None)
         loaded = case.change(reloaded, name, "load") if reloaded is not None else None
-        steps = (removed.step, *([loaded.step] if loaded is not None else []), case.step)
-        yield Gone(steps, name, removed, loaded)
+        yield Gone(case.steps(removed, loaded), name, removed, loaded)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials in which the object stays, or the motion uses the object that was loaded later."""
@@ -216,8 +211,7 @@ class HandState(Cause):
                 continue
             holder = case.holder(lack.subject)
             change = _last_grip(case, lack.subject, attached=bool(holder) or lack.precondition == "hand-free")
-            steps = (*([change.step] if change is not None else []), case.step)
-            yield HandState(steps, lack.precondition, lack.subject, arm, holder, change)
+            yield HandState(case.steps(change), lack.precondition, lack.subject, arm, holder, change)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether a removal of the object, or an earlier failure or refusal, explains the state."""
@@ -321,7 +315,7 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
             if abs(before.joints.get(joint, 0.0) - after.joints.get(joint, 0.0)) > _MOVED[1]:
                 change = case.blame(f"{robot}.{joint}")
                 if change is not None and change.record.seq > step:
-                    yield case.change(change.record, robot, change.how, joint=joint, size=(change.distance, 0.0))
+                    yield case.blamed(change)
 
 
 def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingChange]:
@@ -329,7 +323,7 @@ def _last_change(case: FailureCase, name: str, step: int) -> Iterator[CausingCha
     if change is not None and change.how == "physics" and change.earlier is not None:
         change = change.earlier  # changes by physics belong to another kind of cause
     if change is not None and change.record.seq > step and change.how not in ("physics", "before"):
-        yield case.change(change.record, name, change.how, size=(change.distance, change.angle))
+        yield case.blamed(change)
 
 
 def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
@@ -345,7 +339,7 @@ def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
             tuple(_commanded_moves(case, held.body, grasp.last_step)) if grasp is not None and not grasp.failed else ()
         )
         if grasp is not None and changes:
-            yield NoLonger((grasp.last_step, *(each.step for each in changes), case.step), grasp, changes)
+            yield NoLonger(case.steps(grasp.last_step, *changes), grasp, changes)
 
 
 def _commanded_moves(case: FailureCase, name: str, start: int) -> Iterator[CausingChange]:
@@ -446,8 +440,7 @@ class OtherWorld(Cause):
                 if body.name in used or ((body.name in named or sought) and body.name not in needed.bodies):
                     load = _last(case, other.name, "load_body", body.name)
                     opened = _last(case, other.name, "open_world")
-                    steps = sorted({*(each.step for each in (load, opened) if each is not None), case.step})
-                    yield OtherWorld(tuple(steps), body.name, other.name, needed.name, load, opened)
+                    yield OtherWorld(case.steps(load, opened), body.name, other.name, needed.name, load, opened)
 
     def _words(self) -> Iterator[str]:
         loaded = since(self.change, "loaded")
@@ -499,8 +492,7 @@ class NoGravity(Cause):
         of_python = hasattr(builtins, case.failure.type)  # "not supported between" doesn't concern gravity
         if case.world.gravity[2] > 0 or (not of_python and _OF_GRAVITY.search(case.failure.message)):
             change = _last(case, case.world.name, "set_gravity")
-            steps = (change.step, case.step) if change is not None else (case.step,)
-            yield NoGravity(steps, tuple(case.world.gravity), change)
+            yield NoGravity(case.steps(change), tuple(case.world.gravity), change)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trial with the earth's gravity, from the first change of the world that could set it."""
@@ -525,7 +517,7 @@ class ForkedChange(Cause):
         steps = sorted({each.step for each in began.origin.changes} if isinstance(began, Run) else ())
         for record in (each for step in steps for each in case.log.records(Mutation, step + 1, step + 1 + _FORKED)):
             if record.by_fork and record.seq < case.step and case.is_here(record) and commanded(record):
-                yield ForkedChange((record.seq, case.step), case.change(record, commanded(record), "command"))
+                yield ForkedChange(case.steps(record.seq), case.change(record, commanded(record), "command"))
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trial without the change."""

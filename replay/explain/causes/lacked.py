@@ -434,10 +434,10 @@ def _swallowing(
     stack = case.source.call_stack(outer.started)
     around = {node.id for node in outer.around()} - {outer.id} | {0}
     step, went_on = _next_step(case, outer.last_step, around, outer.started.thread, stack)
-    steps = {failed.last_step, *([step] if step else []), case.step, *(task.last_step for task in also)}
+    steps = case.steps(failed.last_step, step or None, *(task.last_step for task in also))
     line = case.line_of(failed.started)
     handled = case.source.handler(line) if line is not None else None
-    return Swallowed(tuple(sorted(steps)), precondition, subject, arm, failed, line, went_on, also, handled=handled)
+    return Swallowed(steps, precondition, subject, arm, failed, line, went_on, also, handled=handled)
 
 
 def _failed_alternatives(case: FailureCase, lack: Lacking, failed: Node) -> tuple[Node, ...]:
@@ -575,10 +575,9 @@ def _refusal(case: FailureCase, refusal: Refusal, precondition: str, subject: st
     step, line = _next_step(case, refusal.seq, {refusal.task}, refusal.thread, stack)
     tasks = (each.started for each in causing_tasks(case.log, refusal).tasks)
     handler = next((each for each in tasks if each.kind == HANDLER), None)
-    event = [handler.cause] if handler is not None and handler.cause else []
-    steps = {refusal.seq, *event, *([step] if step else []), case.step}
-    asked = case.line_of(refusal)
-    return RefusedRequest(tuple(sorted(steps)), precondition, subject, refusal, asked, line, handler)
+    event = handler.cause or None if handler is not None else None
+    steps = case.steps(refusal.seq, event, step or None)
+    return RefusedRequest(steps, precondition, subject, refusal, case.line_of(refusal), line, handler)
 
 
 def _missing_effects(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str, str]]:

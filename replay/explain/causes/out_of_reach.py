@@ -31,6 +31,7 @@ class ObstructingBody(Cause):
 
     kind = "in-the-way"
     untestable = "no fork moves fixed furniture"
+    explained_by = ("physics",)
     body: str
     link: str  # name of the link; "" if it is the only one, or unknown
     mover: str  # the link or held object that would have touched the body; "" for a body that hid an object
@@ -55,10 +56,6 @@ class ObstructingBody(Cause):
             for name in case.mentioned:
                 if name not in reasons and name != case.world.robot:
                     yield _obstacle(case, name, "", "")
-
-    def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether physics moved the body."""
-        return any(isinstance(each, Physics) and each.body == self.body for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials in which the body isn't in the way."""
@@ -106,7 +103,7 @@ class UnreachedTarget(Cause):
         changed = (case.changed(name) for name in (case.robot.name, taken, *torso) if name)
         changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
         yield UnreachedTarget(
-            (*(change.step for change in changes), case.step),
+            case.steps(*changes),
             str(case.data.get("arm") or case.given.get("arm") or ""),
             taken,
             distance,
@@ -151,7 +148,7 @@ class NoCandidate(Cause):
         if last is not None and last.chosen < 0:
             count = sum(each.count or len(each.names) for each in last.candidates)
             if count:
-                yield NoCandidate((last.seq, case.step), last, count)
+                yield NoCandidate(case.steps(last.seq), last, count)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether another cause explains the choice. The failure's message explains a single candidate."""
@@ -190,5 +187,4 @@ def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> Obstructin
     else:
         for joint in case.joints_to(body, link):
             change = change or case.changed(f"{body}.{joint}")
-    steps = (change.step, case.step) if change is not None else (case.step,)
-    return ObstructingBody(steps, body, link, mover, change)
+    return ObstructingBody(case.steps(change), body, link, mover, change)

@@ -18,7 +18,7 @@ from recorder.records import STEPS_PER_SECOND, Mutation
 from replay.errors import NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, about, objects_in, result
-from replay.explain.causes.raised import Written, compared
+from replay.explain.causes.raised import compared
 from replay.history.blame import commanded, is_physics
 from replay.history.source import Line
 from replay.report import phrases
@@ -55,6 +55,7 @@ class Physics(Cause):
     """An object fell, tipped or moved in simulation."""
 
     kind = "physics"
+    explained_by = ("written",)  # the plan compares a part of the pose that the motion left as it was
     body: str
     how: str  # the object's motion: "fell", "tipped" or "moved"
     distance: float  # length of the motion in m
@@ -77,10 +78,6 @@ class Physics(Cause):
                 fate = _Fate(case, name)
                 if fate.base is not None:
                     yield from fate.explained()
-
-    def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether the plan compares a part of the pose that the motion left as it was."""
-        return any(isinstance(each, Written) and each.body == self.body for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials without those changes that let the object move, and with the object at its earlier place."""
@@ -173,9 +170,8 @@ class _Fate:
             lets = tuple(change for change in lets if change.body == support)
         released = next((change for change in lets if change.how == "detached"), None)
         speed, spin = self._velocity(released.step, first) if released is not None else (None, None)
-        steps = {self.since, first.seq, *(change.step for change in lets), self._case.step}
         yield Physics(
-            tuple(sorted(steps)),
+            self._case.steps(self.since, first.seq, *lets),
             self._name,
             "fell" if fall > _FELL else "tipped" if tilt >= _TILTED else "moved",
             distance,

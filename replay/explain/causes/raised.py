@@ -69,14 +69,14 @@ class Raised(Cause):
         if error is None or not lines or case.failure.type in (*_INTERRUPTS, "PropertyViolated"):
             return
         in_motion = case.motion is not None
-        refused = case.failure.type in USAGE_ERRORS or (hasattr(builtins, case.failure.type) and not in_motion)
+        refused = case.failure.type in USAGE_ERRORS or (is_mistake(case) and not in_motion)
         if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
             return
         line = lines[-1] if error.own else case.line(lines) or lines[-1]
         own = error.own and _is_raise(line)
         judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
-        steps = {*(each.seq for each in judged), *(each.seq for each in _refusals(case)), case.step}
-        yield Raised(tuple(sorted(steps)), case.failure.type, line, own, case.task, judged)
+        steps = case.steps(*(each.seq for each in (*judged, *_refusals(case))))
+        yield Raised(steps, case.failure.type, line, own, case.task, judged)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether the change is known that wrote the value of the plan's check."""
@@ -228,12 +228,12 @@ class Written(Cause):
             last = _writer(case, name, part)
             if last is None or last.how in ("physics", "before", "removed") or not isinstance(last.record, Mutation):
                 continue
-            change = case.change(last.record, name, last.how, size=(last.distance, last.angle))
+            change = case.blamed(last)
             if change.task is None or change.task.kind not in ("motion", HANDLER):
                 change = replace(change, line=case.line_of(last.record))
             others = tuple(_others(case, change.step)) if last.how == "load" else ()
             value = _coordinate(last.after, part)
-            steps = tuple(sorted({*(each.step for each in others), change.step, case.step}))
+            steps = case.steps(change, *others)
             if (name, change.step) not in [(each.body, each.change.step) for each in found]:
                 found.append(Written(steps, name, part, value, change, others))
         yield from sorted(found, key=lambda each: -each.change.step)

@@ -233,8 +233,7 @@ class Interruption(Cause):
         doing = tuple(_pending(case, node, tree, case.step) for node in (_interrupted(tree) if by else _stopped(tree)))
         error = next(reversed(case.traced), None)
         line = case.line(error.lines) if error is not None and error.lines else None
-        steps = {case.step, *(step for each in doing for step in each.steps())}
-        yield Interruption(tuple(sorted(steps)), by, doing, line)
+        yield Interruption(case.steps(*(step for each in doing for step in each.steps())), by, doing, line)
 
     def _words(self) -> Iterator[str]:
         by = f"interrupted by {self.by}" if self.by else "its process ended without closing the recording"
@@ -472,6 +471,6 @@ def _timeout(
     joints: tuple[tuple[float, CausingChange], ...] = (),
 ) -> Timeout:
     limit = float(seconds) if isinstance(seconds, int | float) else 0.0
-    steps = {case.step, *(step for each in doing for step in each.steps()), *(node.last_step for node in took)}
-    steps |= {each.steps[-1] for each in simulated} | {change.step for _, change in joints}
-    return Timeout(tuple(sorted(steps)), limit, clock, doing, line, took, simulated, joints)
+    shown = [*(step for each in doing for step in each.steps()), *(node.last_step for node in took)]
+    steps = case.steps(*shown, *(each.steps[-1] for each in simulated), *(change for _, change in joints))
+    return Timeout(steps, limit, clock, doing, line, took, simulated, joints)
