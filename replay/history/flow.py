@@ -62,7 +62,7 @@ class Flow:
             conditions = (*conditions, node.lineno)
         for _, block in ast.iter_fields(node):
             statements = [each for each in block if isinstance(each, ast.stmt)] if isinstance(block, list) else []
-            lines = [each.lineno for each in statements if not isinstance(each, _DECLARING)]
+            lines = [each.lineno for each in statements if not isinstance(each, _DECLARING) and not _is_text(each)]
             self._before |= {line: lines[max(at - _BEFORE, 0) : at] for at, line in enumerate(lines)}
         for each in ast.iter_child_nodes(node):
             self._visit(each, function, conditions)
@@ -121,8 +121,14 @@ def _weight(statement: ast.stmt) -> float:
     numbers = [each for each in constants if isinstance(each, int | float)]
     computes = any(isinstance(node, ast.BinOp | ast.Compare) for node in _own(statement))
     own = 1.0 if computes or any(each not in _TRIVIAL for each in numbers) else 0.5 * bool(constants)
-    loads = any(isinstance(node, ast.Call) and ast.unparse(node.func).endswith("Object") for node in _own(statement))
-    return _PASSED * (1 - own) + _LOADING * loads
+    names = {called_name(node) for node in _own(statement)}
+    parks = "park" in constants or "park" in names
+    return _PASSED * (1 - own + parks) + _LOADING * bool(names & {"Object", "BulletWorld"})
+
+
+def _is_text(statement: ast.stmt) -> bool:
+    """Return whether a statement is a docstring."""
+    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
 
 
 def _stored(statement: ast.stmt) -> Iterator[str]:
