@@ -113,7 +113,7 @@ _TITLE: Final = re.compile(r"^(?:[\w<>]+\.)*(?P<type>[A-Za-z_]\w*)(?:: (?P<messa
 #: The folder of PyCRAM, found from the modules that plans call.
 _ROOT: Final = re.compile(
     r"^(?P<root>.*[/\\])(?:recorder[/\\](?:recording|tracing[/\\]span)"
-    r"|pycram[/\\](?:world|motions|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
+    r"|pycram[/\\](?:world|motions|actions|planning|language|scheduling|fluents|reasoning)(?:[/\\]\w+)+"
     r"|recorder[/\\]span|pycram[/\\](?:process_module|designator|blocks|fluent|objects|bullet_world"
     r"|bullet_world_reasoning|funnel))\.py$"  # names of these modules in release 0.1.0
 )

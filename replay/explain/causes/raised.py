@@ -215,8 +215,8 @@ class Written(Cause):
     kind = "written"
     untestable = "a fork can only take back the last change, and no loading"
     body: str
-    part: str  # "x", "y", "z" or "turn"; "" for the whole pose
-    value: float | None  # compared value in m; None for "turn" and ""
+    part: str  # "x", "y", "z", "turn" or the name of a joint; "" for the whole pose
+    value: float | None  # compared value in m or rad; None for "turn" and ""
     change: CausingChange
     others: tuple[CausingChange, ...]  # if the change is the object's loading: later changes of other objects
 
@@ -246,7 +246,7 @@ class Written(Cause):
 
     def _without(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials without the change, with the former pose, and with another value."""
-        if self.change.how == "command" and self.change.task is None:
+        if self.change.how == "command" and self.change.task is None and not self.change.joint:
             skip = f"set_position(object={written(self.body)})=skip"
             yield Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,))
         yield from trials.put_back(case, self.change)
@@ -268,11 +268,12 @@ class Written(Cause):
 def _writer(case: FailureCase, name: str, part: str) -> Blame | None:
     """Return the last change of a part of a pose that is more than settling; None for an unknown body."""
     step = case.data.get("step")
-    last = case.blame(name)
+    target = name if part in ("", "turn", *_AXES) else f"{name}.{part}"
+    last = case.blame(target)
     if isinstance(step, int) and 0 <= step < case.step and last is not None:
-        last = blame(case.log, name, step, last.world)
+        last = blame(case.log, target, step, last.world)
     while last is not None and last.how == "physics" and last.earlier is not None and not _wrote(last, part):
-        last = blame(case.log, name, last.record.seq - 1, last.world)
+        last = blame(case.log, target, last.record.seq - 1, last.world)
     return last
 
 
@@ -286,7 +287,7 @@ def _wrote(change: Blame, part: str) -> bool:
 
 
 def _coordinate(pose: Pose | float | None, part: str) -> float | None:
-    return pose[0][_AXES.index(part)] if isinstance(pose, tuple) and part in _AXES else None
+    return pose if isinstance(pose, float) else pose[0][_AXES.index(part)] if pose and part in _AXES else None
 
 
 def _others(case: FailureCase, since: int) -> Iterator[CausingChange]:
@@ -310,8 +311,9 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
     if case.failure.type == "PropertyViolated":
         for name in bodies:
             for each in re.finditer(rf"(?<![\w.]){re.escape(name)}(?:\.(\w+))?(?!\w)", str(case.data.get("property"))):
-                if case.free_body(name) is not None or each[1]:
-                    yield name, each[1] if each[1] in _AXES else ""
+                part = each[1] if each[1] in (*_AXES, *bodies[name].joints) else ""
+                if part or case.free_body(name) is not None:
+                    yield name, part
         return
     error = next(reversed(case.traced), None)
     if error is None or not error.own or not error.lines or case.motion is not None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, cast
 
 import pytest
 
@@ -14,10 +15,13 @@ from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import failure_handling, par, try_in_order
 from recorder.tracing.span import span
+from replay.history.source import PlanSource, parse_traceback
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
+
+    from replay.file.record_reader import RecordReader
 
 
 def fail(name: str) -> None:
@@ -145,3 +149,12 @@ def test_without_failure_there_is_no_root_cause(tmp_path: Path) -> None:
         assert log.tree().failure_path() == []
         with pytest.raises(replay.NoSuchStep, match="nothing failed"):
             log.step("failure")
+
+
+def test_lines_of_an_action_of_pycram_are_no_lines_of_the_plan() -> None:
+    log = cast("RecordReader", SimpleNamespace(assets={}))
+    frame = '  File "/home/me/{}", line 7, in find\n    raise NoPlace(name)\n'
+    text = "Traceback (most recent call last):\n{}pycram.failures.NoPlace: no place"
+    for file, own in (("pycram/actions/hands.py", False), ("plan.py", True)):
+        (error,) = parse_traceback(text.format(frame.format(file)), PlanSource(log))
+        assert (error.own, bool(error.lines)) == (own, own)

@@ -53,6 +53,15 @@ def test_the_compared_coordinate_leads_to_its_last_command(
     assert why.sources[0].number == line_of(tmp_path, "thing.set_position")
 
 
+def test_a_property_of_a_joint_leads_to_the_last_command_of_the_joint(
+    explained: Callable[..., Why], tmp_path: Path
+) -> None:
+    move = """with monitored('always panda.panda_joint1 < 0.2'):
+        Object("panda", "robot", "panda.urdf", [5, 0, 0]).set_joint_position("panda_joint1", 0.3)"""
+    why = explained(PLAN.format(move=move, check="pass"))
+    assert written(why) == [("panda", "panda_joint1", line_of(tmp_path, "set_joint_position"))]
+
+
 def test_a_fall_that_changes_the_compared_height_is_the_cause(explained: Callable[..., Why]) -> None:
     why = explained(PLAN.format(move="milk.set_position([0, 1, 0.4])", check="assert milk.get_position()[2] > 0.3"))
     assert not written(why)
