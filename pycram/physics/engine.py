@@ -334,10 +334,9 @@ class Engine:
         found = np.array(poses).reshape(-1, 7).take([numbers[index] for index in indices], axis=0)
         return found[:, :3], found[:, 3:]
 
-    def boxes(self, body: LoadedBody, links: Iterable[str]) -> list[tuple[Vector, Vector]]:
+    def boxes(self, links: Iterable[tuple[LoadedBody, str]]) -> list[tuple[Vector, Vector]]:
         """Return the axis-aligned bounds of links' shapes in the world. The bounds need no simulation step."""
-        number, indices, client = body.id, body.links, self._client
-        return [bullet.getAABB(number, indices[link], physicsClientId=client) for link in links]
+        return [bullet.getAABB(body.id, body.links[link], physicsClientId=self._client) for body, link in links]
 
     def set_color(self, body: LoadedBody, color: Sequence[float]) -> None:
         """Set the colour of all links to RGBA values from 0 to 1."""

@@ -50,13 +50,6 @@ class _Edges(base.MotionValidator):  # type: ignore[misc]  # OMPL has no types
             return False
 
 
-class _States(base.StateValidityChecker):  # type: ignore[misc]  # OMPL has no types
-    """Accepts all configurations, because the check of an edge includes both ends."""
-
-    def isValid(self, _state: Any) -> bool:  # noqa: N802  OMPL's name
-        return True
-
-
 def _row(state: Any, dimensions: range) -> Array:
     return np.array([state[i] for i in dimensions])
 
@@ -114,7 +107,7 @@ def _search(
 
     edges = _Edges(information, free, dimensions)
     information.setMotionValidator(edges)
-    information.setStateValidityChecker(_States(information))
+    information.setStateValidityChecker(base.AllValidStateValidityChecker(information))  # edges include both ends
     information.setup()
     ends = []
     for row in (start, goal):

@@ -10,7 +10,7 @@ takes a body, bodies in or on it are attached to it loosely (:func:`taken_along`
 from __future__ import annotations
 
 import itertools
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import TYPE_CHECKING, Final
@@ -279,13 +279,14 @@ def moved_links(urdf: Urdf, joints: Iterable[str]) -> list[str]:
     return [link for link in urdf.links if link in moved]
 
 
-def supported_bodies(container: Object, links: Collection[str]) -> dict[Object, str]:
+def supported_bodies(container: Object, links: Iterable[str]) -> dict[Object, str]:
     """Return the free bodies that links of an object support, also indirectly, with the supporting link of each."""
     world = container.world
     engine = world.engine
     free = [body for body in world.objects if not body.fixed and body.carrier is None]
     found: dict[Object, str] = {}
-    for link, (lower, upper) in zip(links, engine.boxes(container.handle, links), strict=True):
+    for link in links:
+        ((lower, upper),) = engine.boxes([(container.handle, link)])
         for body in free:
             if body in found:
                 continue

@@ -12,7 +12,7 @@ to their positions at its end. The engine's steps would take ten times as long.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pycram.foundation.errors import FollowsTrajectory
 from pycram.foundation.failures import BadArgument, CollisionPair, TrackingLost, TrajectoryEnded, UnknownName
 from pycram.foundation.refusals import refusing
-from pycram.physics.body import MovableJoint
+from pycram.physics.body import LoadedBody, MovableJoint
 from pycram.scheduling.cancellation import raise_if_cancelled, shielded, uninterruptible
 from pycram.world import attachment, simulation
 from pycram.world.joints import with_followers
@@ -408,13 +408,13 @@ class Coasting:
         self._following: Sequence[tuple[Object, Sequence[str]]] = ()
         self._furniture: Sequence[Object] = ()  # furniture that follows trajectories
         self._rows: list[tuple[Object, str]] = []  # the moving links
-        self._moving: Mapping[Object, Sequence[str]] = {}  # the moving links by body
+        self._moving: list[tuple[LoadedBody, str]] = []  # the moving links with the bodies in the engine
         self._columns: list[tuple[Object, str]] = []  # all links
         self._numbers: list[int] = []  # indices of the moving links among all links
         self._possible: NDArray[np.bool_] = np.zeros((0, 0), bool)  # pairs (moving link, link) that may collide
         self._boxes = np.zeros((0, 2, 3))  # bounds of all links, m
         self._before = np.zeros((0, 2, 3))  # bounds of the moving links at the start of the interval, m
-        self._along: dict[tuple[int, int], Pose] = {}  # relative poses at the start of moving links near each other
+        self._along: dict[tuple[int, int], Pose] = {}  # relative poses at the start of hands, handles and so on
         self._clear = np.zeros(0)  # distances in m between moving and other links at the end of the last interval
         self._is_clear = False  # whether the moving links had a free space at the end of the last interval
 
@@ -440,7 +440,9 @@ class Coasting:
             self._is_clear = False
         if not self._is_clear:
             self._before = self._moving_boxes()
-            self._along = self._pairs_along()
+            near = self._overlap(self._before, np.full(len(self._rows), _ALONG))[:, self._numbers]
+            pairs = [(row, self._numbers[moving]) for row, moving in np.argwhere(near).tolist()]
+            self._along = {pair: self._relative(*pair) for pair in pairs}
             self._clear = np.full(len(self._rows), _NEAR)
             self._is_clear = not self._is_near(self._before, self._clear)
         return self._is_clear
@@ -476,13 +478,14 @@ class Coasting:
     def _find_pairs(self) -> None:
         objects = self._world.objects
         self._columns = [(body, link) for body in objects for link in body.links]
-        self._boxes = self._boxes_of({body: body.links for body in objects})
+        boxes = self._world.engine.boxes((body.handle, link) for body, link in self._columns)
+        self._boxes = np.array(boxes).reshape(-1, 2, 3)
         has_shape = np.ptp(self._boxes, axis=1).max(axis=1) > 0.0
         moved: dict[tuple[Object, str], bool] = {}  # moving links, and whether a base moves each of them
         for body, joints in self._following:
             moved |= dict.fromkeys(_moving(body, joints), not joints)
         self._rows = [each for each, shaped in zip(self._columns, has_shape, strict=True) if shaped and each in moved]
-        self._moving = {body: [link for each, link in self._rows if each is body] for body, _ in self._rows}
+        self._moving = [(body.handle, link) for body, link in self._rows]
         numbers = {each: number for number, each in enumerate(self._columns)}
         self._numbers = [numbers[each] for each in self._rows]
         roots = {body: attachment.root_of(body) for body in objects}
@@ -493,14 +496,9 @@ class Coasting:
         self._possible = others.reshape(-1, len(self._columns)) & has_shape & ~(driving[:, None] & np.array(still))
 
     def _moving_boxes(self) -> Array:
-        boxes = self._boxes_of(self._moving)
+        boxes = np.array(self._world.engine.boxes(self._moving)).reshape(-1, 2, 3)
         self._boxes[self._numbers] = boxes
         return boxes
-
-    def _boxes_of(self, links: Mapping[Object, Iterable[str]]) -> Array:
-        engine = self._world.engine
-        bounds = [box for body, names in links.items() for box in engine.boxes(body.handle, names)]
-        return np.array(bounds).reshape(-1, 2, 3)
 
     def _overlap(self, rows: Array, distances: Array) -> NDArray[np.bool_]:
         """Return which pairs of a moving link and a link have boxes nearer to each other than a distance in m."""
@@ -521,17 +519,10 @@ class Coasting:
                 return True
         return False
 
-    def _pairs_along(self) -> dict[tuple[int, int], Pose]:
-        """Return the relative poses of moving links that may move along with each other, like hand and handle."""
-        near = np.zeros_like(self._possible)
-        near[:, self._numbers] = self._overlap(self._before, np.full(len(self._rows), _ALONG))[:, self._numbers]
-        return {(row, column): self._relative(row, column) for row, column in np.argwhere(near).tolist()}
-
     def _relative(self, row: int, column: int) -> Pose:
-        poses = [
-            self._world.engine.link_pose(body.handle, link) for body, link in (self._rows[row], self._columns[column])
-        ]
-        return geometry.multiply(geometry.invert(poses[0]), poses[1])
+        links = self._rows[row], self._columns[column]
+        moving, other = (self._world.engine.link_pose(body.handle, link) for body, link in links)
+        return geometry.multiply(geometry.invert(moving), other)
 
     def _is_rigid(self, row: int, column: int) -> bool:
         """Return whether two moving links have the same relative pose as at the start."""

@@ -350,7 +350,7 @@ class Object(ReadOnlyAttributes):
         """
         with self.world.lock:
             links = self.links if name is None else (self.check_link(name),)
-            boxes = self.world.engine.boxes(self.handle, links)
+            boxes = self.world.engine.boxes((self.handle, link) for link in links)
         return (
             [min(box[0][i] for box in boxes) for i in range(3)],
             [max(box[1][i] for box in boxes) for i in range(3)],

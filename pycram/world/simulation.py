@@ -352,8 +352,7 @@ def separate(world: BulletWorld) -> None:
 def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return an array: whether boxes (..., 2, 3) overlap."""
     along = (a[..., 0, :] <= b[..., 1, :]) & (b[..., 0, :] <= a[..., 1, :])
-    overlapping: NDArray[np.bool_] = np.logical_and.reduce(along, axis=-1)
-    return overlapping
+    return np.asarray(np.logical_and.reduce(along, axis=-1))
 
 
 def at_rest(speeds: Sequence[float]) -> bool:

@@ -209,7 +209,8 @@ class PhysicsClone(SimulationClone):
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
         self._forget_removed()
-        parts_of = {body.name: divided(body.model.path) for body in wanted if _divides(body)}
+        rigid = [body for body in wanted if set(body.urdf.movable) == body.handle.joints.keys()]  # all joints are held
+        parts_of = {body.name: divided(body.model.path) for body in rigid if body.is_environment and not body.carried}
         keys = {(body.name, "") for body in wanted if body.name not in parts_of}
         keys |= {(name, str(part.path)) for name, each in parts_of.items() for part in each}
         for key, copy in self._copies.items():
@@ -268,11 +269,6 @@ class PhysicsClone(SimulationClone):
         robot = held.carrier.is_robot
         self.engine.pass_through(carrier, held.carrier_link, body, robot=robot, enable=True)
         self._held.append((constraint, carrier, held.carrier_link, body, robot))
-
-
-def _divides(body: Object) -> bool:
-    """Return whether an object can be simulated as rigid parts, because its base is fixed and its joints are held."""
-    return body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
 
 
 _clones: weakref.WeakKeyDictionary[BulletWorld, dict[str, SimulationClone]] = weakref.WeakKeyDictionary()

@@ -148,9 +148,7 @@ def _reach(body: Object, free: Mapping[Object, Box]) -> float:
 
 
 def _gap(a: Box, b: Box) -> float:
-    return math.hypot(
-        *(max(0.0, low_a - high_b, low_b - high_a) for low_a, high_a, low_b, high_b in zip(*a, *b, strict=True))
-    )
+    return math.hypot(*(max(0.0, low - end, start - high) for low, high, start, end in zip(*a, *b, strict=True)))
 
 
 def _simulate(
@@ -352,10 +350,7 @@ def _supports(
     carriers: Mapping[tuple[int, str], Sequence[Contact]],
     level: Points,
 ) -> Iterator[Points]:
-    """Yield points (n, 3) of a body's supports in the levelled frame, whose hulls are support polygons.
-
-    The first polygon has the contacts only. It suffices for most bodies, and takes half of the time.
-    """
+    """Yield points (n, 3) of a body's supports in the levelled frame: first the contacts, which mostly suffice."""
     contacts = itertools.chain.from_iterable(carriers.values())
     points = [contact.position for contact in contacts if _holds(engine, body, contact, level[:, 2])]
     held = np.array(points).reshape(-1, 3) @ level
