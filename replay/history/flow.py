@@ -263,12 +263,14 @@ def _slip(node: Any) -> str:  # noqa: PLR0911  one case after the other
 
 def _of_loops(source: _Source) -> Found:
     """Yield errors that are ignored, and loops that end too early or too late."""
+    ended = [node for node in source.all(ast.For) if isinstance(node.body[-1], ast.Return | ast.Break)]
+    retries = {id(part): node for node in ended for part in ast.walk(node) if isinstance(part, ast.Continue)}
     for node in source.all(ast.ExceptHandler):
-        if all(isinstance(each, ast.Pass | ast.Continue) for each in node.body):
+        if all(isinstance(each, ast.Pass | ast.Continue) and id(each) not in retries for each in node.body):
             yield node.body[0], "an error is ignored here"
     for node in source.all(ast.For):
         last, ends = node.body[-1], any(isinstance(each, ast.Break | ast.Return | ast.Raise) for each in ast.walk(node))
-        if len(node.body) > 1 and isinstance(last, ast.Return | ast.Break):
+        if len(node.body) > 1 and node in ended and node not in retries.values():
             yield last, "this ends the loop in its first iteration"
         kept = (stored(node) - stored(node.target)) & _names(source.function_of(node))
         if isinstance(last, ast.Try) and last.handlers and not ends and kept:

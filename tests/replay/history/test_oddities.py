@@ -17,6 +17,7 @@ CASES = [
     ("A = {'a': 1, 'b': 2}\nB = ('a',)\nif x in A:\n    f()\nelif x in B:\n    g()", "A = {'a': 1, 'b': 2}\nB = ('a',)\nif x in B:\n    f()\nelif x in A:\n    g()", 4, "all cases of line 5"),
     ("try:\n    f()\nexcept E:\n    pass", "try:\n    f()\nexcept E:\n    g()", 4, "ignored"),
     ("for x in a:\n    f(x)\n    break", "for x in a:\n    if f(x):\n        break", 3, "first iteration"),
+    ("for x in a:\n    try:\n        f(x)\n    except E:\n        pass\n    break", "for x in a:\n    try:\n        f(x)\n    except E:\n        continue\n    break", 6, "ends the loop in its first"),
     ("for x in a:\n    try:\n        y = x\n        f(x)\n    except E:\n        g()\nh(y)", "for x in a:\n    try:\n        y = x\n        f(x)\n        break\n    except E:\n        g()\nh(y)", 4, "after a success"),
     ("y = 0\nfor row in a:\n    for b in row:\n        f(y)\n        y += 1", "for row in a:\n    y = 0\n    for b in row:\n        f(y)\n        y += 1", 1, "isn't set again"),
     ("for x in a:\n    f.append(lambda: g(x))", "for x in a:\n    f.append(lambda x=x: g(x))", 2, "as the loop left it"),
