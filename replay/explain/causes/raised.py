@@ -291,15 +291,17 @@ def _coordinate(pose: Pose | float | None, part: str) -> float | None:
 
 
 def _others(case: FailureCase, since: int) -> Iterator[CausingChange]:
-    """Yield one command for each line that moved other objects since a step, and not this object."""
-    moved: dict[tuple[str, int], list[Mutation]] = {}
+    """Yield for each line the first change since a step by which it moved, or put down, another object."""
+    moved: dict[tuple[str, int], list[tuple[Mutation, str]]] = {}
     for number, record in enumerate(case.log.backwards(case.step, Mutation)):
         if record.seq <= since or number >= _MUTATIONS:
             break
-        if record.HasField("move_body") and case.free_body(commanded(record)) is not None and case.is_here(record):
-            moved.setdefault((record.source_file, record.source_line), []).append(record)
-    for records in moved.values():
-        yield case.change(records[-1], commanded(records[-1]), "command")
+        name = record.detach_body.body or (commanded(record) if record.HasField("move_body") else "")
+        if case.free_body(name) is not None and case.is_here(record):
+            moved.setdefault((record.source_file, record.source_line), []).append((record, name))
+    for found in moved.values():
+        record, name = found[-1]
+        yield case.change(record, name, "detached" if record.HasField("detach_body") else "command")
 
 
 # --- what is compared ------------------------------------------------------------------------------------------------

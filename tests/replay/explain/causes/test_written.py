@@ -68,13 +68,21 @@ def test_a_fall_that_changes_the_compared_height_is_the_cause(explained: Callabl
     assert [each.body for each in why.causes if isinstance(each, kinds.Physics)] == ["milk"]
 
 
+@pytest.mark.parametrize(
+    ("move", "line", "how"),
+    [
+        ("shift(cup, 1)", "thing.set_position", "command"),
+        ("bowl = Object('bowl', 'bowl', 'bowl.stl', [2, 0, 0.2])\n    bowl.attach(cup)\n    bowl.detach(cup)", "detach", "detached"),
+    ],
+    ids=["moved", "put down"],
+)  # fmt: skip
 def test_an_object_that_only_others_moved_past_leads_to_their_line(
-    explained: Callable[..., Why], tmp_path: Path
+    explained: Callable[..., Why], tmp_path: Path, move: str, line: str, how: str
 ) -> None:
-    why = explained(PLAN.format(move="shift(cup, 1)", check="assert milk.get_position()[1] > 0.5"))
+    why = explained(PLAN.format(move=move, check="assert milk.get_position()[1] > 0.5"))
     (cause,) = (each for each in why.causes if isinstance(each, kinds.Written))
-    assert (cause.change.how, [each.body for each in cause.others]) == ("load", ["cup"])
-    assert cause.others[0].line.number == line_of(tmp_path, "thing.set_position")
+    assert (cause.change.how, [(each.body, each.how) for each in cause.others]) == ("load", [("cup", how)])
+    assert cause.others[0].line.number == line_of(tmp_path, line)
 
 
 def test_only_a_command_is_taken_back_and_the_check_itself_is_no_second_cause(
