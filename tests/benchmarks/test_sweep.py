@@ -30,7 +30,7 @@ assert not result.stopped
 print(json.dumps([spent, memory]))
 """
 
-pytestmark = pytest.mark.costly
+pytestmark = pytest.mark.long
 
 
 def test_later_runs_cost_less_and_memory_stays(tmp_path: Path) -> None:

@@ -173,7 +173,7 @@ def converted(log: Path, file: Path) -> tuple[float, float, float]:
     return wall, processor, memory
 
 
-@pytest.mark.costly
+@pytest.mark.long
 @pytest.mark.needs("Vulkan driver")
 def test_a_recording_opens_in_a_viewer_that_is_there(
     recorded_demo: Callable[[str], Path], capsys: pytest.CaptureFixture[str]

@@ -50,6 +50,7 @@ def test_each_fault_is_one_edit_at_its_line() -> None:
     assert kinds == set(KINDS)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_seed_makes_the_same_case_again(tmp_path: Path) -> None:
     one, other = (benchmark.make_case(5, tmp_path / name) for name in ("one", "other"))

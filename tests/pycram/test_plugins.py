@@ -97,6 +97,7 @@ def test_a_plan_uses_them_by_their_names_and_the_package_is_on_record(site: Path
     ]
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_one_that_cannot_be_imported_or_is_there_twice_is_named(site: Path, tmp_path: Path) -> None:
     plan = tmp_path / "plan.py"

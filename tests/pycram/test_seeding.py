@@ -53,6 +53,7 @@ def start_of(file: Path) -> Run:
         return first
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_seed_of_a_run_repeats_its_random_numbers_and_the_order_of_its_sets(tmp_path: Path) -> None:
     (tmp_path / "plan.py").write_text(PLAN)

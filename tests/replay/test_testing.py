@@ -32,6 +32,7 @@ def run_tests(folder: Path, *options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 @pytest.mark.parametrize("parallel", [(), ("-p", "xdist", "-n", "2")], ids=["alone", "xdist"])
 def test_the_guide_s_tests_end_as_it_shows(tmp_path: Path, parallel: tuple[str, ...]) -> None:

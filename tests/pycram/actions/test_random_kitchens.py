@@ -159,6 +159,7 @@ def test_a_drawer_in_the_way_is_closed_and_a_door_opened_wider(seed: int) -> Non
     assert done.succeeded, done
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_what_trembles_elsewhere_is_no_failure_of_a_transport() -> None:
     done = transport(106, "unprojected")

@@ -90,7 +90,7 @@ def test_what_decides_is_the_line_that_ran_too_early(tmp_path: Path) -> None:
             assert ended.succeeded == (found is good)
 
 
-@pytest.mark.costly
+@pytest.mark.long
 @pytest.mark.slow
 def test_exploring_again_finds_the_same_and_another_seed_other_orders() -> None:
     def plan() -> None:

@@ -70,7 +70,7 @@ def test_an_arm_reaches_the_same_from_an_assumed_pose_as_from_the_real_pose(scen
     assert 3 <= reached < 10
 
 
-@pytest.mark.costly
+@pytest.mark.long
 def test_the_robot_fits_at_offered_places_and_collides_at_rejected_ones(scene: BulletWorld, sink: MemorySink) -> None:
     robot = scene.robot
     places = list(itertools.islice(standing_places(robot, near=[1.0, 0.6], seed=2), 3))
@@ -178,6 +178,7 @@ def test_both_arms_reach_if_both_must(scene: BulletWorld) -> None:
     assert set(place.arms) == {"left", "right"} == set(place.grasps)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_constraints_that_exclude_each_other_are_counted_and_the_last_is_named(
     scene: BulletWorld, sink: MemorySink

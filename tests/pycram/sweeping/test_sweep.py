@@ -383,6 +383,7 @@ def test_a_run_whose_process_is_killed_is_tried_once_more(plan: Path, tmp_path: 
         assert any(record.HasField("set_color") for record in log.records("mutation"))
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_run_that_hangs_is_ended(plan: Path, tmp_path: Path) -> None:
     result = pycram.sweep(plan, 2, tmp_path / "runs", set={"what": ["fine", "hangs"]}, limit=4)
@@ -392,6 +393,7 @@ def test_a_run_that_hangs_is_ended(plan: Path, tmp_path: Path) -> None:
     assert began.sweep.attempt == 2
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_run_that_takes_too_much_memory_fails(plan: Path, tmp_path: Path) -> None:
     pycram.sweep(plan, 2, tmp_path / "runs", set={"what": ["fine", "takes all memory"]}, memory=1 << 30)
@@ -400,6 +402,7 @@ def test_a_run_that_takes_too_much_memory_fails(plan: Path, tmp_path: Path) -> N
     assert ends(much)[1].failure.type == "MemoryError"
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_full_disk_stops_it_and_what_is_done_stays(plan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "runs"

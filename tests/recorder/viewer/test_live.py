@@ -166,6 +166,7 @@ def afterwards(log: Path, file: Path) -> Counter[str]:
     return rows_of(file)
 
 
+@pytest.mark.costly
 def test_a_viewer_gets_everything(
     plan: Callable[..., Plan], serve: Callable[[], Server], tmp_path: Path, until
 ) -> None:
@@ -369,6 +370,7 @@ def test_a_page_can_be_opened_while_the_plan_runs_and_until_ctrl_c(tmp_path: Pat
     assert not marked(mark)
 
 
+@pytest.mark.costly
 @pytest.mark.usefixtures("usual_ports")
 @pytest.mark.parametrize("live", ["serve", "connect"])
 def test_a_killed_plan_leaves_no_process(plan: Callable[..., Plan], port: int, until, live: str) -> None:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import pytest
 
+pytestmark = pytest.mark.costly  # building the site takes 10 s
+
 REPO = Path(__file__).parents[3]
 
 if TYPE_CHECKING:

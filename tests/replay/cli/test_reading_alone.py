@@ -136,6 +136,7 @@ def test_other_commands_say_what_to_install(tmp_path: Path) -> None:
         assert line.endswith(f" isn't installed; in a checkout of PyCRAM: pip install '.[{extra}]'")
 
 
+@pytest.mark.costly
 @pytest.mark.slow  # `make test-reading` leaves it out: it has nothing to open folders with
 def test_of_folders_too(tmp_path: Path) -> None:
     runs = tmp_path / "runs"

@@ -176,6 +176,7 @@ def test_breakpoints_stop_on_the_way_and_back(plan_log: Path, debug: Debug) -> N
     assert f"line {move - 1} made no record" in back[9]
 
 
+@pytest.mark.costly
 def test_watches_find_where_a_state_or_a_variable_changed(plan_log: Path, debug: Debug) -> None:
     with replay.open(plan_log) as log:
         up = moves(log, "milk")

@@ -146,6 +146,7 @@ def step(shown: str) -> int:
     return int(re.findall(r"^step (\d+) of", shown, re.MULTILINE)[-1])
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_person_finds_out_why_a_demo_failed(
     terminal: Callable[..., Terminal], failed_log: Path, tmp_path: Path

@@ -405,7 +405,9 @@ def test_records_in_disorder_are_read_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.costly
-@pytest.mark.parametrize(("count", "size"), [(1, 60 * MEGABYTE), (2, MEGABYTE // 2)])
+@pytest.mark.parametrize(
+    ("count", "size"), [pytest.param(1, 60 * MEGABYTE, marks=pytest.mark.long), (2, MEGABYTE // 2)]
+)
 def test_empty_parts_take_no_more_memory_than_others(count: int, size: int, tmp_path: Path) -> None:
     """Each takes three bytes in the file, and a hundred in memory."""
     file, bodies = tmp_path / "x.mcap", b"\xa2\x01\x00"
@@ -742,7 +744,7 @@ def test_the_corpus_has_every_kind_of_record() -> None:
     assert {"Origin", "Restore", "SavedBody", "projection", "in-thread", "Candidate", "Decision", "Following"} <= parts
 
 
-@seeded("mutations of small recordings", range(20_000), 10, always=50 if "CI" in os.environ else 1)
+@seeded("mutations of small recordings", range(20_000), 10, always=20 if "CI" in os.environ else 1)
 def test_mutations_harm_nobody(seeds: range, tmp_path: Path) -> None:
     """Each through a verb that uses the engine and two that only read."""
     for seed in seeds:

@@ -61,6 +61,7 @@ def test_it_passes_when_the_plan_is_mended(tmp_path: Path, monkeypatch: pytest.M
     assert main(["test", str(log)]) == 2  # an existing test is kept
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_the_moment_before_a_motion_is_built_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = recorded(tmp_path, PLAN)
@@ -78,6 +79,7 @@ def test_the_moment_before_a_motion_is_built_again(tmp_path: Path, monkeypatch: 
     assert not (tmp_path / "x.py").exists()
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_a_property_that_did_not_hold_is_asserted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = recorded(tmp_path, PLAN.replace("8.3", "0.83"))

@@ -225,6 +225,7 @@ def verdict(log: Altered, path: str) -> tuple[Record, Verification] | None:
     return None
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", sorted({path.partition(".")[0] for path in COMPARED}))
 def test_a_field_that_is_changed_is_found(log: Altered, kind: str) -> None:

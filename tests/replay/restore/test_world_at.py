@@ -222,6 +222,7 @@ def test_the_future_of_an_exact_world_is_the_originals(file: Path, seeds: range)
             assert everything(restored) == wanted, f"plan {seed}, step {step}"
 
 
+@pytest.mark.costly
 @seeded("futures of the demo", range(10), 1)
 def test_the_future_of_the_demo_is_the_originals(demo_log: Path, seeds: range) -> None:
     """The same for the demo, whose original run is gone: it is made again with the public methods only."""

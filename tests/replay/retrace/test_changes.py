@@ -88,6 +88,7 @@ def assert_runs_again(file: Path) -> None:
         assert again.equal == len(recording)
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_what_is_set_the_plan_finds(log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "set.mcap"

@@ -60,6 +60,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Recording]:
         yield recording
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_all_kinds_of_decisions_are_forced(log: Recording, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "on.mcap"

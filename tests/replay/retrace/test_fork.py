@@ -83,6 +83,7 @@ def test_a_fork_without_a_change_goes_on_as_the_original(
     record_property("forks", forks)
 
 
+@pytest.mark.costly
 def test_an_edited_plan_goes_on_from_where_it_is_another(log: Path, tmp_path: Path) -> None:
     edited = tmp_path / "edited.py"
     edited.write_text(text().replace("level.set_value(5)", "level.set_value(7)"))
@@ -159,6 +160,7 @@ def test_a_plan_that_projects_runs_again_and_its_fork_has_recordings_of_its_own(
     assert len(list(tmp_path.glob("on.projection-*.mcap"))) >= 3
 
 
+@pytest.mark.costly
 def test_a_program_that_projects_runs_again(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
     inside = "".join(f"    {line}\n" for line in PROJECTS.splitlines())
@@ -169,7 +171,7 @@ def test_a_program_that_projects_runs_again(tmp_path: Path) -> None:
     assert_same_bits(log, tmp_path / "on.mcap")
 
 
-@pytest.mark.costly
+@pytest.mark.long
 def test_of_a_program_that_records_twice_the_one_in_question_is_forked(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
     file.write_text(
@@ -210,6 +212,7 @@ with BulletWorld() as world:
 """
 
 
+@pytest.mark.costly
 def test_an_edited_plan_forks_where_it_first_differs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file, edited, on = (tmp_path / name for name in ("plan.py", "edited.py", "on.mcap"))
     file.write_text(MOVES)

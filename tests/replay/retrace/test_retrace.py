@@ -328,7 +328,7 @@ def test_a_program_is_called_again_as_it_was(tmp_path: Path) -> None:
         assert result.equal == len(recording) == 3
 
 
-@pytest.mark.costly
+@pytest.mark.long
 def test_of_recordings_of_one_name_each_is_retraced(tmp_path: Path) -> None:
     file = tmp_path / "program.py"
     file.write_text(
@@ -346,7 +346,7 @@ def test_of_recordings_of_one_name_each_is_retraced(tmp_path: Path) -> None:
             assert retrace(recording, arguments=others).identical
 
 
-@pytest.mark.costly
+@pytest.mark.long
 def test_texts_of_objects_differ_in_each_process_and_are_the_same(tmp_path: Path) -> None:
     file = tmp_path / "plan.py"
     file.write_text(
@@ -457,6 +457,7 @@ with BulletWorld() as world:
 """
 
 
+@pytest.mark.costly
 def test_another_file_of_an_object_is_a_difference_only_where_it_matters(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

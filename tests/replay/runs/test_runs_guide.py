@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 TEXT = (REPO / "docs" / "guides" / "runs.md").read_text()
 
 
+@pytest.mark.costly
 @pytest.mark.slow
 def test_its_commands_print_what_it_shows(runs: Path) -> None:
     for shown in blocks(TEXT):
