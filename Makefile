@@ -14,7 +14,7 @@ demo: .venv/ready  ## the thesis' table-setting plan; leaves set_the_table.mcap,
 	$(BIN)/pycram demo --log set_the_table.mcap
 
 test: .venv/ready-dev  ## the tests, and a slice of each long measure: some 4 minutes on two cores; with CI=true the costliest too
-	$(BIN)/pytest -n auto --dist worksteal -m "not long$(if $(CI),, and not costly)"
+	$(BIN)/pytest -n 3 --dist worksteal -m "not long$(if $(CI),, and not costly)"
 
 test-fast: .venv/ready-dev  ## the inner loop, under a minute
 	$(BIN)/pytest -n auto --dist worksteal -m "not slow and not long and not costly"
