@@ -46,7 +46,7 @@ from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
-    from replay.retrace.guided_run import Guide
+    from replay.retrace.guide import Guide
 
 _COUNTS: Final = {"position": (3, 7), "orientation": (4,), "color": (4,), "gravity": (3,)}
 _EXPECTED: Final = (
