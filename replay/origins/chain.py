@@ -116,7 +116,10 @@ class Tracer:
         weight = 0.5 * bool(own)
         if numbers:
             weight = 1.0 if any(getattr(each, "value", 2) not in _TRIVIAL for each in own) else 0.75
-        return Origin(kind, name, words, number, file, line, text, step, weight, body, remark, tuple(parts))
+        function = next(
+            (each.name for each in self._parents(node) if isinstance(each, FUNCTIONS) and hasattr(each, "name")), ""
+        )
+        return Origin(kind, name, words, number, file, line, text, step, weight, body, remark, tuple(parts), function)
 
     # --- where a run was ------------------------------------------------------------------------------------------
 
@@ -180,7 +183,8 @@ class Tracer:
             handled = next((each for each in self._parents(statement) if isinstance(each, ast.Try)), None)
             raised = handled is not None and handled.handlers and not note.values and note.end < place.time
             remark = f"raised an error, and line {handled.handlers[0].lineno} continued" if handled and raised else ""
-            name, parts = ast.unparse(called.func), self._within(note)
+            name = ast.unparse(called.func)
+            parts = joined(self._within(note), self._arguments(called, Evaluation(note.frame, note.time)))
             yield self._fact("before", called, name, note.result, note.step, parts, remark=remark)
         elif isinstance(statement, ast.If | ast.While | ast.For):
             untaken = [*self._untaken(statement, place)]
@@ -235,13 +239,19 @@ class Tracer:
             yield self._fact(kind, test, ast.unparse(test), held, self._notes.step, parts, remark=remark)
 
     def _conditions(self, node: ast.AST, place: Evaluation) -> Facts:
-        """Yield the conditions of the branches and loops around a node, innermost first."""
+        """Yield the conditions of the branches and loops around a node, and its blocks, innermost first."""
         inner: ast.AST = node
         for around in self._parents(node):
             if isinstance(around, FUNCTIONS | ast.ClassDef):
                 return
             if isinstance(around, ast.If | ast.While | ast.IfExp) and inner is not around.test:
                 yield from self._condition(around.test, place)
+            elif isinstance(around, ast.With | ast.AsyncWith) and isinstance(inner, ast.stmt):
+                for each in (item.context_expr for item in around.items):
+                    if not ast.unparse(each).startswith("BulletWorld") and not self._is_known(id(each), "block"):
+                        yield self._fact(
+                            "condition", each, ast.unparse(each), None, place.time, self._inputs(each, place)
+                        )
             inner = around
 
     def _condition(self, test: ast.expr, place: Evaluation) -> Facts:

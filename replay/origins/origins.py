@@ -19,7 +19,7 @@ from replay.explain.causes.case import Cause, CausingChange, hands, joints_of
 from replay.explain.causes.out_of_reach import ObstructingBody
 from replay.explain.causes.raised import Written
 from replay.file.record_reader import RecordReader
-from replay.history.blame import Blame, blame
+from replay.history.blame import Blame, blame, commanded
 from replay.history.source import PlanSource
 from replay.origins.origin import Origin, Origins
 from replay.origins.relating import guesses, slips, with_moves
@@ -42,25 +42,13 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
     first = why.step if why.thread else len(log) - 1
     if why.task is not None:
         first = (why.task.motion.asked or why.task.motion.started).seq
-    steps = _steps(log, why)
     process = PlanProcess(log, recorded_source=recorded_source)
-    with tempfile.TemporaryDirectory(prefix="pycram-origins-") as folder, tempfile.TemporaryFile() as errors:
-        result = Path(folder) / "origins.json"
-        running = process.start(
-            "replay.origins.tracing", process.guidance(), folder, errors, steps=[first, *steps], result=str(result)
-        )
-        try:
-            running.wait()
-        finally:
-            running.kill()
-            running.wait()
-        if not result.exists():
-            errors.seek(0)
-            printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
-            raise CantRetrace(f"the plan's process ended without a result: {printed}")
-        answer = json.loads(result.read_text(encoding="utf-8"))
-    if "error" in answer:
-        raise CantRetrace(answer["error"])
+    steps = _steps(log, why)
+    answer = _noted(process, [first, *steps])
+    read = [*_writers(log, why, answer["facts"].get(str(first)))]
+    if not {*read} <= {*steps}:  # a read shows which calls wrote the value that the plan checks
+        answer = _noted(process, [first, *read, *steps])
+    steps = dict.fromkeys(read, True) | {step: decided for step, decided in steps.items() if step not in read}
     moved = tuple(answer["folder"] or ("", ""))
     facts = {int(step): Origin.of(fact, moved) for step, fact in answer["facts"].items() if fact is not None}
     found = {step: with_moves(log, fact, why) for step, fact in facts.items()}
@@ -79,9 +67,47 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
         notes.append("the plan differs from its recording at step {step}: {text}".format(**answer["difference"]))
     calls = tuple(earlier.values())
     mistakes = (*guesses(why, failed), *slips(PlanSource(log), (each for each in (failed, *calls) if each is not None)))
-    checked = any(isinstance(each, Written) for each in why.causes)
+    checked = bool(read) or any(isinstance(each, Written) for each in why.causes)
     lacks = why.case is not None and lacks_step(why.case, why.causes)
     return Origins(failed, calls, str(process.program), decided, mistakes, tuple(notes), lacks, checked)
+
+
+def _noted(process: PlanProcess, steps: list[int]) -> dict[str, Any]:
+    """Run the plan again, and return the facts about the calls at some steps."""
+    with tempfile.TemporaryDirectory(prefix="pycram-origins-") as folder, tempfile.TemporaryFile() as errors:
+        result = Path(folder) / "origins.json"
+        running = process.start(
+            "replay.origins.tracing", process.guidance(), folder, errors, steps=steps, result=str(result)
+        )
+        try:
+            running.wait()
+        finally:
+            running.kill()
+            running.wait()
+        if not result.exists():
+            errors.seek(0)
+            printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
+            raise CantRetrace(f"the plan's process ended without a result: {printed}")
+        answer: dict[str, Any] = json.loads(result.read_text(encoding="utf-8"))
+    if "error" in answer:
+        raise CantRetrace(answer["error"])
+    return answer
+
+
+def _writers(log: RecordReader, why: Why, failed: dict[str, Any] | None) -> Iterator[int]:
+    """Yield the steps of the last changes of the objects whose states the plan's own check read, the latest first."""
+    reads: dict[str, int] = {}
+    waiting = [] if failed is None or why.task is not None or why.thread else [failed]
+    for each in waiting:  # the list grows
+        waiting += each["parts"] if each["kind"] != "before" else []
+        if each["kind"] == "read":
+            reads[each["body"]] = max(each["step"], reads.get(each["body"], 0))
+    for body, step in sorted(reads.items(), key=lambda each: -each[1]):
+        for record in log.backwards(step, Mutation, naming=body):
+            changed = {commanded(record), *(each.body for each in record.effect.bodies)}
+            if body in changed and not record.HasField("simulate"):
+                yield from [] if record.HasField("load_body") else [record.seq]
+                break
 
 
 def _steps(log: RecordReader, why: Why) -> dict[int, bool]:

@@ -47,9 +47,13 @@ class _NotingSink(NullSink):
             self._calls[step] = call or self._tasks.get(record.task)
             error = sys.exception()
             trace = traceback.walk_tb(error.__traceback__) if isinstance(record, Run) and error is not None else ()
+            if self._calls[step] is None and error is None:  # a block of the plan language begins
+                trace = traceback.walk_stack(None)
             for frame, line in trace:
                 if frame.f_code.co_filename in self.notes.trees:
                     self._raised[step] = frame.f_code.co_filename, line, self.notes.frame_of(frame)
+                    if error is None:
+                        break
         if step >= max(self._steps):
             self.finish()
 
