@@ -55,6 +55,7 @@ _MAX_CAUSES: Final = 3  # maximum number of causes whose lines are followed
 _OUTER: Final = 0.5  # rank of a caller's line after the called line
 _DECIDED: Final = -1.5  # rank of a line that made a cause which decides
 _OTHER: Final = 1.5  # rank of a line that made another cause
+_SKIPPED: Final = 0.0  # rank of a line that performs a motion and never ran, if a check failed
 _CHECKED: Final = 3.0  # rank of a line that only checks a value that another line made
 _MOVED: Final = 0.001  # objects that moved less since a query count as unmoved, m
 
@@ -204,6 +205,8 @@ def _sources(why: Why) -> Iterator[Line]:
         for step in cause.steps
         if step < why.step
     ]
+    if why.task is None or why.failure is None or why.failure.type == "PropertyViolated":
+        traced += [(_SKIPPED, (line,)) for line in case.skipped(stack[-1].file)]
     starts: dict[str, dict[int, float]] = {}
     own = _CHECKED if any(isinstance(cause, Written) for cause in why.causes) else 0.0
     for rank, lines in sorted([(own, tuple(stack)), *traced], key=lambda each: each[0]):

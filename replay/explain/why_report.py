@@ -193,7 +193,9 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
 def _sources(why: Why) -> Iterator[str]:
     for each in why.sources:
         slip = _slip(why, each)
-        yield f"{phrases.place(each)}  {each.text}" + (f"  # perhaps: {slip}" if slip else "")
+        skipped = "no record shows that it ran" if why.case is not None and each in why.case.skipped(each.file) else ""
+        comment = f"perhaps: {slip}" if slip else skipped
+        yield f"{phrases.place(each)}  {each.text}" + (f"  # {comment}" if comment else "")
 
 
 def _slip(why: Why, line: Line) -> str:

@@ -14,10 +14,11 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
-from recorder.plan_lines import deciding, syntax_nodes
-from recorder.records import Failure, Keyframe, Mutation, Plain, Refusal, Task, argument_values, from_json
+from recorder.plan_lines import called_name, deciding, syntax_nodes
+from recorder.records import Failure, Keyframe, Mutation, Plain, Query, Refusal, Task, argument_values, from_json
 from recorder.tasks import Node
 from replay.errors import NoSuchName
 from replay.history.blame import Blame, blame, commanded
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
     from replay.file.record_reader import RecordReader
 
+_MAX_RECORDS: Final = 5_000  # of longer recordings, no line counts as skipped
 _WITH_MOTIONS = ("motion", "process-module")
 HANDLER = "handler"  # kind of the tasks that are calls of event handlers
 
@@ -353,6 +355,26 @@ class FailureCase:
             for line in self.source.call_stack(motion.started):
                 found[line.file, line.number].add((motion.name, str(motion.parameters)))
         return found
+
+    def skipped(self, file: str) -> Iterator[Line]:
+        """Yield the lines before the failure that perform something, although no record shows that they ran."""
+        reached = {line.function: line.number for error in self.traced for line in error.lines}
+        for call in syntax_nodes(self.source.text(file)) if self._ran else ():
+            if isinstance(call, ast.Call) and called_name(call) == "perform":
+                line = self.source.line(file, call.lineno)
+                numbers = range(call.lineno, (call.end_lineno or call.lineno) + 1)
+                if line is None or line.number > reached.get(line.function, line.number):
+                    continue
+                if self._ran.isdisjoint((file, number) for number in numbers):
+                    yield line
+
+    @cached_property
+    def _ran(self) -> set[tuple[str, int]]:
+        """The lines that led to tasks, queries and refusals before the failure; empty if there are too many records."""
+        records = list(islice(self.log.records((Task, Query, Refusal), stop=self.step + 1), _MAX_RECORDS))
+        lines = [line for each in records for line in self.source.call_stack(each)]
+        lines += [line for error in self.traced for line in error.lines]
+        return {(line.file, line.number) for line in lines} if len(records) < _MAX_RECORDS else set()
 
     def names_in(self, lines: Sequence[Line], context: type[ast.expr_context]) -> set[tuple[str, str]]:
         """Return the variables that statements at the given lines read (``ast.Load``), or set or fill (``ast.Store``).

@@ -85,6 +85,14 @@ def test_an_object_that_only_others_moved_past_leads_to_their_line(
     assert cause.others[0].line.number == line_of(tmp_path, line)
 
 
+def test_a_loop_that_never_ran_leads_to_its_line(explained: Callable[..., Why], tmp_path: Path) -> None:
+    loop = "from pycram import perform\n    for thing in []:\n        perform(looking(object=thing))"
+    why = explained(PLAN.format(move=loop, check="assert milk.get_position()[1] > 0.5\n    perform(parking())"))
+    sources = [each for each in why_report.lines(why) if "no record shows that it ran" in each]
+    assert [each.split()[1] for each in sources] == ["perform(looking(object=thing))"]
+    assert line_of(tmp_path, "for thing") in [each.number for each in why.sources]
+
+
 def test_only_a_command_is_taken_back_and_the_check_itself_is_no_second_cause(
     explained: Callable[..., Why], tmp_path: Path
 ) -> None:
