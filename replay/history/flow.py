@@ -242,14 +242,8 @@ def _slip(node: Any) -> str:  # noqa: PLR0911  one case after the other
             return "this line has no effect"
         case ast.Assign(value=ast.Call(func=ast.Attribute(attr=name))) if name in _WITHOUT_RESULT:
             return f"{name}() returns None"
-        case ast.Assign(value=ast.UnaryOp(op=ast.UAdd())):
-            return "=+ isn't +="
         case ast.BoolOp(values=[ast.Compare(), *others]) if any(isinstance(each, ast.Constant) for each in others):
             return "a constant decides this condition"
-        case ast.Compare(ops=[ast.Is() | ast.IsNot()], comparators=[other]) if _number(other) or isinstance(
-            other, _MUTABLE
-        ):
-            return "`is` compares objects, not values"
         case ast.Dict(keys=keys) if len({ast.dump(each) for each in keys if each}) < len(
             [each for each in keys if each]
         ):
