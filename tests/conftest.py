@@ -43,8 +43,8 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    # viewers take long: no worker is to begin with one when the others are done
-    items.sort(key=lambda item: "viewer" not in item.path.parts)
+    # no worker is to begin with what takes long when the others are done
+    items.sort(key=lambda item: not {"viewer", "tutorial", "test_pages.py"}.intersection(item.path.parts))
 
 
 def pytest_collection_finish() -> None:

@@ -250,7 +250,7 @@ def test_an_editor_connects_to_a_port(plan_log: Path) -> None:
 MOVES = ("stepIn", "next", "stepBack", "stepOut", "continue", "reverseContinue", "goto")
 
 
-@seeded("stops of an editor beside the debugger's own", range(200), 20, always=2)
+@seeded("stops of an editor beside the debugger's own", range(200), 20)
 def test_random_stops_show_what_the_debugger_shows(seeds: range, demo_logs: dict[str, Path], plan_log: Path) -> None:
     """Frames, values and steps are the same on both sides, forwards and back."""
     logs = [demo_logs["fails_to_reach"], plan_log, demo_logs["set_the_table"]]
