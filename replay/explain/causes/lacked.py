@@ -163,8 +163,9 @@ class RefusedRequest(Cause):
         given, failure = argument_values(self.asked.arguments), argument_values(self.asked.failure.data)
         hands = [arm for arm in case.hands if arm == case.given.get("arm")] or list(case.hands)
         position = given.get("position")
-        if self.precondition == "moved" and isinstance(position, list) and len(position) == 3:
-            yield from trials.placed(case, self.subject, [float(str(each)) for each in position], self.asked.seq)
+        numbers = [each for each in position if isinstance(each, int | float)] if isinstance(position, list) else []
+        if self.precondition == "moved" and len(numbers) == 3:  # others are not finite
+            yield from trials.placed(case, self.subject, numbers, self.asked.seq)
         elif self.precondition == "joint-moved":
             body, positions = next(objects_in(given.get("object")), ""), given.get("positions")
             asked = [*(positions.values() if isinstance(positions, dict) else ()), position]

@@ -43,6 +43,7 @@ def test_a_refusal_counts_until_the_same_is_done_after_all(
     (refused,) = refusals(why)
     assert (refused.precondition, refused.subject) == ("moved", "milk")
     assert refused.line.number == line_of(tmp_path, "nan")
+    assert not [*refused.trials(why.case)]  # no fork puts the milk at NaN
     assert refused.went_on.number == line_of(tmp_path, "simulate")
     assert refused.asked.seq in refused.steps
 
