@@ -31,14 +31,16 @@ _WIDTH: Final = 110
 def of_plan(log: Recording, spec: RunSpec, file: Path, holds: Sequence[str] = ()) -> str:
     """Return a test that runs the plan, and asserts that the plan succeeds and that properties hold.
 
-    The asserted properties are ``holds``, and those recorded properties that the run violated.
+    The asserted properties are ``holds``, and those recorded properties that the run violated. A property of a block
+    makes the plan itself fail, so the test asserts the plan's success.
 
     Raises:
         ReplayError: the plan succeeded, and there is no property.
     """
     end = log[-1]
     failed = isinstance(end, Run) and not end.succeeded
-    violated = [record.property for record in log.records(Check) if record.phase == Check.VIOLATED]
+    checks = [record for record in log.records(Check) if record.by_run or record.only_record]
+    violated = [record.property for record in checks if record.phase == Check.VIOLATED]
     properties = [*dict.fromkeys((*violated, *holds))]
     if not failed and not properties:
         raise ReplayError("the plan succeeded; say what should have held: --holds 'always milk.z > 0.5'")

@@ -86,3 +86,21 @@ def test_a_property_that_did_not_hold_is_asserted(tmp_path: Path, capsys: pytest
     assert main(["test", str(log), "-o", str(tmp_path / "test_it.py")]) == 2
     assert "--holds" in capsys.readouterr().err
     assert main(["test", str(log), "-o", str(tmp_path / "test_it.py"), "--holds", "always milk.y < 0.1"]) == 0
+
+
+@pytest.mark.slow
+def test_a_property_of_a_block_isn_t_asserted_of_the_whole_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    plan = (
+        "from pycram import monitored\nfrom pycram.bullet_world import BulletWorld, Object\n"
+        "with BulletWorld():\n    cup = Object('cup', 'cup', 'cup.stl', [0, 0, 2])\n    cup.set_position([0, 0, 1])\n"
+        "    with monitored('always cup.z < 1.5'):\n        cup.set_position([0, 0, 2])\n"
+    )
+    log = recorded(tmp_path, plan)
+    monkeypatch.chdir(tmp_path)
+    assert main(["test", str(log)]) == 0
+    test = tmp_path / "test_stacks.py"
+    assert not passes(test)
+    (tmp_path / "stacks.py").write_text(
+        plan.replace("2])\n", "1])\n").replace("[0, 0, 1])\n    cup", "[0, 0, 2])\n    cup")
+    )
+    assert passes(test)  # the cup begins higher, before the block
