@@ -271,10 +271,18 @@ class ActionFailed(PlanFailure):
     """All tried choices failed, or the budget was spent."""
 
     def __init__(
-        self, action: str, tried: Sequence[Try], *, spent: bool = False, last: BaseException | None = None
+        self,
+        action: str,
+        tried: Sequence[Try],
+        *,
+        spent: bool = False,
+        shared: int = 0,
+        last: BaseException | None = None,
     ) -> None:
         count = f"{len(tried)} {'try' if len(tried) == 1 else 'tries'}"
         ending = "the budget is spent" if spent else "there is nothing else to try"
+        if shared:  # the size of a budget that other actions spent as well
+            ending = f"other actions spent the rest of the budget of {shared} tries"
         remedy = _remedy(tried)
         super().__init__(f"{action} failed after {count}, {ending}{_summary(tried, last)}{remedy and '; ' + remedy}")
         self.action = action  # type of the action
@@ -320,12 +328,19 @@ class _Budget:
     """The number of failed tries that an action and its outer actions may still have."""
 
     def __init__(self, tries: int, around: _Budget | None) -> None:
-        self._left = tries
+        self._tries = self._left = tries
         self._around = around
 
     @property
     def left(self) -> int:
         return self._left if self._around is None else min(self._left, self._around.left)
+
+    @property
+    def spent(self) -> int:
+        """The size of the innermost spent budget; 0 if no budget is spent."""
+        if self._left <= 0:
+            return self._tries
+        return 0 if self._around is None else self._around.spent
 
     def spend(self) -> None:
         self._left -= 1
@@ -465,7 +480,9 @@ class _Tries(FailureHandling):
         self._tried.append(Try(self._choice(self._solution), failure))
         self._budget.spend()
         if self._budget.left <= 0:
-            raise ActionFailed(self._kind.type, self._tried, spent=True)
+            size = self._budget.spent
+            own = sum(not each.imagined for each in self._tried)
+            raise ActionFailed(self._kind.type, self._tried, spent=True, shared=size if own < size else 0)
         return self._next()
 
     def _next(self) -> Mapping[str, Any]:

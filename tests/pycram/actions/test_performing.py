@@ -116,6 +116,10 @@ def test_the_budget_is_that_of_an_action_with_those_that_it_is_made_of() -> None
         perform(ActionDesignator(type="going", budget=8))
     # a: all five of its own, and itself; b: the two that are left
     assert (tried, len(inner.tried), raised.value.spent) == (["a", "b"], 7, True)
+    assert str(raised.value).startswith(
+        "going failed after 2 tries, other actions spent the rest of the budget of 8 tries"
+    )
+    assert str(raised.value.tried[0].failure).startswith("counting failed after 5 tries, the budget is spent: ")
 
 
 def test_where_all_is_said_nothing_is_tried_and_the_failure_is_raised_as_it_is() -> None:
