@@ -35,7 +35,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Search the last chance, and print it; Ctrl-C ends the search and prints what was found."""
+    """Search for the last chance, and print it; Ctrl-C ends the search and prints what was found."""
     from replay.fix.last_chance import LastChance, last_chance  # noqa: PLC0415  needs the executor
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 

@@ -107,7 +107,7 @@ def because(
 
     Args:
         printed: call stacks that were printed before; this call stack is added.
-        told: steps at which printed tasks started. Of the tasks around a printed task, none is printed again.
+        told: steps at which printed tasks started. The tasks around a printed task aren't printed again.
     """
     for started in (task.started for task in causes.tasks):
         called = phrases.task(started.kind, started.name, argument_values(started.parameters))

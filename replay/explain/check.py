@@ -1,4 +1,4 @@
-"""``check``: properties of a recording, with with the task and the line of the plan that violated them."""
+"""``check``: properties of a recording, with the task and the line of the plan that violated them."""
 
 from __future__ import annotations
 

@@ -348,7 +348,7 @@ def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> 
 def _queries(
     log: RecordReader, start: int, stop: int, objects: Iterable[tuple[str, str]], tasks: Iterable[int]
 ) -> tuple[list[Query], int]:
-    """Return the last distinct queries about bodies or of tasks, and the number of earlier ones.
+    """Return the last distinct queries about bodies or of tasks, and the number of earlier queries.
 
     Process modules' choices are left out, because plans don't rely on them.
     """
@@ -506,7 +506,7 @@ class InvolvedBody:
     joints: Mapping[str, float] = field(default_factory=dict)  # positions of joints that the failure names, rad or m
 
     def lines(self) -> Iterator[str]:
-        """Yield the body as text. Of fixed bodies, the text contains only the named links and joints."""
+        """Yield the body as text. For fixed bodies, the text contains only the named links and joints."""
         body = self.body
         if self.is_robot or not body.fixed_base or not (self.links or self.joints):
             yield self._line()

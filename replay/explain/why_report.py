@@ -160,7 +160,7 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
     if why.failure is None:
         yield from section("Why", causes)
         return
-    sources = [] if origins else [*section("Lines that it may come from", _sources(why))]
+    sources = [] if origins else [*section("Lines that may have caused it", _sources(why))]
     slips = sources and not forked and is_strong(_slip(why, why.sources[0]))
     yield from sources if slips else ()
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])

@@ -340,7 +340,7 @@ class RecordReader:
             raise MissingModels(self.path, cause)
         if problems := self.check_file():
             raise ReplayError(
-                f"{self.path}: the recording isn't sound ({problems}); use repair, which packs the readable part"
+                f"{self.path}: the recording isn't sound ({problems}); use repair to copy the readable part"
             )
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 

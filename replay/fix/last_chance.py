@@ -273,7 +273,7 @@ def _put_back(case: FailureCase, names: Sequence[str], then: int, end: int) -> T
     hands = {name: case.holder(name, then) for name in names if case.holder(name, then) != case.holder(name, end - 1)}
     freed = [f"{written(name)}.hand={NONE}" for name in hands]
     taken = [f"{written(name)}.hand={arm}" for name, arm in hands.items() if arm in case.hands]
-    words = f"all objects are as at step {then}"
+    words = f"all objects are as they were at step {then}"
     whole = next(restored(case, names, then, end, words), Trial(end, words))
     return replace(whole, settings=(*freed, *whole.settings, *taken))
 

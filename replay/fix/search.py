@@ -250,7 +250,7 @@ def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
         mark = mark or (_changed_place(trials.log, log) if edit.asks else "")
     if left and not mark:
         mark = f"it leaves {phrases.names(left)} alone"
-    return mark or ("perhaps by chance: only the success of the run speaks for it" if edit.chance else "")
+    return mark or ("perhaps by chance: the only evidence is the success of the run" if edit.chance else "")
 
 
 def _changed_place(before: RecordReader, log: RecordReader) -> str:
@@ -258,7 +258,7 @@ def _changed_place(before: RecordReader, log: RecordReader) -> str:
     for one, other in zip(_put(before), _put(log), strict=False):
         if one.body == other.body and math.dist(one.position, other.position) > _SETTLED:
             places = (phrases.vector(each.position) for each in (one, other))
-            return f"it changes what is asked for: {one.body} at {' becomes '.join(places)}"
+            return f"it changes the requested place: {one.body} at {' becomes '.join(places)}"
     return ""
 
 
@@ -311,9 +311,9 @@ def changed_goal(before: Sequence[Node], done: Sequence[Node], failed: Node, edi
     alike = [node for node in done if (node.kind, node.name) == (failed.kind, failed.name)]
     thing = failed.parameters.get("object")
     if not alike:
-        return f"{failed.name}, which had failed, isn't done any more"
+        return f"{failed.name}, which had failed, no longer runs"
     if thing is not None and all(node.parameters.get("object") != thing for node in alike):
-        return f"{failed.name} isn't done any more with {phrases.value(thing)}"
+        return f"{failed.name} no longer runs with {phrases.value(thing)}"
     for asked, now in zip([*_asked(before), failed] if edit.asks else (), _asked(done), strict=False):
         one, other = asked.parameters.get("target"), now.parameters.get("target")
         if asked.name == now.name and isinstance(one, list) and not _is_near(one, other):

@@ -55,7 +55,7 @@ class PlanHasEffects(ReplayError):
 
     def __init__(self, what: str) -> None:
         super().__init__(
-            f"the plan reaches outside of its folder: {what}; each trial would do so: allow it with --allow-effects"
+            f"the plan has effects outside of its folder: {what}; allow them in each trial with --allow-effects"
         )
         self.what = what
 

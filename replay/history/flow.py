@@ -268,7 +268,7 @@ def _of_loops(source: _Source) -> Found:
             yield last, "this ends the loop in its first iteration"
         kept = (stored(node) - stored(node.target)) & _names(source.function_of(node))
         if isinstance(last, ast.Try) and last.handlers and not ends and kept:
-            yield last.body[-1], "the loop goes on after a success"
+            yield last.body[-1], "the loop continues after a success"
         for late in (each for each in ast.walk(node) if isinstance(each, ast.Lambda)):
             for name in sorted(_names(late.body) & stored(node.target) - {each.arg for each in late.args.args}):
                 yield late, f"it reads {name} when it is called, as the loop left it"
@@ -342,7 +342,7 @@ def _unreached(source: _Source) -> Found:
                     if one is not None and two is not None and isinstance(op, ast.Gt | ast.GtE | ast.Lt | ast.LtE):
                         contained = one <= two if isinstance(op, ast.Gt | ast.GtE) else one >= two
                     if contained:
-                        yield node.body[0], f"line {node.lineno} also takes all cases of line {test.lineno}"
+                        yield node.body[0], f"line {node.lineno} also matches all cases of line {test.lineno}"
 
 
 def _not_reset(source: _Source) -> Found:

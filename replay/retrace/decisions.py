@@ -30,7 +30,7 @@ _ANY: Final = re.compile(r"(^|,)\s*\.\.\.\s*$")
 _LIMIT, _ORDER = "timeout", "order"
 _PLACES: Final = {"standing_places": 2, "free_places": 3}  # number of decimals of places in names of candidates
 _NEAR: Final = 0.01  # maximum distance in m between a given place and a candidate
-_MOST_IN_A_ROW: Final = 100  # number of turns in a row of a polling branch after which another branch runs
+_MOST_IN_A_ROW: Final = 100  # number of successive turns of a polling branch, after which another branch runs
 
 
 class BadChange(ReplayError):

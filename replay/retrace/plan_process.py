@@ -1,7 +1,7 @@
 """Runs a recorded plan again in a process of its own, under the recorded conditions and guided by the recording.
 
 With ``recorded_source``, the source that is attached to the recording runs instead of the files on the disk. The
-recording has attached the plan, and the modules whose lines are in call stacks. They are written to a folder that also
+recording contains the plan, and the modules whose lines are in call stacks. They are written to a folder that also
 has links to the other files next to the plan.
 """
 

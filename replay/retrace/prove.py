@@ -1,7 +1,7 @@
 """Test the causes of a failure: each fork takes a cause away, and a control run has no changes.
 
-A fork without the cause that fails in the same way refutes the cause. A fork without the cause in which the failure
-doesn't come confirms the cause. A fork with another failure that comes later also confirms the cause. The verdicts hold
+A fork without the cause that fails in the same way refutes the cause. A fork without the cause confirms the cause if
+the failure doesn't occur. A fork with another failure that comes later also confirms the cause. The verdicts hold
 only if the control run repeats the whole recording.
 """
 
@@ -201,7 +201,7 @@ class Prover:
         if trial.compares:
             return self._compared(failure, same=same)
         further = "gets further, and " * later
-        text = f"the same failure comes: {said}" if same else f"{name} {further}fails in another way: {said}"
+        text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
         return REFUTED if same else CONFIRMED if later else UNTESTED, text
 
     def _compared(self, failure: Failure, *, same: bool) -> tuple[str, str]:

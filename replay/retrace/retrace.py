@@ -122,7 +122,7 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield the tasks around a step of an old recording that ended by the clock or a worker thread, as text.
+    """Yield as text the tasks around a step of an old recording that the clock or a worker thread ended.
 
     Newer recordings contain the moments of such ends.
     """

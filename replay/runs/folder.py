@@ -121,7 +121,7 @@ class Folder:
     def update(self, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
         """Update the tables.
 
-        ``progress`` is called with the number of recordings that were read, and that of all new recordings.
+        ``progress`` is called with two numbers: recordings that were read, and all new recordings.
 
         Raises:
             NotRead: The tables are out of date, and can't be written.
@@ -418,7 +418,7 @@ class Answer:
 class Runs:
     """A folder of recordings as tables; :func:`replay.open_runs` opens it; a context manager.
 
-    ``progress`` is called with the number of recordings that were read, and that of all new recordings.
+    ``progress`` is called with two numbers: recordings that were read, and all new recordings.
 
     Raises:
         NotALog: There is no such folder.

@@ -56,7 +56,7 @@ class Claim:
     fact: Fact  # the first fact; facts that don't reflect progress come first
     also: tuple[str, ...]  # texts of the other facts
     ochiai: float  # score, from 0 to 1
-    chance: float  # probability of a claim as strong as this although nothing separates the runs
+    chance: float  # probability of an equally strong claim if nothing separates the runs
     failure: str  # name of a failed run of which the fact is true
     success: str  # name of a similar successful run of which the fact is false; "" if there is none
 
@@ -230,7 +230,7 @@ class _Sites:
                     self.add("parameter", name, number, from_json(text), 0)
 
     def poses(self, runs: Runs) -> None:
-        """Add the positions of bodies at first, and the first positions to which the plan moved them."""
+        """Add the initial positions of bodies, and the first positions to which the plan moved them."""
         put = runs.sql(
             "SELECT p.run, p.step, p.body, p.x, p.y, p.z, m.command FROM poses p JOIN mutations m USING (run, step) "
             "WHERE m.body = p.body AND m.command IN ('load_body', 'move_body') ORDER BY p.run, p.step"

@@ -90,7 +90,7 @@ def lacks_step(case: FailureCase, causes: Sequence[Cause]) -> bool:
 
 
 def _with_events(cause: Cause) -> Cause:
-    """Return a cause to which the steps of events are added whose handlers made its changes."""
+    """Return a cause with the steps of the events whose handlers made its changes."""
     values = [getattr(cause, each.name) for each in fields(cause)]
     changes = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
     events = {each.handler.cause for each in changes if isinstance(each, CausingChange) and each.handler is not None}

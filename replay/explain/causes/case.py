@@ -191,7 +191,7 @@ class FailureCase:
 
     @cached_property
     def traced(self) -> tuple[ParsedException, ...]:
-        """The exceptions of the task's failure, or without a task of the plan's failure; the causes first."""
+        """The exceptions of the task's failure, causes first; without a task, of the plan's failure."""
         if self.task is not None and self.task.failure is not None and self.task.failure.traceback:
             return tuple(parse_traceback(self.task.failure.traceback, self.source))
         return self.exceptions
@@ -394,7 +394,7 @@ class FailureCase:
         return found
 
 
-_SETTLED = 0.02, math.radians(15)  # change (m, rad) in simulation below which an object only settles
+_SETTLED = 0.02, math.radians(15)  # a smaller change (m, rad) in simulation counts as settling
 
 
 def _mover(record: Mutation | Keyframe) -> str:

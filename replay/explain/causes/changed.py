@@ -2,7 +2,7 @@
 
 The object may also be in another world, a container closed, gravity zero, or a fork may have changed the world.
 
-If an answer or a perception contradicts the later failure, a fact on which it depends has changed. Changes by physics
+If an answer or a perception contradicts the later failure, a fact has changed since then. Changes by physics
 are explained in :mod:`replay.explain.causes.physics`.
 """
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
-#: Queries that contradict a failure by the answer yes; those in ``_NOTHING``, by an empty answer.
+#: Queries whose answer yes contradicts a failure; for those in ``_NOTHING``, an empty answer does.
 _YES: Final = {
     "Unreachable": _REACH,
     "HandleUnreachable": _REACH,

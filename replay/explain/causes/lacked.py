@@ -48,7 +48,7 @@ _MISSING_VALUE: Final = (
 _EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing item of a container may cause
 _MAX_ALSO: Final = 3
 _MAX_SETTING: Final = 100  # maximum number of motions that may have filled a list
-_GOES_ON: Final = 2000  # number of records in which the plan's next step is searched
+_GOES_ON: Final = 2000  # number of records that are searched for the plan's next step
 _POSES: Final = ("set_position", "set_orientation", "set_position_and_orientation")
 _JOINTS: Final = ("set_joint_position", "set_joint_positions")
 _SEEN: Final = ("PerceptionError", "LookingFailed")
@@ -93,7 +93,7 @@ class Swallowed(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[Swallowed]:
-        """Yield the failures because of whose missing effects the motion or the plan's line failed."""
+        """Yield the failures whose missing effects made the motion or the plan's line fail."""
         for lack in lacking(case):
             last = next((motion for motion in case.motions(*lack.motions) if lack.fits(motion)), None)
             if last is not None and last.status in _UNSUCCESSFUL and not _was_done_since(case, lack, last):
@@ -142,7 +142,7 @@ class RefusedRequest(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
-        """Yield refusals whose missing effects made the motion or line fail: for each subject, the last."""
+        """Yield, for each subject, the last refusal whose missing effect made the motion or line fail."""
         if not case.log.counts().get("refusal"):
             return
         found: set[tuple[str, str]] = set()
@@ -492,7 +492,7 @@ def _results(case: FailureCase) -> Iterator[Swallowed]:
 
 
 def _motions_setting_variables(case: FailureCase) -> Iterator[tuple[Node, list[str]]]:
-    """Yield earlier motions, the latest first, with those of their variables that the failed line reads."""
+    """Yield earlier motions, the latest first, with the variables that the failed line reads."""
     for motion in reversed(case.failed.motions):
         if motion.last_step < case.step and motion is not case.motion:
             names = _variables_from(case, case.source.call_stack(motion.started))

@@ -20,7 +20,7 @@ from replay.report import phrases
 if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
-TOO_FAR: Final = 1.2  # an arm reaches nothing at this distance from the robot's base, m
+TOO_FAR: Final = 1.2  # distance from the robot's base at which no arm reaches anything, m
 _OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # these causes explain the causes in this module
 
@@ -155,7 +155,7 @@ class NoCandidate(Cause):
         return len(found) > 1 if self.count == 1 else any(isinstance(each, _DEEPER) for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials without those free bodies that the candidates would touch, and with the robot nearer."""
+        """Yield the trials without the free bodies that the candidates would touch, and with the robot nearer."""
         touched = [pair for each in self.asked.candidates for pair in _pairs(argument_values(each.data).get("pairs"))]
         reasons = [str(argument_values(each.data).get("reason") or "") for each in self.asked.candidates]
         bodies = case.world.bodies if case.world is not None else ()

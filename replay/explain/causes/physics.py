@@ -55,7 +55,7 @@ class Physics(Cause):
     """An object fell, tipped or moved in simulation."""
 
     kind = "physics"
-    explained_by = ("written",)  # the plan compares a part of the pose that the motion left as it was
+    explained_by = ("written",)  # the plan compares a part of the pose that the motion didn't change
     body: str
     how: str  # the object's motion: "fell", "tipped" or "moved"
     distance: float  # length of the motion in m

@@ -79,7 +79,7 @@ class Raised(Cause):
         yield Raised(steps, case.failure.type, line, own, case.task, judged)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether the change is known that wrote the value of the plan's check."""
+        """Return whether a known change wrote the value of the plan's check."""
         return self.own and not self.answers and any(each.kind == "written" for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
@@ -144,7 +144,7 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
 
 
 def is_mistake(case: FailureCase) -> bool:
-    """Return whether Python or PyCRAM rejects the plan's code whatever the state of the world is."""
+    """Return whether Python or PyCRAM rejects the plan's code in every state of the world."""
     return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
 
 

@@ -69,7 +69,7 @@ class Proof:
     """The verdict on a cause."""
 
     #: "confirmed" (without the cause, there is no failure, or another one later), "refuted" (without the cause, the
-    #: same failure comes), or "untested" (no fork decides)
+    #: same failure occurs), or "untested" (no fork decides)
     verdict: str
     text: str  # text of the verdict
     forks: tuple[TriedTrial, ...] = ()
@@ -120,7 +120,7 @@ def restored(case: FailureCase, names: Sequence[str], then: int, step: int, word
         changed = (joint for joint, value in body.joints.items() if abs(now.joints.get(joint, value) - value) > _MOVED)
         joints |= {f"{written(name)}.{joint}": body.joints[joint] for joint in changed}
     if poses or joints:
-        where = f"{phrases.names(names)} {'is' if len(names) == 1 else 'are'} as at step {then}"
+        where = f"{phrases.names(names)} {'is' if len(names) == 1 else 'are'} as they were at step {then}"
         yield _set(case, step, words or where, joints | poses)  # joints come first, because they carry bodies along
 
 

@@ -87,7 +87,7 @@ def test_a_plan_that_reaches_outside_or_succeeds_is_refused(tmp_path: Path, caps
     log = recorded(tmp_path, reaching)
     outside.rmdir()
     assert main(["minimise", str(log)]) == 2
-    assert "the plan reaches outside of its folder: os.mkdir" in capsys.readouterr().err
+    assert "the plan has effects outside of its folder: os.mkdir" in capsys.readouterr().err
     assert not outside.exists()
     log = recorded(tmp_path, PLAN.replace("height < 0", "False"))
     assert main(["minimise", str(log)]) == 2
