@@ -62,7 +62,7 @@ def watched(properties: Sequence[str], *, by_run: bool = False, only_record: boo
 
 @contextmanager
 def _attached(sink: _MonitorSink) -> Iterator[None]:
-    """Pass the records of the present recording to a sink; if there is none, those of a new journal."""
+    """Pass the records of the present recording, or else of a new journal, to a sink."""
     journals = journal.listening()
     if not journals:
         sink.log = Journal([sink])

@@ -118,7 +118,7 @@ def run(
     for violation in violations if code == SUCCEEDED else ():  # the plan handled it, or violations are only recorded
         tell(f"pycram: {violation}")
     unrecorded = isinstance(error, RecordingError | NotInstalled)
-    # closing the recording may fail after an error of the plan; that error is then the context
+    # closing the recording may fail after an error of the plan; the plan's error is then the context
     unrecorded |= isinstance(getattr(error, "__context__", None), RecordingError)
     if recording is not None and recording.path.is_file() and not unrecorded:
         shown = recording.path if log.is_absolute() else Path(os.path.relpath(recording.path, folder))

@@ -1,6 +1,6 @@
 """Exercises of the tutorial: run the reader's plans, and check their recordings by properties.
 
-``exercises.toml`` has the properties of each exercise, and what the reader is told if one is violated.
+``exercises.toml`` has the properties of each exercise, and the message to the reader if a property is violated.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def check(chapter: int) -> int:
 
 
 def _mistake(plan: Path, exercise: dict[str, Any]) -> str:
-    """Return what is wrong in a plan, and a command that shows it; "" if nothing is."""
+    """Return the error in a plan, and a command that shows the error; "" without an error."""
     if not plan.is_file():
         return f"there is no such file in {Path.cwd()}"
     log, properties = plan.with_suffix(".mcap"), exercise["properties"]
@@ -58,7 +58,7 @@ def _mistake(plan: Path, exercise: dict[str, Any]) -> str:
 
 
 def _failure(text: str) -> str:
-    """Return the line that names the failure in what a command wrote to stderr."""
+    """Return the line of a command's stderr that names the failure."""
     lines = [line for line in text.partition("pycram: recorded to")[0].splitlines() if line.strip()]
     return (lines or ["it doesn't run"])[-1].removeprefix("pycram: ").removeprefix("pycram-replay: ")
 

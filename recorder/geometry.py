@@ -33,7 +33,7 @@ IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a frame 
 
 _DECIMALS: Final = 6  # number of decimals to which points in the plane are rounded
 _TINY = 1e-12
-_VERTICAL = 1e-9  # horizontal part below which a unit axis is vertical; roll and yaw are then the same
+_VERTICAL = 1e-9  # a unit axis with a smaller horizontal part is vertical; roll and yaw are then the same
 
 # A rotation matrix minus identity is linear in the products of the quaternion's components. Rows of _PRODUCTS are these
 # products; columns are elements of the matrix, row by row.

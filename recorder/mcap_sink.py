@@ -375,7 +375,7 @@ def _open(path: Path) -> io.FileIO:
         is_pipe = False
     if not is_pipe:
         return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | system.OPENED, 0o666), "r+")
-    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)  # without O_NONBLOCK, it waits for a reader
+    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)  # without O_NONBLOCK, open waits for a reader
     os.set_blocking(pipe, True)
     return io.FileIO(pipe, "w")
 

@@ -113,7 +113,7 @@ class McapWriter:
         """Add messages to the chunk.
 
         Args:
-            messages: Tuples of channel id, number, time and bytes. Of the number, only the lowest 32 bits are kept.
+            messages: Tuples of channel id, number, time and bytes. Only the lowest 32 bits of the number are kept.
                 Times are in ns since the Unix epoch, and must not decrease within a chunk.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size

@@ -89,7 +89,7 @@ class JointTree:
         return found
 
     def arms(self) -> list[ArmChain]:
-        """Return the arms: chains of successive joints, except legs, whose end is a gripper or free."""
+        """Return the arms: chains of successive joints that end freely or at a gripper, and aren't legs."""
         found = []
         pending = list(self._next[""])
         leading = {mimic.leader for mimic in self.urdf.mimics.values()}
@@ -198,7 +198,7 @@ def _short_names(runs: list[list[str]], robot: str) -> list[str]:
 def fingers_of(tree: JointTree, arm: ArmChain, with_shape: set[str]) -> Iterator[tuple[str, list[UrdfJoint]]]:
     """Yield each finger tip of an arm that has a shape, and the joints that move the tip.
 
-    Links without a shape are frames below a finger tip, or sliders and screws of a motor above it.
+    Links without a shape are frames below a finger tip, or sliders and screws of a motor above the tip.
     """
     for joint in arm.fingers:
         if joint.child not in with_shape or any(below.child in with_shape for below in tree.below(joint)):

@@ -30,20 +30,20 @@ if TYPE_CHECKING:
 
 OBJECTS: Final = ("cup", "bottle", "spoon")  # names of the objects that an arm picks up
 _PLACES: Final = 5  # number of places on the table for each object
-_SAMPLES: Final = 1000  # number of sampled postures; the places on the table are below the tool in some of them
+_SAMPLES: Final = 1000  # number of sampled postures; places on the table are below the tool in some postures
 _TOP: Final = 0.72  # height in m of the table's top
 _FRONT: Final = 0.3  # distance in m from the table's origin to its front edge
 _INSET: Final = 0.1  # distance in m from the front edge to the objects
 _BAND: Final = 0.25  # maximum height in m of the tool above the table
 _LEVEL: Final = 0.3  # maximum z of the direction of the tool; a tool that points upwards takes nothing from a table
-_LOW: Final = 25  # percentile of the tool's heights that is the height of the table, if the robot doesn't drive
+_LOW: Final = 25  # percentile of the tool's heights; if the robot doesn't drive, the table has this height
 _CLEAR: Final = 1e-3  # distance in m between an object and the table, so that they don't overlap
 
 
 def picked_up(robot: Object, arm: Arm, chain: Chain) -> Iterator[tuple[str, int, int, str]]:
     """Try to pick up each object from several places on a table.
 
-    The robot stands before the table; if it doesn't drive, the table has the height at which its arm works best.
+    The robot stands before the table; if the robot doesn't drive, the table has the best height for its arm.
 
     Yields:
         An object's name, the number of places from which the arm takes it, the number of places, and the first failure.
@@ -72,7 +72,7 @@ def picked_up(robot: Object, arm: Arm, chain: Chain) -> Iterator[tuple[str, int,
 
 
 def _places(robot: Object, arm: Arm, chain: Chain, table: Object) -> Iterator[tuple[Vector, Pose]]:
-    """Yield places on a table before the robot, and a pose of the table at which it doesn't touch the robot."""
+    """Yield places on a table before the robot, and a pose of the table without contact with the robot."""
     assert robot.description is not None  # noqa: S101  see above
     poses = chain.poses(chain.limited(halton_postures(chain, 0, _SAMPLES)))
     tools = geometry.pose_matrix(robot.get_link_position_and_orientation(arm.base_link)) @ poses
@@ -122,7 +122,7 @@ class Finding:
 
 
 def check(robot: Object, description: RobotDescription) -> Iterator[Finding]:
-    """Check a robot that was loaded with a description, alone in a world and above the ground; checks move it."""
+    """Check a robot that was loaded with a description, alone in a world above the ground; checks move the robot."""
     for arm in description.arms.values():
         yield _reach(robot, arm)
         if arm.hand is not None and arm.hand.fingers:

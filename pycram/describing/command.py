@@ -40,7 +40,7 @@ with needed():
 
 _SIZE: Final = (800, 600)  # pixels
 _AWAY: Final = (1.0, 0.7, 0.45)  # direction from the robot to the viewpoint
-_ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the camera: it sees over walls, and sees the doors
+_ABOVE: Final = (-0.45, -0.5, 1.0)  # direction from furniture to the camera, which sees over walls and sees the doors
 _MARGIN: Final = 1.1  # distance of the camera, as a multiple of the distance at which the robot just fills the picture
 _OVERSAMPLING: Final = 2
 _FIELD: Final = math.tan(math.radians(25))  # tangent of half the horizontal field of view
@@ -240,7 +240,7 @@ def is_furniture(model: Model) -> bool:
 
 
 def describe_furniture(model: Model, urdf: str | Path) -> str:
-    """Return the TOML of found furniture with the corrections of it.
+    """Return the TOML of found furniture with its corrections.
 
     Raises:
         AssetError: The corrections don't match the furniture.

@@ -82,7 +82,7 @@ class Corners:
         return np.vstack(found)
 
     def jaws(self, fingers: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Jaws | None:
-        """Return the positions of fingers in a frame; None if they aren't on two sides. Arguments: see :meth:`of`."""
+        """Return the positions of fingers in a frame; None without fingers on two sides. Arguments: see :meth:`of`."""
         found = [corners for finger in fingers if len(corners := self.of([finger], positions, base, offset))]
         tips = [corners[corners[:, 0] >= corners[:, 0].max() - _PADS] for corners in found]
         for seen in (found, tips):  # if the palm contains a fixed jaw, only the tip of the jaw is on one side
@@ -228,7 +228,7 @@ def _fitted(
     links: Sequence[str],
     ends: tuple[Mapping[str, float], Mapping[str, float]],
 ) -> HandGuess | None:
-    """Return the gripper whose fingers close around a pose in the palm; None if none close there."""
+    """Return the gripper whose fingers close around a pose in the palm; None if no fingers close there."""
     (x, y, z), axes = between
     frame: Pose = ((float(x), float(y), float(z)), axes)
     shut, wide = (corners.jaws(links, positions, palm, frame) for positions in ends)
@@ -241,7 +241,7 @@ def _fitted(
 def _ends(
     tree: JointTree, corners: Corners, palm: str, tips: Sequence[tuple[str, list[UrdfJoint]]]
 ) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the joint positions when closed and when open: a finger is open when far from the others."""
+    """Return the joint positions when closed and when open: a finger is open when it is far from the other fingers."""
     joints = {joint.name: joint for _, moving in tips for joint in moving}
     middles = {name: sum(limits(joint)) / 2 for name, joint in joints.items()}
     closed: dict[str, float] = {}

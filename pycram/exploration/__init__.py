@@ -75,7 +75,7 @@ _WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings
 DEPTH: Final = 3  # default depth of races; most known races have no greater depth (Burckhardt et al.)
 LIMIT: Final = 60.0  # default limit of a run's wall-clock time, in s
 _ROUND: Final = 16  # number of runs in a round; the orders of a round are drawn for the same number of turns
-_EXPLAINED: Final = 8  # maximum number of explained endings; without it, each run might have another ending
+_EXPLAINED: Final = 8  # maximum number of explained endings; each run might have another ending
 _MAX_TRIES: Final = 200  # maximum number of runs in the search for the precedences that cause an ending
 # Physics computes each order a little differently, so states count as equal up to these differences.
 _DISTANCE: Final = 0.01  # m
@@ -142,7 +142,7 @@ def explore(
 
     Args:
         seed: Seed of the random numbers in every run, and of the drawn orders.
-        depth: Maximum depth of the races: the number of precedences that cause a race together.
+        depth: Maximum depth of the races: the number of precedences that together cause a race.
         limit: Seconds of wall-clock time for each run.
         folder: Folder for a recording of each ending; None keeps no recordings.
 
@@ -465,12 +465,12 @@ def _same(a: object, b: object) -> bool:
 
 
 class EndingSink:
-    """Computes from a run's records how it ended; passes the records on to a file, if there is one."""
+    """Computes a run's ending from its records; passes the records on to a file, if there is one."""
 
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
-        #: Lines of each failure, for each task that failed with it, as (FILE, FILE:LINE) from the outside in.
+        #: For each failure, the line of each task that failed with it, as (FILE, FILE:LINE), outermost first.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
         self._violated: dict[str, None] = {}  # violated properties, in the order of violations
         self.ending = Ending(DIED, "the process ended")  # replaced when the record of the run's end comes

@@ -42,7 +42,7 @@ _MAX_NAME_DEPTH: Final = 4  # maximum number of nested operations in a name
 
 
 class Ended(NamedTuple):
-    """Replaces the value of a leaf when the object or world that it followed is gone."""
+    """Replaces the value of a leaf when the followed object or world is gone."""
 
     world: str  # name of the world
     what: str  # the object or world that is gone, for messages

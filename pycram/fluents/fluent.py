@@ -459,8 +459,8 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
             s(whenever, (battery < 20).rising(), charge)
             s(plan)
 
-    Both forms run in the thread that calls them. The repetition ends when the surrounding block is decided and so
-    cancels the branch, and when the body raises an error. A ``break`` also ends the loop.
+    Both forms run in the thread that calls them. The repetition ends when the body raises an error, or when the decided
+    block around it cancels the branch. A ``break`` also ends the loop.
 
     Returns:
         Without a body, the result is an iterator that waits, and yields each value that isn't None.

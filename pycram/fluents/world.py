@@ -1,8 +1,8 @@
 """Fluents that follow a world: poses, joints, held objects and contacts.
 
 A transaction updates all fluents of its world at the same moment, and their records follow the record of the change. A
-simulation reads the values 30 times a simulated second, and assigns all of them when it ends. Values are tuples in m
-and xyzw, floats in rad or m, or names. If an object was removed or a world has ended, reading or awaiting its fluents
+simulation reads the values 30 times a simulated second, and assigns all values at its end. Values are tuples in m and
+xyzw, floats in rad or m, or names. If an object was removed or a world has ended, reading or awaiting its fluents
 raises WorldClosed. All functions here raise BadArgument for an argument that isn't an object, and UnknownName for a
 link, joint or arm that doesn't exist.
 """
@@ -107,7 +107,7 @@ class WorldVariables:
     def variable(
         self, source: str, name: str, read: Callable[[], Value], objects: tuple[Object, ...]
     ) -> _WorldVariable:
-        """Return the variable of a quantity, shared by all of its fluents; the caller holds the world's lock."""
+        """Return the variable that all fluents of a quantity share; the caller holds the world's lock."""
         key = f"{source} of {name}"
         known = self._variables.get(key)
         if known is None:

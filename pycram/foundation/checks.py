@@ -21,7 +21,7 @@ Table: TypeAlias = dict[str, object]
 
 _MAX_COUNT = 2**53  # JSON has no larger exact whole numbers
 _MAX_COORDINATE = 1e6  # largest coordinate in m; at larger coordinates the engine can't resolve millimetres
-_UNIT_TOLERANCE = 1e-9  # a quaternion is normalised if its length differs by more than this from 1
+_UNIT_TOLERANCE = 1e-9  # a quaternion is normalised if its length differs from 1 by more than this
 
 
 def number(argument: str, value: object) -> float:

@@ -75,8 +75,8 @@ def floats(values: Sequence[float]) -> list[float]:
 def dataclass_error(kind: type[ErrorType]) -> type[ErrorType]:
     """Make an error a dataclass; its template or its ``_message()`` makes the message.
 
-    The attributes that mark a dataclass are deleted, so a dataclass that a plan derives from the error has no other
-    fields than its own. Errors are equal only to themselves, and print like other exceptions.
+    The attributes that mark a dataclass are deleted, so a dataclass that a plan derives from the error has only its own
+    fields. Errors are equal only to themselves, and print like other exceptions.
     """
     dataclass(eq=False, repr=False, match_args=False)(kind)
     conversions = {each.name: each.metadata["convert"] for each in fields(cast("Any", kind)) if each.metadata}
@@ -128,7 +128,7 @@ class UnknownName(UsageError, LookupError):
         self.kind = kind  # kind of the name, such as "joint", "link" or "object".
         self.name = name
         self.owner = owner
-        self.nearest = nearest(name, names)  # names that the owner has and that are the most similar to ``name``
+        self.nearest = nearest(name, names)  # the owner's names that are most similar to ``name``
 
 
 class AssetError(UsageError):
@@ -142,7 +142,7 @@ class AssetError(UsageError):
 
 @dataclass_error
 class AttachmentError(UsageError):
-    """An impossible attachment: a cycle, or an object that another object carries or that is in another world."""
+    """An impossible attachment: a cycle, an object with another carrier, or an object in another world."""
 
     carrier: str
     body: str
@@ -216,7 +216,7 @@ class FollowsTrajectory(UsageError):
     action: str
     body: str
     number: int  # number of the trajectory in its world
-    joints: Sequence[str] = kept_as(tuple, default=())  # names of the joints that it moves; empty for the base
+    joints: Sequence[str] = kept_as(tuple, default=())  # the trajectory's joints; empty for the base
 
     def _message(self) -> str:
         joints = self.joints

@@ -1,7 +1,7 @@
 """Robots, process modules and actions of other packages: entry points that are loaded when a plan uses their name.
 
-``docs/guides/process_modules.md`` shows how a package declares them. The log of a run names each loaded entry point and
-the version of its package.
+``docs/guides/process_modules.md`` shows how a package declares entry points. The log of a run names each loaded entry
+point and the version of its package.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class PluginFailed(UsageError):
         super().__init__(f"{name} of {' and '.join(packages)} (entry point of {group}) can't be used: {problem}")
         self.group = group  # group of the entry point, such as "pycram.robots".
         self.name = name  # name of the entry point
-        self.packages = packages  # names and versions of the packages that declare it
+        self.packages = packages  # names and versions of the packages that declare the name
         self.problem = problem
 
 

@@ -1,8 +1,8 @@
 """Blocks of the plan language: the five words that open blocks, and the branches, bodies and ends of blocks.
 
 The five kinds of blocks differ only in their :class:`Policy`. A decided block cancels its other branches, also branches
-that are added later. It ends when all branches have ended, and has the outcome of the branch that decided. A block in
-which no branch decides fails if any branch failed. A plan failure in the body ends the body, and counts as one of the
+that are added later. A block ends when all branches have ended, and has the outcome of its deciding branch. A block
+without a deciding branch fails if any branch failed. A plan failure in the body ends the body, and counts as one of the
 block's failures. Two errors fail any block, even after the decision: a usage error, which is raised unchanged, and a
 failed cleanup of a cancelled branch, because the state of the world is then unknown.
 
@@ -310,8 +310,8 @@ class Block:
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
         """Wait for all branches; return the last interrupt.
 
-        The interrupt is ``interrupt``, if it ended the body, or an error that a signal handler raised during the wait.
-        An error during the wait cancels the branches.
+        The interrupt is ``interrupt`` if this error ended the body, or else an error that a signal handler raised
+        during the wait. An error during the wait cancels the branches.
         """
         own = self._scheduler
         while True:
@@ -348,8 +348,8 @@ class ReadBlock(Block):
     The block runs concurrently with its siblings, but Python runs a ``with`` statement in place. Python therefore only
     *reads* the body: it adds the actions to a queue, and the branch runs them while Python reads the next statements.
     Using a future in that body waits for its result. Attempts, timeouts, cleanups and waits for a fluent run in place,
-    after the earlier actions of a sequence. If earlier actions have not ended, RunsEarly rejects a change of a world,
-    and also a branch that the body adds to an outer block.
+    after the earlier actions of a sequence. Until earlier actions have ended, RunsEarly rejects changes of a world, and
+    branches that the body adds to an outer block.
     """
 
     def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:
@@ -494,7 +494,7 @@ class Kind(Opening):
             this value.
 
         Raises:
-            BadArgument: An argument is neither a function nor the only list.
+            BadArgument: An argument isn't a function, or a list isn't the only argument.
             BranchesFailed: The block failed.
         """
         if not branches:

@@ -61,8 +61,8 @@ class BranchesFailed(PlanFailure):
     """A block of the plan language failed; this failure contains the failures of all branches.
 
     The failure of a block is an instance of all types that these failures have in common. If all branches failed with
-    ``Unreachable``, ``except Unreachable`` catches the block's failure, which has the fields of the first. ``except``
-    therefore never hides failures of other types.
+    ``Unreachable``, ``except Unreachable`` catches the block's failure, which has the fields of the first failure.
+    ``except`` therefore never hides failures of other types.
     """
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass
@@ -86,7 +86,7 @@ class BranchesFailed(PlanFailure):
         self.__cause__ = causes[0] if len(causes) == 1 else Tracebacks(causes)
 
     _leaves: tuple[PlanFailure, ...]
-    _causes: tuple[PlanFailure, ...]  # the failures that the message shows; only leaves if they are nested too deeply
+    _causes: tuple[PlanFailure, ...]  # failures in the message; only leaves if the failures are nested too deeply
     _levels: int  # number of levels of nested blocks that the message shows
     _left_out: int  # number of leaves that the message doesn't show
 

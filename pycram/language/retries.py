@@ -246,10 +246,11 @@ class Attempts:
                 yield
 
     def ended(self, error: BaseException | None, handled: BaseException | None, changed: Parameters | None) -> bool:
-        """Return whether another attempt follows. If not, the caller raises ``error``, or this method the last failure.
+        """Return whether another attempt follows.
 
-        ``handled`` is the failure to handle: after ``retry``, the failure that the plan was handling. ``changed``
-        contains parameters for the next attempt; None without ``retry``.
+        If not, the caller raises ``error``, or this method raises the last failure. ``handled`` is the failure to
+        handle: after ``retry``, the failure that the plan was handling. ``changed`` contains parameters for the next
+        attempt; None without ``retry``.
         """
         if handled is None or (changed is None and not self._handling.handles(handled)):
             self.finish(error)

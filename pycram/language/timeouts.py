@@ -1,7 +1,7 @@
 """Timeouts: parts of the plan with a deadline.
 
 At the deadline, the part is cancelled. A cancelled part stops at its next checkpoint (:mod:`pycram.scheduling`), or at
-its end if no checkpoint comes before. The part fails with :class:`TimedOut`, which a plan may handle or retry.
+its end if it has no further checkpoint. The part fails with :class:`TimedOut`, which a plan may handle or retry.
 
 The body can't add a branch to a block around the timeout, because the branch would outlive the timeout.
 """
@@ -49,7 +49,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 
     Args:
         seconds: The limit in s; 0 or more.
-        simulated: Whether to measure simulated time of the current world. Simulated time passes if all branches wait,
+        simulated: Whether to measure simulated time of the current world. Simulated time passes while all branches wait
             and only passing time can end a wait in the block.
 
     Raises:
@@ -69,7 +69,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
                     raise_if_cancelled()
                     yield
                     settle()
-                    cancel_scope.refuse_late()  # motions aren't interrupted, so one may end long after the deadline
+                    cancel_scope.refuse_late()  # motions aren't interrupted, and may end long after the deadline
             except Cancelled as cancelled:
                 if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
                     task.checkpoint = 0 if simulated else cancel_scope.struck or scheduler().checkpoints

@@ -1,9 +1,9 @@
 """Canonical URDF: the single form of URDF that the engine, viewers and recordings read.
 
-It has only elements that URDF defines. PyBullet rejects an invalid link without a reason, or loads it silently; an
-AssetError names the link. Planar and floating joints become chains of joints that the engine supports. Each element
-starts a new line, because PyBullet breaks lines after 8,191 characters, even inside a number. Numbers keep their
-digits.
+Canonical URDF has only elements that URDF defines. PyBullet rejects an invalid link without a reason, or loads it
+silently; an AssetError names the link. Planar and floating joints become chains of joints that the engine supports.
+Each element starts a new line, because PyBullet breaks lines after 8,191 characters, even inside a number. Numbers keep
+their digits.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _FRAME_INERTIA: Final = 1e-6  # kg m^2
 _JOINT_INERTIA: Final = (
     0.05  # inertia in kg m^2 of links between joints; with it, the motors of a chain converge sooner
 )
-_ROUNDING: Final = 1e-9  # lowest accepted moment in kg m^2; values so little below 0 are rounding errors of mesh tools
+_ROUNDING: Final = 1e-9  # lowest accepted moment in kg m^2; mesh tools round moments to slightly below 0
 _SHAPES: Final = {
     "box": (("size", 3),),
     "sphere": (("radius", 1),),

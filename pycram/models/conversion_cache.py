@@ -24,8 +24,8 @@ from recorder.system import cache_folder
 if TYPE_CHECKING:
     Piece = tuple[str, bytes, Sequence[float] | None]
 
-_WORTH: Final = 50_000  # size in bytes of a binary STL below which a conversion is faster than a look-up
-_LARGEST: Final = 1_000_000_000  # total size in bytes above which the least recently used entries are deleted
+_WORTH: Final = 50_000  # maximum size in bytes of a binary STL whose conversion is faster than a look-up
+_LARGEST: Final = 1_000_000_000  # maximum total size in bytes; the least recently used entries are deleted first
 _CODE: Final = ("canonical_urdf.py", "load.py", "mesh.py", "shapes.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")
 _IMAGE: Final = re.compile(rb"<image\b(?:(?!</image>).)*?<init_from>\s*([^<]+?)\s*</init_from>", re.DOTALL)

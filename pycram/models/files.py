@@ -108,7 +108,7 @@ def find(path: str | Path) -> Path:
         raise AssetError(path, "the path is not a file")
     if given.name == str(path):
         if given.name in ROBOT_URDFS:
-            file = _installed(given.name)  # the meshes are next to it
+            file = _installed(given.name)  # the meshes are next to the file
             return _with_gripper(given.name, file) if given.name == "ur5.urdf" else file
         shipped = resources() / given
         if shipped.is_file():

@@ -29,11 +29,11 @@ from recorder.geometry import Pose, Quaternion
 from recorder.urdf import Urdf, UrdfJoint
 
 _HIGHEST: Final = 1.8  # height in m above the model's lowest point; higher surfaces are out of reach and sight
-_GROUND: Final = 10.0  # area in m^2 above which a surface is a floor
+_GROUND: Final = 10.0  # minimum area in m^2 of a floor
 _NARROW: Final = 0.2  # maximum width in m of the top of a wall
 _UPRIGHT: Final = 4.0  # minimum ratio of height to width of a wall
 _RAYS: Final = 24  # number of horizontal directions
-_NEAR: Final = 0.6  # distance in m from a surface's outline within which a part can hide the surface
+_NEAR: Final = 0.6  # maximum distance in m between a surface's outline and a part that hides the surface
 _HEIGHTS: Final = (0.3, 0.6, 0.9)  # heights of rays above a surface, as shares of ``_HAND``
 _HAND: Final = 0.2  # free height in m that a hand needs
 _LEVEL: Final = 0.5  # maximum |z| of the unit axis of a horizontal joint

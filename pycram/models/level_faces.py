@@ -36,7 +36,7 @@ AREA: Final = 0.02  # minimum area in m^2 of a face of furniture
 FURNITURE: Final = Least(AREA, 0.06)  # width of a glass
 THINGS: Final = Least(0.0016, 0.04)  # sizes for a plate, a box, or another object that robots carry
 _CLEARANCES: Final = (0.25, 0.05)
-"""Minimum free heights in m, in the order of the search; with several, a low lamp excludes only the area below it."""
+"""Minimum free heights in m, in the order of the search; with several heights, a lamp excludes only the area below."""
 _LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
 _THICK: Final = 0.004  # maximum difference in m between the heights of tops that form one face of a link
 _ROUGH: Final = 0.002  # maximum height in m of a bump that isn't an obstacle on a face
@@ -45,7 +45,7 @@ _FINE: Final = 0.02  # distance in m of grid lines if edges aren't parallel to t
 _ALONG: Final = 1e-3  # maximum component of a side's unit normal along a grid axis that is parallel to the side
 _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
 _PARALLEL: Final = 1e-9  # maximum component of a plane's unit normal along a line that counts as parallel to the plane
-_SIMPLE: Final = 16  # number of planes of a piece above which lines that miss its bounding box are skipped
+_SIMPLE: Final = 16  # number of planes; for pieces with more planes, lines that miss the bounding box are skipped
 _ROUNDING: Final = 1e-9  # maximum relative rounding error of an area
 _COLUMNS: Final = 8  # number of columns that BLAS multiplies in one call
 _SAME_PLANE: Final = 6  # decimal places in which planes of triangles on one side of a hull agree

@@ -310,7 +310,7 @@ def _check_mesh(path: Path) -> None:
     mesh.check(path)
 
 
-_MIN_CONVEXITY: Final = 0.9  # minimum share of its hull's volume that a convex mesh fills; of the area for open meshes
+_MIN_CONVEXITY: Final = 0.9  # minimum share of its hull's volume (open mesh: area) that a convex mesh fills
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 

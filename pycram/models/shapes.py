@@ -37,7 +37,7 @@ _PLANE_DECIMALS: Final = 9  # decimal places in which planes of triangles on one
 _MAX_CHOSEN: Final = 40  # maximum number of corners for trying all choices of three; more would take over 3 ms
 _SHARED: Final = 6  # approximate number of triangles that share a corner
 _FLAT: Final = 1e-9  # tolerance in m for corners in front of a plane, and minimum thickness of a solid
-_IN_LINE: Final = 1e-12  # twice the area in m^2 below which three corners are collinear
+_IN_LINE: Final = 1e-12  # twice the maximum area in m^2 of a triangle with collinear corners
 _NEXT: Final = [1, 2, 0]  # axes of the first factors of the terms of a cross product
 _OTHER: Final = [2, 0, 1]  # axes of the second factors
 

@@ -96,7 +96,7 @@ def write(name: str, content: bytes) -> Path:
 
 @lru_cache(maxsize=_CACHED_DOCUMENTS)
 def document(path: Path) -> ET.Element:
-    """Return the root element of a stored URDF. The caller must not modify it."""
+    """Return the root element of a stored URDF. The caller must not modify the element."""
     return ET.fromstring(path.read_bytes())  # noqa: S314  written by PyCRAM
 
 

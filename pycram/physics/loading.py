@@ -46,8 +46,8 @@ class Loading:
     """Share of the error of a robot's joint that its motor corrects in a step. With 0.1, long chains of joints sagged
     by up to 5 mrad."""
     strength: float = 2.0
-    """Largest force of a robot's motors as a multiple of the largest load by gravity; the least forces are the
-    minimum. Without these forces, an industrial arm of 330 kg sank by 1.3 rad.
+    """Largest force of a robot's motors as a multiple of the largest load by gravity, but at least the minimum force.
+    Without these forces, an industrial arm of 330 kg sank by 1.3 rad.
     """
 
     @classmethod

@@ -40,10 +40,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _JOINT_STEP: Final = 0.05  # distance in rad or m of a joint between checked configurations in a search
-_THERE: Final = 1e-3  # distance to the goal in rad or m below which a joint doesn't move; motors aren't more accurate
+_THERE: Final = 1e-3  # accuracy of motors in rad or m; a joint that is nearer to its goal doesn't move
 _LINE_STEP: Final = 0.01  # motion in m of the tool between neighbouring postures
 _LINE_TURN: Final = 0.05  # turn in rad of the tool between neighbouring postures
-_JUMP: Final = 0.35  # distance in rad or m of a joint between neighbouring postures; a larger one means another posture
+_JUMP: Final = 0.35  # distance in rad or m of a joint between neighbours; a larger distance means another posture
 _ROOM: Final = 3.0  # margin in m of the searched space around start and goal
 _WIDER: Final = 9.0  # the same margin for a second search, for example through the next door
 _METRES_A_TURN: Final = 0.5  # distance in m that a robot's outline moves when the robot turns by one radian

@@ -29,7 +29,7 @@ STRAIGHT: Final = "straight line"
 RRT_CONNECT: Final = "RRT-Connect"
 MAX_CHECKS: Final = 20_000  # maximum number of checked configurations in all searches for a path
 
-_STEPS: Final = (1.0, 0.5, 0.25)  # steps of searches as shares of the space's step; small ones miss fewer collisions
+_STEPS: Final = (1.0, 0.5, 0.25)  # steps of searches as shares of the space's step; small steps miss fewer collisions
 _FINE: Final = 0.25  # step of the final check as a share of the space's step
 _RATE: Final = 240.0  # number of samples per second with which a timed path is checked
 _MAX_PAIRS: Final = 3  # maximum number of pairs of links in a failure

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 MARGIN: Final = 5e-3  # least distance in m between the robot and other objects
-_DEEPER: Final = 1e-3  # depth in m by which an overlap may exceed that at the start or goal
+_DEEPER: Final = 1e-3  # depth in m by which an overlap may exceed the overlap at the start or goal
 _SLACK: Final = 0.01  # additional allowed overlap in m of hulls of the robot's own links, if there is no other path
 _BATCH: Final = 64  # number of configurations that are checked together
 _FIRST_BATCH: Final = 16  # number of configurations on an edge that are checked first; they find most blocked edges
@@ -89,7 +89,7 @@ class Clearance:
         self._allowed: dict[Pair, float] = {}  # allowed overlap in m of each pair
         self._last: Pair | None = None
         self._deepest: dict[Pair, float] = {}
-        # Whether the robot keeps a distance from objects. If it doesn't, it may nearly touch objects, and hulls of its
+        # Whether the robot keeps a distance from objects. If not, the robot may nearly touch objects, and hulls of its
         # own links may overlap a little more, because hulls are larger than links.
         self.strict = True
         self.checks = 0  # number of checked configurations

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SPACINGS: Final = (0.3, 0.1, 0.03)  # distances in rad or m of the spline's way points; small ones round corners less
 _RATE: Final = 30.0  # number of a trajectory's knots per second; the trajectory is cubic between knots
-_STILL: Final = 1e-4  # length of a path in rad or m below which it takes one step
+_STILL: Final = 1e-4  # a path that is shorter, in rad or m, takes one step
 _GRID: Final = 25  # number of points of toppra's grid between way points, if toppra's own grid fails
 _FINE: Final = np.linspace(0.0, 1.0, 9)  # number of moments between two knots at which velocities are checked
 _DEFAULTS: Final = MotionLimits()

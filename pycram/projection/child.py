@@ -268,7 +268,7 @@ class ChildPool(Generic[Job]):
 
 
 def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
-    """Return the index of the first question that is answered by "yes"; None if there is none, or without copies.
+    """Return the index of the first question with the answer "yes"; None without such a question, or without copies.
 
     A copy of this process answers each question, and may change its worlds. Nothing is recorded, and an error counts as
     "no".

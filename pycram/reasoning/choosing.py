@@ -1,7 +1,7 @@
 """Records of questions to a world and of their answers. A choice also has the rejected candidates.
 
-Reasoning queries are questions; choices of process modules are, too, for example of a grasp or a place. While a
-question is answered, its world is locked and refuses changes.
+Questions are reasoning queries, and choices of process modules, for example of a grasp or a place. While a question is
+answered, its world is locked and refuses changes.
 """
 
 from __future__ import annotations

@@ -144,7 +144,7 @@ class Unseen(Rejection):
     share: float  # share of the object that is seen
     hidden_by: Sequence[str] = ()  # names of the objects that hide the candidate
     outside: float = 0.0  # share of the object outside of the picture
-    #: For each object that hides it and has several links, the link that hides most.
+    #: For each hiding object with several links, the link that hides most.
     hiding_links: Mapping[str, str] = field(default_factory=dict, hash=False)
 
     def data(self) -> Mapping[str, object]:

@@ -82,7 +82,7 @@ export("pycram.failures", DeadlockedBranches)
 
 
 class Precedence(NamedTuple):
-    """A rule: where a branch has the first rank, it makes another branch run before it, and stay ahead of it."""
+    """A rule: another branch runs before the branch with the first rank, and stays ahead of that branch."""
 
     branch: str  # number of the branch that overtakes
     before: str  # number of the branch that is overtaken
@@ -107,7 +107,7 @@ class AppliedPrecedence(NamedTuple):
     precedence: Precedence
     first: BranchLine  # line of the branch that ran first
     second: BranchLine  # line of the other branch
-    passed: list[Precedence]  # weaker precedences, which put it before only some of the branches that it overtook
+    passed: list[Precedence]  # weaker precedences: the branch comes before only some of the branches that it overtook
 
 
 class Runnable(Protocol):
@@ -122,8 +122,8 @@ class Ranked:
     """A branch, or the code outside of all branches, as an order sees it."""
 
     number: str  # "2" is the second branch that code outside of branches began, "2.1" the first that branch 2 began
-    stops: int = 0  # number of checkpoints and waits that it has passed
-    begun: int = 0  # number of branches that it has begun
+    stops: int = 0  # number of checkpoints and waits that the branch has passed
+    begun: int = 0  # number of branches that this branch has begun
 
 
 class Pct:

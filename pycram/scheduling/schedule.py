@@ -10,8 +10,8 @@ deadlock.
 A strike is an event that no seed determines: a deadline passes, or a worker ends. The scheduler polls for strikes at
 checkpoints and when it chooses the next branch. Recordings contain the polls with strikes, so that a guided run repeats
 them. A signal handler may raise an error between any two instructions, and any call may exceed the recursion limit.
-Then the scheduler's loop ends, the error is raised outside of all branches, and the next loop schedules all branches
-again.
+In both cases, the scheduler's loop ends, the error is raised outside of all branches, and the next loop schedules all
+branches again.
 """
 
 from __future__ import annotations
@@ -499,7 +499,7 @@ class Scheduler:
         return not self._bell.locked()  # this check comes last, because a thread may wake this one and end
 
     def _fail_deadlocked(self) -> None:
-        """Raise DeadlockedBranches outside of the branches; if the waits remain, raise it in a branch.
+        """Raise DeadlockedBranches outside of the branches; if the waits remain, raise the error in a branch.
 
         The first error cancels the branches, so only their cleanup code can wait afterwards.
         """

@@ -34,10 +34,10 @@ class _WorkerEnd(StrikeSource):
 def in_thread(function: Callable[..., Result], *args: object, **kwargs: object) -> Result:
     """Call a function in a worker thread while other branches run, and return its result.
 
-    Use it for calls that block outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, or a long
-    calculation that releases the interpreter lock. The function runs in the branch's context. The call of the function
-    is recorded as a task. A cancelled branch waits until the function has returned, so the function should have a
-    timeout. If the function changes a world, the changes have no fixed place in the plan's order.
+    Use this function for calls that block outside of PyCRAM: ``in_thread(time.sleep, 3)``, a request to a server, or a
+    long calculation that releases the interpreter lock. The function runs in the branch's context. The call of the
+    function is recorded as a task. A cancelled branch waits until the function has returned, so the function should
+    have a timeout. If the function changes a world, the changes have no fixed place in the plan's order.
 
     Raises:
         BaseException: Any error of the function.

@@ -2,8 +2,8 @@
 
 If the process of a run crashes, hangs or is killed, the run is retried once. If the retry also fails, the run's
 recording contains the reason. :class:`Worker` starts another process if this process can't fork because it has worlds,
-or threads like those of Ray and Jupyter. The worker process keeps loaded modules and models between batches, which it
-reads as lines of JSON.
+or threads like those of Ray and Jupyter. The worker process keeps loaded modules and models between batches, and reads
+each batch as a line of JSON.
 """
 
 from __future__ import annotations

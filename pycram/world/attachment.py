@@ -4,7 +4,7 @@ An attached body keeps its pose relative to the carrier's link: without simulati
 simulation, a fixed constraint holds it. Each of :func:`attach` and :func:`detach` is a transaction; :func:`put_back`,
 :func:`renew` and :func:`end` are parts of other transactions. A link supports a body if the body rests on the link,
 hangs just above its floor, or rests on a supported body. Bodies that a drawer supports move with the drawer. If a hand
-takes a body, bodies in or on it are attached to it loosely (:func:`taken_along`).
+takes a body, bodies in or on this body are attached loosely (:func:`taken_along`).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 _CONTACT_GAP: Final = 0.003  # largest distance in m between a resting body and its support; half a millimetre is usual
 _DROP_HEIGHT: Final = 0.03  # largest height in m of a body above the floor of the drawer that contains it
 _GRIP_GAP: Final = 0.001  # distance in m between a body and a finger that holds it
-_SLIGHT: Final = 2e-3  # overlap in m below which bodies move apart without pushing each other
-_BELOW: Final = -0.1  # z of a contact's unit normal below which a body touches another body from above
+_SLIGHT: Final = 2e-3  # maximum overlap in m of bodies that move apart without pushing each other
+_BELOW: Final = -0.1  # maximum z of a contact's unit normal if a body touches another body from above
 
 
 class StillHeld(UserWarning):
@@ -88,8 +88,8 @@ def attach(
         body_link: The held link of the body; None for its base link.
         pose: Pose of the body's base link in the carrier's link; None for the present pose.
         along: Bodies in or on the body that move along until the body is released; see :func:`taken_along`.
-        left: Bodies that stay, but overlap the moving bodies or lean on them; in simulation they don't collide with
-            these.
+        left: Bodies that stay, but overlap the moving bodies or lean on them; in simulation they don't collide with the
+            moving bodies.
         loose: Whether the body only lies in or on the carrier, and is released with the carrier.
 
     Raises:

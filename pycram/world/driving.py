@@ -6,7 +6,7 @@ attached objects. Physics determines everything else: pushed objects move, and o
 
 Coasting: a body that follows its trajectory in free space moves as planned, and all resting bodies stay where they are.
 If all other bodies rest, and nothing is near the moving links at both ends of an interval of 1/30 s, the bodies are set
-to their positions at its end. The engine's steps would take ten times as long.
+to their positions at the interval's end. The engine's steps would take ten times as long.
 """
 
 from __future__ import annotations
@@ -351,7 +351,7 @@ def _check(body: Object, trajectory: Trajectory) -> None:
 
 
 def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, float] | None:
-    """Return a coordinate of a body that isn't at its trajectory's start, with the start and its position.
+    """Return a coordinate that isn't at its trajectory's start, with the start and the present position.
 
     Start and position are in rad or m. The result is None if all coordinates are near enough for motors to follow.
     """
@@ -451,7 +451,7 @@ class Coasting:
         """Return whether nothing is near the moving links at the end of an interval, after they were moved there."""
         after = self._moving_boxes()
         way = np.abs(after - self._before).max(axis=(1, 2), initial=0.0)
-        if len({body for body, _ in self._following}) == 1:  # both distances have a larger sum than the way
+        if len({body for body, _ in self._following}) == 1:  # the sum of both distances is larger than the way
             way = np.maximum(way / 2, way - self._clear)
         self._clear = way + _NEAR
         self._is_clear = not self._is_near(after, self._clear)

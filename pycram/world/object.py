@@ -494,7 +494,7 @@ def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
     warnings.warn_explicit(f"{robot.name} has {what}; {remedy}", Misfitting, *call_site())
 
 
-WIDEST: Final = 10.0  # width in m of a free object's mesh above which its unit is probably wrong
+WIDEST: Final = 10.0  # maximum width in m of a free object's mesh; the unit of wider meshes is probably wrong
 _NAMED: Final = 5  # maximum number of links that a warning names
 
 
@@ -503,7 +503,7 @@ class Oversized(UserWarning):
 
 
 class Filled(UserWarning):
-    """A URDF has a hollow collision mesh in one piece. The engine takes the convex hull of it, so nothing gets in."""
+    """A URDF has a hollow collision mesh in one piece. The engine uses the mesh's convex hull, so nothing gets in."""
 
 
 def width(model: Path) -> float:

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-DEEP: Final = 5e-3  # depth in m above which an overlap is an error; the solver lets resting objects overlap a little
+DEEP: Final = 5e-3  # maximum allowed depth in m; the solver lets resting objects overlap a little
 
 _SUNK: Final = 0.015  # depth in m below a surface; the engine doesn't push deeper objects straight up
 

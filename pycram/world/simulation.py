@@ -31,20 +31,20 @@ from recorder.tracing import journal
 if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
-SLOW: Final = 2e-3  # speed in m/s below which an object may be at rest
-SLOW_TURN: Final = 2e-2  # angular speed in rad/s below which an object may be at rest
+SLOW: Final = 2e-3  # maximum speed in m/s of an object at rest
+SLOW_TURN: Final = 2e-2  # maximum angular speed in rad/s of an object at rest
 INTERVALS: Final = 4  # number of successive intervals in which an object must be slow before it is at rest
 _GAIN: Final = 1.15  # largest gain of speed over these intervals; a 2 m high shelf that starts to tip gains more
 _STRAY: Final = 0.25  # in this duration in s, an object at rest may move as far as the slow speed would move it
 _TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # number of steps after which a trembling object is at rest
 _TO_AND_FRO: Final = 4.0  # minimum ratio of the path length of a trembling object to its displacement
-_NOISE: Final = 0.1  # share of the slow speed below which changes of speed are noise of the solver
+_NOISE: Final = 0.1  # smaller changes of speed, as shares of the slow speed, are noise of the solver
 
 _MAX_LISTED: Final = 5  # largest number of objects in a warning
 
 _SAMPLE_STEPS: Final = records.STEPS_PER_SECOND // 30
-_SAMPLE_TOLERANCE: Final = 1e-5  # movement in m or rad below which samples omit an object
-_MANIPULATION_TOLERANCE: Final = 1e-4  # movement of a furniture joint in rad or m below which no event fires
+_SAMPLE_TOLERANCE: Final = 1e-5  # minimum movement in m or rad of objects in a sample
+_MANIPULATION_TOLERANCE: Final = 1e-4  # minimum movement in rad or m of a furniture joint that fires an event
 _MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # maximum number of steps in one record of a wait
 
 _PERIOD: Final = 1 / 30  # seconds of real time in one record

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from pycram.world.object import Object
     from pycram.world.world import BulletWorld
 
-#: Number of changes after which a keyframe follows, but not before they have changed as many objects as the world has.
-#: A keyframe of 10 objects costs 0.3 ms and 3 kB; its share in the cost of a change hardly depends on the number of
+#: Number of changes before a keyframe; these changes must also affect at least as many objects as the world has. A
+#: keyframe of 10 objects costs 0.3 ms and 3 kB; its share in the cost of a change hardly depends on the number of
 #: objects.
 TRANSACTIONS_PER_KEYFRAME: Final = 100
 _AT_REST: Final = (0.0,) * 6

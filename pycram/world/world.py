@@ -39,7 +39,7 @@ from recorder.tracing.journal import Journal
 
 __all__ = ["BulletWorld", "Object"]
 
-_MAX_SECONDS: Final = 366 * 86400.0  # simulated duration in s above which a call is probably a mistake
+_MAX_SECONDS: Final = 366 * 86400.0  # maximum simulated duration in s; a longer call is probably a mistake
 
 _lock = threading.Lock()
 _numbers = itertools.count(1)

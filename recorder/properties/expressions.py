@@ -90,7 +90,7 @@ class Truth:
 
 
 class Touch(NamedTuple):
-    """Whether two bodies touch. Its margins are distances in m, at most RANGE."""
+    """Whether two bodies touch. The margins are distances in m, at most RANGE."""
 
     contact: Truth
     on: Truth  # whether the first body is on the second body
@@ -187,7 +187,7 @@ class Scene:
 
 
 class Conditions:
-    """A condition of each object, or each pair of objects, that matches a pattern. It means "any" or "all" of them."""
+    """A condition of each object, or each pair of objects, that matches a pattern; "any" or "all" must hold."""
 
     def __init__(self, truths: Iterable[Truth], choose: Callable[[Iterable[Truth]], Truth] = max) -> None:
         self.truths = list(truths)

@@ -144,7 +144,7 @@ class FoldedWorld:
         elif command == "stop_trajectory":
             number = record.stop_trajectory.number
             known = self.following.pop(number, None)
-            # a trajectory whose beginning isn't recorded stays unknown; one whose body hasn't moved yet ends
+            # a trajectory without a recorded beginning stays unknown; a trajectory whose body hasn't moved yet ends
             if known is not None and known.began < self.sim_step:
                 self.following[number] = stopped = Following(begin=known.begin, began=known.began)
                 stopped.stopped = known.stopped or self.sim_step

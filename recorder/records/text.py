@@ -48,8 +48,8 @@ _SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
 _LEVELS: Final = {"DEBUG": _DEBUG, "INFO": _INFO, "WARNING": _WARNING, "ERROR": _ERROR, "CRITICAL": _ERROR}
-_LITTLE: Final = 0.005  # share of an object outside of the picture below which texts don't mention it
-_NOTABLE_ERROR: Final = 0.01  # error of a motor, rad or m, below which it isn't mentioned
+_LITTLE: Final = 0.005  # minimum share of an object outside of the picture that texts mention
+_NOTABLE_ERROR: Final = 0.01  # minimum error of a motor, rad or m, that texts mention
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # for the most frequent length, this is faster than a loop
 
 
@@ -306,7 +306,7 @@ def _named(candidate: Candidate) -> str:
 
 
 def reason_text(candidate: Candidate) -> str:
-    """Return the text of the reason for a rejection. A reason that a user defined is its type and values."""
+    """Return the text of the reason for a rejection. The text of a user's own reason is its type and values."""
     data: Mapping[str, Any] = argument_values(candidate.data)
     text = rejection_text(candidate.reason, data)
     several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
@@ -423,8 +423,8 @@ _MAX_FATES: Final = 4  # maximum number of different results in a line
 def fates(query: Query) -> Iterator[str]:
     """Yield the result of each considered place of a query: "taken", or why the place was rejected.
 
-    The text for a single place may differ from that for several places. Then the result contains both, with "|" between
-    them.
+    The text for a single place may differ from that for several places. Then the result contains both texts, with "|"
+    between them.
     """
     names = [_fate(candidate) for candidate in query.candidates]
     if query.HasField("chosen") and 0 <= query.chosen < len(names):

@@ -25,8 +25,8 @@ Other = TypeVar("Other")
 MAX_FRAMES: Final = 32  # the text of an error has at most this many frames, the innermost frames
 MAX_ERRORS: Final = 16  # a traceback's text has at most this many errors, from both ends of the chain
 
-_FIRST: Final = 4  # number of errors at the beginning of the chain, which contains the root causes, that a text has
-_MAX_EXPLORED: Final = 64  # number of related errors above which an error is printed without them
+_FIRST: Final = 4  # number of errors that a text has from the chain's beginning, which contains the root causes
+_MAX_EXPLORED: Final = 64  # maximum number of related errors that are printed with an error
 _REPEATED: Final = 3  # Number of times that Python prints a repeated line, before the number of repetitions
 _MAX_CACHED: Final = 4096
 _CAUSE: Final = "\nThe above exception was the direct cause of the following exception:\n\n"

@@ -38,7 +38,7 @@ _MARKS: Final[Mapping[int, str]] = {
     Task.RUNNING: "?",
     Task.CREATED: ".",
 }
-_MAX_ALIKE: Final = 6  # number of similar siblings above which they are folded
+_MAX_ALIKE: Final = 6  # maximum number of similar siblings that aren't folded
 _MAX_WIDTH: Final = 100  # maximum number of characters of parameters in a line
 #: Kinds of tasks whose lines show the parameters.
 _WITH_PARAMETERS: Final = frozenset({"action", "projection", "motion", "attempt", "failure-handling", "handler"})
@@ -183,7 +183,7 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
 def _lifted(nodes: Sequence[Node]) -> list[Node]:
     """Return siblings; the attempts of an action replace its successful failure handling.
 
-    The parts of an attempt replace it if it is the only one, and successful.
+    If an action has a single attempt, and it succeeded, its parts replace the attempt.
     """
     shown: list[Node] = []
     for node in nodes:

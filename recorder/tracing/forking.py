@@ -1,9 +1,9 @@
 """Forks of a process that records; no other module forks.
 
 The child has only the thread that forked. Other threads of PyCRAM serve recordings of the parent, which the child
-doesn't use, but none of these threads may hold a lock during the fork. A child that continues its parent replaces it;
-from then on, the parent only waits. A recording therefore belongs to its process and to a child that continues it, but
-not to other children.
+doesn't use, but none of these threads may hold a lock during the fork. A child that continues its parent replaces the
+parent; from then on, the parent only waits. A recording therefore belongs to its process and to a child that continues
+this process, but not to other children.
 """
 
 from __future__ import annotations

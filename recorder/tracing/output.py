@@ -23,7 +23,7 @@ from recorder.tracing.call_stack import CallSite, call_site
 from recorder.tracing.context import current_ident, current_name
 from recorder.tracing.journal import Journal
 
-MAX_CHARACTERS: Final = 10_000  # number of characters above which a line is split into several records
+MAX_CHARACTERS: Final = 10_000  # maximum number of characters in a record; longer lines are split into several records
 
 _CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences of terminals, such as colours
 #: Whether handlers of logging are printing a message, which is already recorded.

@@ -34,7 +34,7 @@ _ARROW_RADIUS: Final = 0.008
 _FAILURE: Final = 0.03
 _PIN: Final = 0.3  # height in m of a failure's label above the target, so that the target's label stays visible
 _ABOVE_ROBOT: Final = 1.1  # height in m of the label of a failure without a position
-_IN_VIEW: Final = 5.0  # distance in m from the robot above which the label of a failure is at the robot
+_IN_VIEW: Final = 5.0  # maximum distance in m between a failure's label and the robot; a farther label is at the robot
 _MAX_LETTERS: Final = 60  # maximum number of characters of a label
 _MAX_PAIRS: Final = 5  # maximum number of pairs of colliding links that are shown
 
@@ -146,7 +146,7 @@ class TaskMarks:
             if len(ends) == 2:
                 points, labels = zip(*ends, strict=True)
                 line = line_through(points, RED, LINK)
-                ends_at = points_at(points, RED, labels, show_labels=False)  # the label of the failure names them
+                ends_at = points_at(points, RED, labels, show_labels=False)  # the failure's label names the links
                 self._failures.add(world, (_PAIRS, str(number)), now, ends_at, line)
 
 

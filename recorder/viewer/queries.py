@@ -1,8 +1,8 @@
 """The last reasoning query: a page with its answer and evidence, marks in the scene, and the picture of its camera.
 
-Marks are green if the answer is yes or no body blocks, otherwise red. A query for places has a map on the floor; the
-colours of its cells go from blue (hardly suitable) to green (suitable). A taken place is a green point with its
-heading, a rejected place red, an untried place grey. Maps are checked, because recordings may come from strangers.
+Marks are green for the answer "yes" or without blocking bodies, otherwise red. A query for places has a map on the
+floor; the colours of its cells go from blue (hardly suitable) to green (suitable). A taken place is a green point with
+its heading, a rejected place red, an untried place grey. Maps are checked, because recordings may come from strangers.
 """
 
 from __future__ import annotations

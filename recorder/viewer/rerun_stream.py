@@ -130,7 +130,7 @@ class Columns:
         self._send(path, [time], columns)
 
     def clear(self, path: str, time: TimePoint) -> None:
-        """Clear an entity from a time on. Entities below it aren't cleared."""
+        """Clear an entity from a time on. Entities below this entity aren't cleared."""
         self.send(path, time, rr.Clear(recursive=False))
 
     def send_static(self, path: str, archetype: rr.AsComponents) -> None:

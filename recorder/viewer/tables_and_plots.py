@@ -238,7 +238,7 @@ class Plots:
 
 GHOSTS: Final = "beliefs"
 _SOLID: Final = 0.45  # opacity of a ghost
-_NEAR: Final = 0.01  # error in m below which a belief has no ghost
+_NEAR: Final = 0.01  # minimum error in m of a belief that has a ghost
 
 
 class FoldedWorlds:

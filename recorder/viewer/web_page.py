@@ -129,7 +129,7 @@ class PageServer(ThreadingHTTPServer):
 
     Args:
         port: The port; 0 for any free port. If the port is occupied, OSError is raised.
-        files: Returns the content of each file of the page. It is called when a file is first requested.
+        files: Returns the content of each file of the page. Each file's first request calls the function.
         pieces: Yields the content of ``RECORDS`` from the beginning, for each browser.
     """
 

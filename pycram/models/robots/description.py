@@ -29,7 +29,7 @@ _MAX_PIXELS: Final = 1e5
 _SIZES: Final = (0.0, 1.0)  # m
 _STILL: Final = 1e-4  # maximum motion in m of a fixed link when the gripper closes
 _ALONG: Final = math.cos(math.radians(45))  # minimum share along y in the whole motion of a gripper's side
-_ACROSS: Final = 0.4  # share of a finger's motion along y below which the finger is on no side
+_ACROSS: Final = 0.4  # minimum share of a finger's motion along y; with a smaller share, the finger is on no side
 _EVEN: Final = 0.01  # largest bias (:meth:`Gripper.bias`) at which both sides count as equally fast
 _AIR: Final = 2e-3  # distance in m that is kept from a fixed jaw; it is larger than the engine's padding of shapes
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     Pair = tuple[Object, str, Object, str]  # a moving object and its link, then another object and its link
 
-DEPTH: Final = 2e-3  # overlap in m above which shapes collide; the engine pads shapes
+DEPTH: Final = 2e-3  # minimum overlap in m of shapes that collide; the engine pads shapes
 _SELF_DEPTH: Final = (
     0.02  # minimum overlap in m of the robot's own links that collide; their hulls overlap more than the links
 )

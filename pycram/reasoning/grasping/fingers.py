@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Depths: TypeAlias = Mapping[tuple[str, Object, str], float]  # depths in m, by finger, object and the object's link
 
 CLEAR: Final = 0.002  # necessary gap in m around a released object; the engine pads shapes by a smaller amount
-_SLACK: Final = 5e-4  # overlap in m from which links touch
+_SLACK: Final = 5e-4  # minimum overlap in m of links that touch
 _STEPS: Final = 16  # steps between open and closed; fingers of the PR2 move by up to 3 mm in a step
 _HALVINGS: Final = 6  # number of bisections of the step in which an obstacle stops the fingers
 _AT_CUP: Final = 0.004  # gap in m that the lip of a suction cup bridges
@@ -36,7 +36,7 @@ _CLOSING_STEPS: Final = 8  # steps from open to closed, each less than the thick
 _CLOSING_HALVINGS: Final = 5  # number of bisections of a closing step: accurate to 0.4 mm of the PR2's aperture
 _MANY: Final = 3  # minimum number of moving parts of a hand that close one by one; two jaws are one mechanism
 _ALONE: Final = 64  # steps between open and closed for a part that closes alone
-_REACH: Final = 0.005  # total gap in m between object and opposite fingers that hand and object close by giving way
+_REACH: Final = 0.005  # total gap in m between object and opposite fingers; hand and object give way and close this gap
 _ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
 _AROUND: Final = 0.4  # the same for fingers around a center; two of three touch a carton's edges at 60 degrees
 _CACHED: Final = 32

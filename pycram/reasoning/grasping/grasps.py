@@ -1,7 +1,7 @@
 """Candidates for grasps: the sides and positions from which a gripper can take an object.
 
-Ray casts find candidates. If the object fits between the fingers, they are from the front, the top, the left and the
-right, otherwise from the top over its rim. The gripper is turned with an object that lies across or leans.
+Ray casts find candidates. Grasps are from the front, the top, the left and the right if the object fits between the
+fingers, otherwise from the top over its rim. The gripper is turned with an object that lies across or leans.
 :mod:`pycram.reasoning.grasping.choice` chooses a candidate.
 """
 
@@ -36,11 +36,11 @@ _LEVELS: Final = 6  # number of heights below a rim at which the wall is measure
 _EDGE: Final = 0.004  # depth in m below a rim at which its wall begins
 _UPRIGHT: Final = 0.7  # minimum vertical component of an upright unit axis
 _FLAT: Final = 0.002  # largest unevenness in m of the surface below a suction cup
-_SKEW: Final = math.radians(2)  # angle in rad between gripper and object that is ignored
+_SKEW: Final = math.radians(2)  # maximum ignored angle in rad between gripper and object
 _LONG: Final = 2.0  # ratio of length and width of a long object
-_BESIDE: Final = 0.01  # distance in m from a long object's middle, seen from the top; nearer grasps move there
-_LEANING: Final = math.radians(5)  # lean of an object in rad above which the gripper leans, too
-_SLIGHT: Final = math.radians(1)  # lean of an object in rad above which the gripper leans if no upright grasp is free
+_BESIDE: Final = 0.01  # minimum distance in m of off-center grasps from a long object's middle, seen from the top
+_LEANING: Final = math.radians(5)  # if an object leans more, in rad, the gripper leans, too
+_SLIGHT: Final = math.radians(1)  # if an object leans more, in rad, and no upright grasp is free, the gripper leans
 _RIMS: Final = ("rim on the arm's side", "rim in front", "rim on the other side")
 
 GraspSide: TypeAlias = Literal["front", "top", "left", "right"]  # the side from which a gripper comes

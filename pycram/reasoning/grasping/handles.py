@@ -51,7 +51,7 @@ _TURNING: Final = 1.0  # cost of a gripper's turn about the bar between successi
 _APPROACH: Final = 0.01  # cost of a joint's motion from the present to the first posture, per square rad
 _MAX_PATHS: Final = 40  # maximum number of checked paths
 _MAX_QUICK_PATHS: Final = 8  # maximum number of checked paths in a quick search
-_SAME_HEIGHT: Final = 0.02  # difference in m below which torso heights are equal
+_SAME_HEIGHT: Final = 0.02  # maximum difference in m between equal torso heights
 _STEP: Final = 0.15  # distance in m between tried places of the robot
 _STEPS: Final = 5  # number of tried places on each side
 _MAX_PLACES: Final = 4  # maximum number of places for which a path is searched
@@ -62,10 +62,10 @@ class Grip:
     """A way in which a gripper holds a handle."""
 
     name: str  # name of the grasped part of the bar
-    position: Vector  # middle of that part in the handle's frame, m
+    position: Vector  # middle of the grasped part in the handle's frame, m
     axis: Vector  # direction of the bar in the handle's frame
     front: Quaternion  # orientation of a tool that comes from the front, in the handle's frame
-    back: float  # distance in m between the tool and the middle of that part
+    back: float  # distance in m between the tool and ``position``
 
     def tool(self, angle: float) -> Pose:
         """Return the pose of the tool in the handle's frame when it is turned about the bar by an angle in rad."""
@@ -281,7 +281,7 @@ class _Search:
         self._hand = checker.links_beyond(arm.joints)
 
     def _base_lifted(self, torso: str, height: float) -> Pose:
-        """Return the pose of the base that moves the arm to where a motion of the torso would move it."""
+        """Return the pose of the base that moves the arm as a motion of the torso would."""
         robot, joint = self._robot, self._robot.urdf.joint(torso)
         base = robot.get_position_and_orientation()
         below = geometry.multiply(geometry.invert(base), robot.get_link_position_and_orientation(joint.parent))
@@ -321,7 +321,7 @@ class _Search:
         return self._end(grip, layers, len(nodes), obstacles)
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
-        """Return the nodes in which touching links have one pose: all nodes for the body, many for the hand."""
+        """Return the nodes with the same pose of the touching links: all for the body's links, many for the hand."""
         robot = self._robot.name
         own = ([pair.link, pair.body_link] if pair.body == robot else [pair.link] for pair in pairs)
         if any(self._links.isdisjoint(links) for links in own):

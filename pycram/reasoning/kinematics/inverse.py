@@ -38,19 +38,19 @@ _ITERATIONS: Final = 40
 _MAX_STEP: Final = 0.5  # largest motion in rad or m of a joint in one iteration
 _MAX_ERROR: Final = 0.6  # largest error in m or rad that one iteration corrects
 _STALE: Final = (8, 0.9)  # a search ends if its least error is above this share of an earlier least error
-_CLOSE: Final = 0.005  # error in m or rad below which a search always continues
+_CLOSE: Final = 0.005  # a search with a smaller error in m or rad always continues
 THRESHOLD: Final = 1e-3  # largest distance in m between the tool and a reached target (thesis 4.4.5)
 _TURN_THRESHOLD: Final = math.radians(2)  # largest angle in rad between equal orientations
 _BATCHES: Final = (4, 28)  # numbers of starting postures; first a few, because most targets are easy
 _CHUNK: Final = 32  # maximum number of targets that are solved together
 _MAX_COMPARED: Final = 60  # number of the closed form's misses that are compared
-_MAX_STARTS: Final = 6  # number of the closed form's misses from which a search starts
+_MAX_STARTS: Final = 6  # maximum number of the closed form's misses that are starts of a search
 _DIFFERENT: Final = 0.35  # minimum difference in rad or m of a joint between distinct postures
 _MAX_POSTURES: Final = 16  # maximum number of returned postures
 _MAX_PAIRED: Final = 40  # maximum number of postures of which all pairs are compared together
-_MAX_STRAIN: Final = 1.0  # strain in rad above which a posture has no solution nearby
-_MAX_SEARCHED: Final = 0.6  # strain in rad above which no search from a posture has succeeded
-_HOPELESS: Final = 0.02  # distance in m out of reach above which a search for a target is useless
+_MAX_STRAIN: Final = 1.0  # a posture with a larger strain in rad has no solution nearby
+_MAX_SEARCHED: Final = 0.6  # from a posture with a larger strain in rad, no search has succeeded
+_HOPELESS: Final = 0.02  # for a target that is farther out of reach, in m, a search is useless
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
 _MAX_KNOWN: Final = 8  # number of searches with cached results
 _MAX_CHAINS: Final = 16  # number of cached chains of a robot
@@ -198,7 +198,7 @@ class ArmKinematics:
             seeds: the first starting postures.
             thorough: whether to use all starting postures, even if some reach the target.
             quick: whether to use only a few starting postures; if they fail, the target may still be reachable.
-            enough: distance in m from the target above which a posture is useless for the caller.
+            enough: maximum distance in m from the target of a posture that the caller can use.
 
         Returns:
             At least one posture for each target; if the first doesn't reach it, none does.

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _ITERATIONS: Final = 30
 _DERIVATIVE_STEP: Final = 1e-5  # rad
 _TOLERANCE: Final = 1e-6  # rad
-_GOOD_ENOUGH: Final = 1e-4  # error in rad below which no other start is tried
+_GOOD_ENOUGH: Final = 1e-4  # with a smaller error in rad, no other start is tried
 _MAX_STEP: Final = 0.5  # rad
 _STARTS: Final = ((0.0, 0.0), (2.0, 0.3), (-2.0, 0.3))  # positions of the pan and the tilt joint, rad
 

@@ -54,12 +54,12 @@ FINGERS: Final = 0.025  # minimum distance in m of an object from other objects,
 _RESOLUTION: Final = 0.025  # distance in m between cells
 _FINEST: Final = 0.005  # minimum distance in m between cells, used on a surface that is hardly wider than the object
 _CELLS: Final = 3  # number of cells across the part of a surface where the object's middle can be
-_ABOVE: Final = 0.003  # height in m below which parts aren't obstacles, because the boxes around surfaces are too high
-_NEAR: Final = 0.15  # distance in m from a point at which a score is half of the best
+_ABOVE: Final = 0.003  # height in m; lower parts aren't obstacles, because the boxes around surfaces are too high
+_NEAR: Final = 0.15  # at this distance in m from a point, a score is half of the best
 _FAR: Final = 1.0  # largest distance in m between a place and the point or object that it is near
 _AWAY: Final = 0.4  # minimum distance in m between a place and the point ``away``
 _APART: Final = 0.04  # minimum distance in m of a new place from offered or tried places
-_EASY: Final = 0.5  # distance in m from the robot's nearest place at which a score is half of the best
+_EASY: Final = 0.5  # at this distance in m from the robot's nearest place, a score is half of the best
 _FLOOR: Final = 0.15  # distance in m between places of the robot for which the reach is estimated
 _COARSE: Final = 0.1  # distance in m between points of a surface for which the reach is estimated
 
@@ -266,7 +266,7 @@ class SurfaceSearch(Search):
 
     @staticmethod
     def _inside(corners: Array, searched: SearchedSurface) -> Array:
-        """Return the corners (n, 3) that must be on a surface: all, or for an object's top those of the base.
+        """Return the corners (n, 3) that must be on a surface: all, or on an object's top the base's corners.
 
         So the handle of a cup may stick out over the edge of a plate, but an object must not tip over.
         """

@@ -84,7 +84,7 @@ class Goal(Protocol):
         """
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
-        """Return the side of the grasp ("" without one), or why the arm can't reach the goal from a base pose."""
+        """Return the side of the grasp ("" without a grasp), or why the arm can't reach the goal from a base pose."""
 
 
 def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:

@@ -213,7 +213,7 @@ class Reasons:
         group[reason.group()] = count + 1, min(nearest, reason, key=lambda each: each.miss())
 
     def excluded_by_maps(self, constraint: str, *, alone: bool) -> None:
-        """Store the constraint that excluded all places of the maps; ``alone``: without it, there would be places."""
+        """Store the constraint that excluded all places of the maps; ``alone``: the other constraints admit places."""
         self._maps = _SURFACE.get(constraint, "")
         if not self._maps and alone and constraint.startswith(("near", "away-from", "side")):
             self._maps = f"there are places without {constraint}: change it or leave it out"

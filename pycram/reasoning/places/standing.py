@@ -41,16 +41,16 @@ _TRIES: Final = 40  # number of places of a batch that are checked one by one; i
 _FEWER: Final = 16  # number of places of a batch checked one by one if an arm has no closed form: searches are slow
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # turns in rad from the best heading, by batch
 _APART: Final = 0.07  # minimum distance in m between offered places
-_TRIED: Final = 0.02  # distance in m from rejected places within which no place is drawn
-_POOR: Final = 1e-3  # share of the best score below which places aren't drawn
+_TRIED: Final = 0.02  # minimum distance in m between drawn places and rejected places
+_POOR: Final = 1e-3  # minimum score of drawn places, as a share of the best score
 _HERE: Final = "where it stands"
 _OFFSETS: Final = tuple(math.radians(angle) for angle in range(-75, 76, 15))  # angles from headings to the target
 _FACING: Final = 0.5  # share of the score that is lost if the target is at a right angle to the heading
 _SIGHT: Final = (0.6, 2.5)  # distance in m up to which the camera sees well, and the farthest distance of a place
 _ROOM: Final = 1.5  # largest distance in m to a point that the robot must be near
-_NEAR: Final = 0.7  # distance in m from a point at which a score is half of the best
-_SHORT_WAY: Final = 8.0  # distance in m from the robot at which a score is half of the best
-_LEVEL: Final = 0.05  # height in m above the target below which objects aren't obstacles
+_NEAR: Final = 0.7  # at this distance in m from a point, a score is half of the best
+_SHORT_WAY: Final = 8.0  # at this distance in m from the robot, a score is half of the best
+_LEVEL: Final = 0.05  # height in m above the target; lower objects aren't obstacles
 
 
 def standing_places(

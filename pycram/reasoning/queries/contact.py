@@ -9,7 +9,7 @@ from pycram.reasoning.queries.query import Verdict, query
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 
-MARGIN: Final = 1e-3  # gap in m below which objects touch: the engine leaves up to 0.5 mm between resting objects
+MARGIN: Final = 1e-3  # maximum gap in m of touching objects; the engine leaves up to 0.5 mm between resting objects
 
 
 @query

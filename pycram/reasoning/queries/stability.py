@@ -8,8 +8,8 @@ shows whether it rolls.
 
 A clone is simulated, because PyBullet can't restore a world exactly. The clone computes contacts anew. In disorderly
 piles, one answer in 25 depends on contacts that the engine of the world has kept. All bodies that could reach the
-object in time are simulated. A robot is simulated only if a free body leans on it or if it is attached to the object.
-If there are many bodies, bodies that are at rest and stand firmly sleep until another body comes near.
+object in time are simulated. A robot is simulated only if a free body leans on the robot, or if the robot is attached
+to the object. If there are many bodies, bodies that are at rest and stand firmly sleep until another body comes near.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ TURNED: Final = math.radians(5)  # largest rotation of a stable object
 _PERIOD: Final = 6  # number of steps between samples of the speeds
 _DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # number of samples after which the slow check of firm standing is made
 _EARLY: Final = 1  # samples after which bodies may sleep beside an object at rest; steps of awake bodies are slow
-_FALLING: Final = 0.1  # speed in m/s after the first sample that only a falling body reaches
+_FALLING: Final = 0.1  # speed in m/s that only a falling body reaches after the first sample
 _LEANING: Final = 0.005  # largest distance in m of a body that leans on a robot: a gap of 0.5 mm, and some settling
 _CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries a body
 _FLAT: Final = 0.002  # largest difference in m between the heights of a body's corners that count as one level
 _FRICTION: Final = 0.8  # largest slope of a contact that counts as level, as a share of the friction angle
 _TILT: Final = math.radians(3)  # angle in rad by which a firm body can be tilted before it falls
-_MANY: Final = 24  # number of bodies without attachments above which bodies at rest sleep
+_MANY: Final = 24  # maximum number of bodies without attachments; if there are more, bodies at rest sleep
 
 
 @query

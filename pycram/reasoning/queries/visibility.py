@@ -31,7 +31,7 @@ from recorder import geometry
 from recorder.geometry import IDENTITY, Pose, PoseLike
 from recorder.records import Picture
 
-VISIBLE_SHARE: Final = 0.8  # share of an object's pixels above which the object is visible (thesis 4.4.3)
+VISIBLE_SHARE: Final = 0.8  # minimum share of a visible object's pixels that the camera sees (thesis 4.4.3)
 
 _PIXELS: Final = 80**2  # number of pixels of the rendered part
 _FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of view of cameras without a description
