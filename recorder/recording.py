@@ -76,7 +76,7 @@ def record(
     Args:
         path: The MCAP file to write. If RUN.mcap exists, RUN.2.mcap is written instead, and its name is printed on
             stderr. :attr:`Recording.path` is the name of the written file.
-        live: How to show the recording live in Rerun. "spawn" opens a viewer, or uses one that is open. "connect" and
+        live: How to show the recording live in Rerun. "spawn" opens a viewer, or uses an open viewer. "connect" and
             "connect:rerun+http://HOST:PORT/proxy" use a viewer that another program starts, now or later. "serve"
             prints the address of a page for browsers on this machine, until this process ends. A slow or missing viewer
             doesn't delay the plan.

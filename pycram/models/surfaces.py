@@ -43,7 +43,7 @@ class Container:
     """A part of furniture that a robot opens to reach the objects inside, such as a drawer, a fridge or a cupboard."""
 
     name: str  # name, unique in the furniture
-    kind: str  # "drawer" if its contents move with it, "door" if they don't move
+    kind: str  # "drawer" if the contents move along, else "door"
     link: str  # the moving part
     joint: str  # the joint that moves the part
     handle: str  # link of the handle; "" without a handle

@@ -417,7 +417,7 @@ class Engine:
         self._known = {}
 
     def sleep(self, body: LoadedBody, *, asleep: bool) -> None:
-        """Put a body to sleep until an awake body comes near, or wake it and keep it awake."""
+        """Put a body to sleep until an awake body comes near, or wake the body and keep it awake."""
         state = (
             bullet.ACTIVATION_STATE_ENABLE_SLEEPING | bullet.ACTIVATION_STATE_SLEEP
             if asleep

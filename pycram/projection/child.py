@@ -193,7 +193,7 @@ class ChildResult:
 
 
 class _Running:
-    """A child with a time limit. At the limit it is interrupted, and after a grace time it is killed."""
+    """A child with a time limit. At the limit the child is interrupted, and after a grace time it is killed."""
 
     def __init__(self, child: Child, limit: float | None, grace: float) -> None:
         self.child = child

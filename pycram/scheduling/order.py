@@ -24,7 +24,7 @@ from typing import Final, NamedTuple, Protocol
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
 
-MOST_IN_A_ROW: Final = 100  # after this many turns of a branch in a row, for example if it polls, all others run next
+MOST_IN_A_ROW: Final = 100  # after this many turns of a branch in a row, as in a poll, all other branches run next
 ADDED: Final = "added"
 OUTSIDE: Final = "0"
 _PCT: Final = re.compile(r"pct:(\d+):([1-9]\d*):([1-9]\d*)")

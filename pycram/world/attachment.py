@@ -324,7 +324,7 @@ def move_supported(
 
 
 def taken_along(body: Object) -> tuple[list[Object], list[Object]]:
-    """Return the free objects that move along when a hand lifts an object, and the free objects that it leaves.
+    """Return the free objects that move along when a hand lifts an object, and the free objects that the hand leaves.
 
     Objects in or on the lifted object move along. If such an object also rests on an object that stays, it only leans
     on the lifted object, and is left. Other objects that overlap the lifted object are also left.

@@ -81,7 +81,8 @@ class Node:
     asked: Task | None = None  # the record of the task's request; None if the task started immediately
     finished: Task | None = None  # the record of the task's end; None before the end
     forgotten: int = 0  # number of children that were dropped
-    #: The queries that chose the task's actions. Only tasks of a recording on the path to the failure have them.
+    #: The queries that chose the task's actions. Only tasks of a recording on the path to the failure have such
+    #: queries.
     choices: list[Query] = field(default_factory=list)
     size: int = 0  # number of bytes of the task's own records, if the tree limits bytes
     parts: dict[int, Node] = field(default_factory=dict)  # children by id

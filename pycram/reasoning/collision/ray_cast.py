@@ -1,6 +1,6 @@
 """Ray casts: where straight lines enter and leave an object's collision shapes.
 
-A gripper needs the width of an object between its fingers. The object's bounds are larger than its width there, because
+A gripper needs the width of an object between its fingers. The object's bounds are larger than this width, because
 bounds grow with rotations and include hollows. All lines are intersected with the model's convex pieces together.
 """
 

@@ -36,7 +36,7 @@ _LIFTS: Final = (0.005, 0.01, 0.015)  # heights in m from which an object may be
 _MAX_LIFTED: Final = 4  # maximum number of poses from which an object may be dropped
 _FROM_BELOW: Final = 0.5  # minimum upward component of a unit vector of a hand that comes from below
 _UPSIDE_DOWN: Final = (1.0, 0.0, 0.0, 0.0)
-_YAWS: Final = 12  # number of orientations about the vertical that are tried first; then those between them
+_YAWS: Final = 12  # number of orientations about the vertical that are tried first; then the orientations between
 _MOVED: Final = (0.01, math.radians(5))  # largest motion in m and rad of an object that stays
 _LYING: Final = math.sin(math.radians(10))  # maximum upward component of the z axis of an object that lies on a side
 
