@@ -75,7 +75,7 @@ class Path:
 def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPath | None = None) -> Path:
     """Return a path that touches only objects that the robot touches at the ends.
 
-    The first search has a quarter of the budget. It keeps a distance from obstacles, and stays in the narrower space.
+    The first search has half of the budget, keeps a distance from obstacles, and stays in the query's narrower space.
 
     Args:
         failure: failure of the same search before, which isn't repeated.
@@ -87,7 +87,7 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
     line = np.array([query.start, query.goal])
     reached = [query.start]  # the start, followed by the nearest configuration of each search
     most = query.patience * MAX_CHECKS
-    rooms = (True, query.space, most // 4), (False, query.wider or query.space, most)
+    rooms = (True, query.space, most // 2), (False, query.wider or query.space, most)
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
         if touch is None and choice.admits(STRAIGHT):
