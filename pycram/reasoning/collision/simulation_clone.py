@@ -209,8 +209,7 @@ class PhysicsClone(SimulationClone):
             self.engine.set_gravity(self.world.gravity)
             self._gravity = self.world.gravity
         self._forget_removed()
-        rigid = [body for body in wanted if set(body.urdf.movable) == body.handle.joints.keys()]  # all joints are held
-        parts_of = {body.name: divided(body.model.path) for body in rigid if body.is_environment and not body.carried}
+        parts_of = {body.name: divided(body.model.path) for body in wanted if _divides(body)}
         keys = {(body.name, "") for body in wanted if body.name not in parts_of}
         keys |= {(name, str(part.path)) for name, each in parts_of.items() for part in each}
         for key, copy in self._copies.items():
@@ -299,6 +298,11 @@ def clone_of(world: BulletWorld, purpose: str) -> SimulationClone:
 _INERTIA: Final = {"ixx": "1", "iyy": "1", "izz": "1", "ixy": "0", "ixz": "0", "iyz": "0"}
 _CACHED_MODELS: Final = 128
 _CACHED_LINKS: Final = 4096
+
+
+def _divides(body: Object) -> bool:
+    """Return whether an object can be simulated as rigid parts, because its base is fixed and its joints are held."""
+    return body.is_environment and not body.carried and set(body.urdf.movable) == body.handle.joints.keys()
 
 
 @dataclass(frozen=True, slots=True)

@@ -232,7 +232,8 @@ class Written(Cause):
             if change.task is None or change.task.kind not in ("motion", HANDLER):
                 change = replace(change, line=case.line_of(last.record))
             others = tuple(_others(case, change.step)) if last.how == "load" else ()
-            value = _coordinate(last.after, part)
+            now = case.world.bodies.get(name) if case.world is not None and last.how == "load" else None
+            value = _coordinate(last.after if now is None else now.pose, part)  # it has settled a little since then
             steps = case.steps(change, *others)
             if (name, change.step) not in [(each.body, each.change.step) for each in found]:
                 found.append(Written(steps, name, part, value, change, others))
