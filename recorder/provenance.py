@@ -18,7 +18,7 @@ from typing import Any, Final
 from recorder.records import Revision, Run, escaped
 from recorder.records.values import LEFT_OUT, is_secret, without_secrets
 
-_TIMEOUT: Final = 2.0  # time in s within which git must answer
+_TIMEOUT: Final = 2.0  # timeout in s for an answer of git
 _PACKAGES: Final = ("pycram", "recorder")  # the packages that run plans
 
 

@@ -1,7 +1,7 @@
 """Projection: a forked copy of the process executes an action, and returns the outcome (thesis 6.3; CRAM).
 
-The copy continues from this moment with the plan, its worlds and its random numbers, so the copy gets exactly the
-results that this process would get. Other branches of the plan don't run in the copy. This process waits for the
+The copy continues from this moment with the plan, its worlds and its random numbers. The copy therefore gets exactly
+the results that this process would get. Other branches of the plan don't run in the copy. This process waits for the
 outcome.
 """
 

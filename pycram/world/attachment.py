@@ -94,8 +94,8 @@ def attach(
 
     Raises:
         UnknownName: There is no such link.
-        AttachmentError: The objects are the same, are both fixed or in different worlds, or another object carries the
-            body, or the body carries the carrier.
+        AttachmentError: The objects are the same, both fixed, or in different worlds; another object carries the body;
+            or the body carries the carrier.
     """
     if body in carrier.attachments:
         return

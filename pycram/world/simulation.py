@@ -202,8 +202,8 @@ def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
     """Wait until a predicate holds while simulated time passes. The wait is a checkpoint, also in uninterruptible code.
 
     Time passes only if no branch of the thread is ready. If all branches wait, the branch that has waited longest
-    simulates in one transaction, until another branch is ready, a wait is over, a followed fluent changes or a time
-    listener is registered. In real time, another thread simulates.
+    simulates in one transaction. The simulation ends when another branch is ready, a wait is over, a followed fluent
+    changes or a time listener is registered. In real time, another thread simulates.
 
     Args:
         predicate: Called once before the wait, then each 1/30 s of simulated time under the world's lock. The predicate
@@ -376,11 +376,11 @@ class RestDetector:
     """Detects when all objects of a world are at rest.
 
     An object is at rest if it was slower than 2 mm/s and 0.02 rad/s in each of the last four intervals of 1/30 s, and
-    didn't gain speed; a tall object that starts to tip is slow at first. An object stays at rest while it is that slow
-    and within 0.5 mm and 5 mrad of where it came to rest, because solvers let some of many objects tremble at any
-    moment. An object that moves to and fro for 3 s, within 2 mm and 0.02 rad, is also at rest: solvers let thin objects
-    between other objects tremble forever. Robots, and objects attached to robots or to a fixed base, are ignored;
-    joints of furniture count, unless the furniture is in ``ignored``.
+    didn't gain speed. A tall object that starts to tip is slow at first. Solvers let some of many objects tremble at
+    any moment. An object therefore stays at rest while it is that slow, and within 0.5 mm and 5 mrad of the pose at
+    which it came to rest. Solvers let thin objects between other objects tremble forever. An object that moves to and
+    fro for 3 s, within 2 mm and 0.02 rad, is therefore also at rest. Robots, and objects attached to robots or to a
+    fixed base, are ignored; joints of furniture count, unless the furniture is in ``ignored``.
     """
 
     def __init__(self, world: BulletWorld, ignored: Collection[Object] = ()) -> None:
@@ -389,8 +389,8 @@ class RestDetector:
         self._last: tuple[int, Mapping[Object, Snapshot]] = self._snapshots()
         self._speeds: deque[Mapping[Object, Speed]] = deque(maxlen=INTERVALS)
         self._rested: dict[Object, Snapshot] = {}  # states in which objects came to rest
-        # For objects that aren't at rest: a state; the step since which they have been near it; and the length of their
-        # path since then, as seconds at the slow speed.
+        # For objects that aren't at rest: a state; the step since which the object has been near this state; and the
+        # length of the object's path since then, as seconds at the slow speed.
         self._near: dict[Object, tuple[Snapshot, int, float]] = {}
         #: The objects that weren't at rest in the last sample.
         self.restless: dict[Object, Speed] = dict.fromkeys(self._last[1], Speed(0.0))

@@ -170,7 +170,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         self._clock: RealtimeClock | None = None
         self._closers: list[Callable[[], None]] = []
         #: Functions that are called without a lock after simulated time has passed, in this order. The value for a
-        #: function is the step at which a waiting plan stops simulating to call it; None for each sample.
+        #: function is the step at which a waiting plan stops simulating to call the function; None for each sample.
         self.time_listeners: dict[Callable[[], None], int | None] = {}
         self._attachment = Event("attachment", self.name, self._envelope, ("carrier", "body"))
         self._detachment = Event("detachment", self.name, self._envelope, ("carrier", "body"))

@@ -2,8 +2,8 @@
 
 A call stack contains the plan's lines that called one another, outermost first. In a thread that runs a part of a task,
 the call stack continues that of the request. Every call stack therefore begins where the plan begins. Local variables
-are described without calling users' code: values of Python's types are written out, objects of a world are named, and
-of other values only the type is given.
+are described without calling users' code: values of Python's types are written out, and objects of a world are named.
+Of other values, only the type is given.
 """
 
 from __future__ import annotations

@@ -48,11 +48,11 @@ if TYPE_CHECKING:
 
     from recorder.viewer.translator import Translator
 
-_END_TIMEOUT: Final = 1.8  # time in s within which the viewer must take the remaining records
+_END_TIMEOUT: Final = 1.8  # timeout in s for the viewer to take the remaining records
 #: Time in s for a viewer to start, even if the plan ends earlier.
 _START_TIMEOUTS: Final = {ViewerKind.SPAWN: 5.0, ViewerKind.CONNECT: 3.0, ViewerKind.SERVE: 3.0}
 _LINGER_TIMEOUT: Final = 30.0  # maximum time in s to wait for a late viewer after the end of a recording
-_HAND_OVER_TIMEOUT: Final = 0.5  # time in s within which the process must read the remaining records
+_HAND_OVER_TIMEOUT: Final = 0.5  # timeout in s for the process to read the remaining records
 _BATCH_PERIOD: Final = 0.2  # time in s between batches; many small batches would cost too much
 _MAX_ITEMS: Final = 500  # maximum number of items in a batch
 _MAX_BYTES: Final = 4 << 20

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 STEP: Final = "step number"  # time line of the records' numbers; the log's column is as wide as this name
 APPLICATION: Final = "pycram"  # viewers remember the user's layout under this name
-_WRITE_TIMEOUT: Final = 60.0  # time in s within which the rows of a file must be written
+_WRITE_TIMEOUT: Final = 60.0  # timeout in s for writing the rows of a file
 _SWITCH: Final = "RERUN"  # environment variable that turns viewers off
 
 

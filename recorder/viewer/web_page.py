@@ -35,7 +35,7 @@ from recorder.viewer.connection import HOST, ViewerGone, free_port
 
 _PORT: Final = 9090  # preferred port of pages
 _MAX_TRIES: Final = 5
-_START_TIMEOUT: Final = 5.0  # time in s within which the file must be written
+_START_TIMEOUT: Final = 5.0  # timeout in s for writing the file
 _PIECE: Final = 1 << 20  # maximum number of bytes in one write
 _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
@@ -110,7 +110,7 @@ class GrowingFile:
 
 RECORDS: Final = "records.rrd"
 INDEX: Final = "index.html"
-_REQUEST_TIMEOUT: Final = 10.0  # time in s within which a client must send its request
+_REQUEST_TIMEOUT: Final = 10.0  # timeout in s for a client to send its request
 _TYPES: Final = {"html": "text/html", "js": "text/javascript", "wasm": "application/wasm", "ico": "image/x-icon"}
 _HEADERS: Final = {
     "Content-Security-Policy": (
@@ -213,7 +213,7 @@ class _Request(BaseHTTPRequestHandler):
 
 NAMES: Final = (INDEX, "re_viewer.js", "re_viewer_bg.wasm", "favicon.ico")
 _PROGRAM: Final = Path(rerun_cli.__file__).with_name("rerun")
-_TIMEOUT: Final = 20.0  # time in s within which the program must answer
+_TIMEOUT: Final = 20.0  # timeout in s for an answer of the program
 _ADDRESS: Final = re.compile(rb"web-viewer at http://127\.0\.0\.1:(\d+)")
 # With an address of records, the program only serves the page. CI=1 turns the program's usage statistics off.
 _OPTIONS: Final = ("--serve-web", "--bind", HOST, "--web-viewer-port", "0", f"rerun+http://{HOST}:1/proxy")

@@ -82,8 +82,8 @@ def candidates(
     Args:
         robot: the robot, whose heading defines the front.
         names: the allowed sides; None for all sides.
-        off_center: whether to return only grasps that lean with a slightly leaning object, and grasps of a long object
-            from the top that are off its middle.
+        off_center: whether to return only grasps that lean with a slightly leaning object, and grasps from the top off
+            a long object's middle.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     sides = names

@@ -1,7 +1,7 @@
 """Inverse kinematics within joint limits: in closed form if possible, otherwise by a search from many postures.
 
-:mod:`pycram.reasoning.kinematics.closed_form` solves arms with a closed form. For other arms, and for its misses,
-damped least squares search from near postures, named postures, and postures of a Halton sequence (Buss,
+:mod:`pycram.reasoning.kinematics.closed_form` solves arms with a closed form. For other arms, and for misses of the
+closed form, damped least squares search from near postures, named postures, and postures of a Halton sequence (Buss,
 Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares Methods, 2004). Many
 targets are solved together in about the time of one. Results are deterministic.
 """

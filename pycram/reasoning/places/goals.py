@@ -116,8 +116,8 @@ def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
 def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
     """Return, for poses of a robot's base, whether any arm roughly reaches a goal; all poses are checked together.
 
-    All answers are True without a check if the goal has no known poses of the tool, or if an arm has no closed form and
-    there are few poses.
+    If the goal has no known poses of the tool, all answers are True without a check. The same holds if an arm has no
+    closed form and there are few poses.
     """
     within = np.zeros(len(bases), dtype=bool)
     for arm in arms:

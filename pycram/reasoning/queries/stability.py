@@ -62,7 +62,8 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
 
     Returns:
         a false value if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has
-        the motion in m and rad, the number of steps after which it exceeded a limit, and the number of simulated steps.
+        the motion in m and rad, the number of steps after which the motion exceeded a limit, and the number of
+        simulated steps.
     """
     if object.fixed:
         return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
