@@ -51,7 +51,7 @@ NONSENSE: Final = (
 
 
 def nonsense(path: str | Path, where: str, error: Exception) -> Damaged:
-    """Return the error for such a record."""
+    """Return the error for a record whose content is impossible."""
     return Damaged(path, where, f"the content is inconsistent: {error}")
 
 

@@ -66,7 +66,7 @@ class FoxgloveTranslator:
         self._glb: dict[str, bytes] = {}  # converted meshes by name
         self._lanes = Lanes()
         self._positions: dict[int, Vector | None] = {}  # positions that running tasks name in their parameters
-        self._failure: tuple[str, str] | None = None  # the shown failure, also of failed parent tasks
+        self._failure: tuple[str, str] | None = None  # the shown failure; failed parent tasks have the same failure
         self._properties: dict[str, int] = {}  # number of each watched property
 
     def translate(self) -> dict[str, Any]:

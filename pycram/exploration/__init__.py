@@ -74,7 +74,7 @@ VIOLATED = "succeeded but violated"  # the run violated a property, but the viol
 _WITH_ORDER: Final = (SUCCEEDED, FAILED, DEADLOCK, VIOLATED)  # kinds of endings of runs with a known order
 DEPTH: Final = 3  # default depth of races; most known races have no greater depth (Burckhardt et al.)
 LIMIT: Final = 60.0  # default limit of a run's wall-clock time, in s
-_ROUND: Final = 16  # number of runs in a round; the orders of a round are drawn for the same number of turns
+_ROUND: Final = 16  # number of runs in a round; all orders of a round assume the same number of turns of branches
 _EXPLAINED: Final = 8  # maximum number of explained endings; each run might have another ending
 _MAX_TRIES: Final = 200  # maximum number of runs in the search for the precedences that cause an ending
 # Physics computes each order a little differently, so states count as equal up to these differences.

@@ -40,7 +40,9 @@ class NoResult(UsageError):
     """A plan used the result of a branch that was cancelled, because its block was decided."""
 
     def __init__(self, branch: str) -> None:
-        super().__init__(f"{branch} has no result: it was cancelled when its block was decided; see s.branches")
+        super().__init__(
+            f"{branch} has no result: it was cancelled when another branch decided the block; see s.branches"
+        )
         self.branch = branch  # name of the branch
 
 

@@ -98,7 +98,7 @@ class Clearance:
         self.touched = self._allow(goal)  # pairs that overlap more at the goal than at the start, deepest first
 
     def _allow(self, row: Array) -> list[CollisionPair]:
-        """Allow links to be as near as in a configuration (d,). Return the forbidden contacts in that configuration."""
+        """Allow each pair of links its distance in a configuration (d,). Return the forbidden contacts there."""
         touched = []
         ((candidate, pairs),) = self._candidates(row[None])
         for pair in pairs:

@@ -256,7 +256,7 @@ class PlanCopies:
     # --- commands ---------------------------------------------------------------------------------------------------
 
     def start(self) -> Message:
-        """Run the plan from its start to its first record; return the message of its process about the stop."""
+        """Run the plan until its first record, and return the message that its process then sends."""
         self.end_all()
         self.runs += 1
         folder = Path(self._folder) / f"run-{self.runs}"

@@ -174,7 +174,7 @@ def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> It
 
 
 def call(name: str, parameters: Mapping[str, Plain]) -> str:
-    """Return a task or query with its parameters."""
+    """Return the text of a task or query with its parameters."""
     arguments = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
     return f"{name}({arguments})" if arguments else name
 

@@ -177,7 +177,7 @@ def _believed(state: State, step: int, world: str | None, question: QueryCall, m
     count = len(question.arguments) + len(question.keywords)
     known = "what" in terms and len(terms) == count and set(terms) <= {*_BELIEVED_TAKES}
     if not known or not all(isinstance(term, str) for term in terms.values()):
-        raise BadQuestion(str(question), "the question is believed(what, robot): an object or a type, and a robot")
+        raise BadQuestion(str(question), "expected believed(what, robot), where what is an object or a type")
     what, robot = str(terms["what"]), None if "robot" not in terms else str(terms["robot"])
     there = state.world(world)
     names = [name for body in there.bodies.values() for name in (body.name, body.type)]

@@ -215,7 +215,7 @@ class Reexecution:
         self.worlds.clear()
 
     def begin(self, frame: Keyframe) -> None:
-        """Rebuild a world from its keyframe, unless it exists."""
+        """Rebuild a world from the keyframe, unless the world exists."""
         if frame.world not in self.worlds:
             state = fold([frame]).worlds[frame.world]
             with journal.unrecorded():

@@ -51,7 +51,7 @@ class Retracing:
     plan: Path  # file of the plan
     steps: int  # number of steps of the recording
     equal: int  # number of equal records before the first difference
-    difference: FirstDifference | None  # none if all intact records are equal
+    difference: FirstDifference | None  # None if each intact record equals the record of the new run
     notes: tuple[str, ...]  # differences from the recorded conditions
     seconds: float  # duration of the run in s
     taken: int = 0  # number of queries that got recorded answers

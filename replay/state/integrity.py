@@ -293,7 +293,7 @@ class TaskIntegrity:
         if cause:
             return f"the run {cause}"
         if record.succeeded and record.phase != Run.FINISHED:
-            return "the run succeeded, but doesn't end here"
+            return "the run succeeded, but more of its records follow"
         if self._run is not None and record.name != self._run.name:
             return f"the run is called {record.name!r} here, but {self._run.name!r} at its start"
         self._run = self._run or record

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
     from replay.file.record_reader import RecordReader
 
-_MAX_RECORDS: Final = 5_000  # of longer recordings, no line counts as skipped
+_MAX_RECORDS: Final = 5_000  # maximum number of records in which skipped lines are searched
 _WITH_MOTIONS = ("motion", "process-module")
 HANDLER = "handler"  # kind of the tasks that are calls of event handlers
 

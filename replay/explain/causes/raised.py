@@ -204,7 +204,7 @@ _READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
 _ASIDE: Final = 0.01  # by so much a trial changes a compared coordinate, m
 _DEPTH: Final = 3  # definitions of names that are followed
-_MUTATIONS: Final = 200  # this many changes are searched for other objects
+_MUTATIONS: Final = 200  # maximum number of changes in which moves of other objects are searched
 _OBJECT: Final = re.compile(r"<Object ([^<>]+)>")
 
 
@@ -334,7 +334,7 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
 
 
 def _reads(nodes: Sequence[ast.AST], line: Line) -> Iterator[tuple[ast.expr, str]]:
-    """Yield the owners and the parts of the poses that flow into a check of the plan."""
+    """Yield the owner and the coordinate of each pose that a check of the plan reads."""
     around = [
         each for each in nodes if isinstance(each, ast.stmt) and each.lineno <= line.number <= (each.end_lineno or 0)
     ]
