@@ -196,7 +196,7 @@ class _Seen:
     __slots__ = ("before", "count", "state", "value")
 
     def __init__(self, state: State, before: _Seen | None) -> None:
-        self.state: State | None = state  # None after the number of pulses was computed
+        self.state: State | None = state  # set to None when the number of pulses is computed
         self.before = before
         self.value: Value = None
         self.count = 0  # number of pulses up to this state

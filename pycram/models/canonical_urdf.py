@@ -40,7 +40,7 @@ DENSITY: Final = 700.0  # density in kg/m^3 of household objects of unknown mass
 _FRAME_MASS: Final = 1e-3  # mass in kg of a link without shapes
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
 _JOINT_INERTIA: Final = (
-    0.05  # inertia in kg m^2 of links between joints; with it, the motors of a chain converge sooner
+    0.05  # inertia in kg m^2 of links that only connect two joints; the motors of a chain then converge sooner
 )
 _ROUNDING: Final = 1e-9  # lowest accepted moment in kg m^2; mesh tools round moments to slightly below 0
 _SHAPES: Final = {

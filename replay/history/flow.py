@@ -382,7 +382,7 @@ def _unused(source: _Source) -> Found:
 
 
 def _unused_names(source: _Source) -> Found:
-    """Yield constants that are never used, and objects that are used twice instead of another."""
+    """Yield constants that are never used, and objects used twice, the second time instead of another object."""
     local = Counter(
         each
         for node in source.functions.values()

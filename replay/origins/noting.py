@@ -142,7 +142,7 @@ class ValueNotes:
         return note
 
     def _noted(self, kind: str, number: int, /, *values: Any) -> Any:
-        """Note values for the plan, and return the last value. With "enter", a function begins with its arguments."""
+        """Note values for the plan, and return the last value. At "enter", these are a function's arguments."""
         frame = self.frame_of(sys._getframe(1), new=kind == "enter")  # noqa: SLF001  inspect has no such depth
         self._note("bind" if kind == "enter" else kind, number, frame).values = tuple(map(Held, values))
         return values[-1] if values else None

@@ -41,7 +41,7 @@ _NEAR, _FAR = 0.02, 30.0  # nearest and farthest distance in m that a camera see
 _OVERSAMPLING: Final = 2  # number of pixels per side of which a pixel's colour is the mean, for smooth edges
 _SIZE: Final = (640, 480)  # default width and height of a picture in pixels
 _MAX_SIDE: Final = 4096  # largest width and height in pixels
-_SURROUNDINGS: Final = 0.7  # minimum size in m of the part of the scene that a picture shows, also of a small object
+_SURROUNDINGS: Final = 0.7  # a picture shows at least this much of the scene in m, even around a small object
 #: Directions from the target to the viewpoint in the robot's frame, by the side that the caller requests.
 SIDES: Final[dict[str, tuple[Vector, ...]]] = {
     "behind": ((-0.85, 0.0, 0.5), (-0.95, 0.0, 0.2), (-0.6, 0.0, 0.8)),
@@ -59,7 +59,7 @@ _PREFERRED: Final = (
     (-0.4, 0.0, 0.9),
 )
 _CLOSER: Final = 0.6  # share of the distance at which viewpoints may be within the walls of a room
-_ENOUGH: Final = 0.7  # visible share of the pixels from which a viewpoint is taken without comparing others
+_ENOUGH: Final = 0.7  # a viewpoint that shows at least this share of the pixels is taken without comparing others
 _TOO_LITTLE: Final = 0.3  # below this visible share of the pixels, the links that hide the target are cut away
 _ROBOT_SHARE: Final = 0.4  # visible share of a robot's pixels that is enough, because objects hide the robot
 _RATED: Final = 3  # number of moments of a film that are used to rate viewpoints

@@ -35,7 +35,7 @@ _INFINITE: Final = (True, math.inf, math.inf, math.inf)  # a higher cost than th
 _HAND: Final = -1  # replaces the posture's index while only the hand is checked
 _MAX_GRASPS: Final = 6  # maximum number of grasps that are tried
 _DEEPER: Final = (0.004, 0.008)  # distances in m by which a grasp is moved towards the object
-_LEANING: Final = math.radians(5)  # minimum lean in rad of an object that messages mention
+_LEANING: Final = math.radians(5)  # lean of an object in rad from which messages mention the lean
 
 
 @dataclass(frozen=True, slots=True)

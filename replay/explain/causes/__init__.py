@@ -27,7 +27,7 @@ from replay.explain.causes.waiting import Interruption, Timeout
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
 
-#: All kinds. The kinds of causes that explain most come first.
+#: All kinds. Causes of earlier kinds are shown first.
 KINDS: Final[tuple[type[Cause], ...]] = (
     ForkedChange,
     OtherWorld,

@@ -218,7 +218,7 @@ def longer(started: Task, seconds: object) -> Iterator[Trial]:
 
 
 def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
-    """Yield the trial in which the condition of a wait holds for one of its fluents, perhaps compared with a number."""
+    """If the condition of a wait is a fluent, or compares a fluent with a number, yield the trial in which it holds."""
     compared = COMPARED.fullmatch(started.name)
     leaf = compared[1] if compared else started.name
     if leaf not in values:
