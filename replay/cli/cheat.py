@@ -97,7 +97,7 @@ SHEET: Final[dict[str, dict[str, tuple[tuple[str, str], tuple[str, str]]]]] = {
             ("run.mcap --apply", "the same, and write it into the plan"),
         ),
         "last-chance": (
-            ("run.mcap", "the last step from which the plan could succeed"),
+            ("run.mcap", "the last step where it could succeed"),
             ("run.mcap --budget 20", "the same, in at most 20 runs"),
         ),
         "minimise": (
