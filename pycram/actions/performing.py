@@ -16,7 +16,7 @@ from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from pycram.actions.action import TYPES, ActionDesignator, ActionType, prepared, type_of
 from pycram.actions.objects import candidates_of, thing
@@ -59,10 +59,6 @@ from recorder import geometry
 from recorder.geometry import Pose
 from recorder.records import STEPS_PER_SECOND, Decision, format_error
 from recorder.tracing.span import Span
-
-if TYPE_CHECKING:
-    from pycram.actions.action import ActionType
-
 
 _TURNS: Final = (30, 60, 90, 120, 150)  # tried turns about the vertical, in degrees
 _FAR: Final = (90, 30)  # fewer turns in degrees if the robot may drive, because each needs a search for a place

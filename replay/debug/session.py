@@ -29,7 +29,6 @@ from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from replay.debug.guided_plan import Arrival, GuidedPlan
-    from replay.file.record_reader import RecordReader
     from replay.recording import Recording
 
 

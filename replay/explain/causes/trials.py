@@ -120,7 +120,7 @@ def restored(case: FailureCase, names: Sequence[str], then: int, step: int, word
         changed = (joint for joint, value in body.joints.items() if abs(now.joints.get(joint, value) - value) > _MOVED)
         joints |= {f"{written(name)}.{joint}": body.joints[joint] for joint in changed}
     if poses or joints:
-        where = f"{phrases.names(names)} {'is' if len(names) == 1 else 'are'} as they were at step {then}"
+        where = f"{phrases.names(names)} {'is as it was' if len(names) == 1 else 'are as they were'} at step {then}"
         yield _set(case, step, words or where, joints | poses)  # joints come first, because they carry bodies along
 
 
