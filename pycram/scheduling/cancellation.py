@@ -49,9 +49,7 @@ class Binding(Generic[Value]):
 
 
 class CancelScope(Condition):
-    """A part of the plan that any thread can cancel; cancelling wakes the waits in it.
-
-    A scope is also cancelled with its ``parent``, the scope around it.
+    """A part of the plan that any thread can cancel; it is also cancelled with its ``parent``, the scope around it.
 
     Raises:
         RecursionError: Scopes are nested deeper than Python's recursion limit.
@@ -59,8 +57,7 @@ class CancelScope(Condition):
 
     def __init__(self, parent: CancelScope | None = None, deadline: Limit | None = None) -> None:
         super().__init__()
-        #: The scopes around this scope, innermost first; this scope is left out, because reference cycles are freed
-        #: late.
+        #: The scopes around this scope, innermost first
         self.around: tuple[CancelScope, ...] = (parent, *parent.around) if parent is not None else ()
         if len(self.around) >= sys.getrecursionlimit():  # Python checks the stack's depth only within a single branch
             raise RecursionError(f"{len(self.around)} nested blocks and timeouts of the plan")
@@ -94,12 +91,7 @@ class CancelScope(Condition):
     @property
     def is_cancelled(self) -> bool:
         """Whether this scope or a scope around it was cancelled or has missed its deadline."""
-        if self.cancel_called:
-            return True
-        for scope in self.around:
-            if scope.cancel_called:
-                return True
-        return bool(self.deadlines) and any(deadline.has_come for deadline in self.deadlines)
+        return any(each.cancel_called for each in (self, *self.around)) or any(each.has_come for each in self.deadlines)
 
     def cancel(self) -> None:
         """Cancel the scope, and wake its waits."""
@@ -126,7 +118,7 @@ def enter(scope: CancelScope) -> None:
 
 
 def shielded() -> Binding[CancelScope | None]:
-    """Shield the ``with`` block from cancellation; a cancelled branch does work that it must finish in such a block."""
+    """Shield the ``with`` block from cancellation, so that a cancelled branch can finish necessary work there."""
     return entered(None)
 
 
@@ -185,7 +177,7 @@ def checkpoint() -> None:
 
 
 def raise_if_cancelled() -> None:
-    """Raise Cancelled if the branch is cancelled, or else its deferred error, without running other branches."""
+    """Raise the branch's deferred error, or Cancelled if the branch is cancelled; run no other branches."""
     thread = scheduler()
     thread.checkpoints += 1
     if thread.failing and (error := thread.take_failure()) is not None:
@@ -229,7 +221,7 @@ def wait_until(
     clock: Clock | None = None,
     reason: Reason = unknown_reason,
 ) -> bool:
-    """Wait until a predicate holds or a deadline has passed; see :func:`wait`. The caller has entered the deadline.
+    """Wait until a predicate holds or an entered deadline has passed; see :func:`wait`.
 
     While no branch is ready, a simulated clock runs: ``clock``, or the clock of a deadline around the wait.
     """
@@ -240,9 +232,7 @@ def wait_until(
     with Waiter(sources, None if clock is None else clock.may_pass, last=True, reason=reason) as waiter:
         while not predicate():
             raise_if_cancelled()
-            if (
-                limit is not None and limit.struck
-            ):  # the deadline has passed before the wait; other branches still run first
+            if limit is not None and limit.struck:  # other branches still run first
                 waiter.wake()
             if waiter.sleep() and clock is not None:
                 clock.let_pass()
@@ -342,8 +332,7 @@ class Deadline(StrikeSource, Limit):
 def guide_strikes(recorded: RecordedStrikes, polls: int) -> None:
     """Make strikes come at the same polls of this thread as in a recorded run.
 
-    If the recording has no strike for a sleeping thread, strikes come as in an unguided run: a signal or another thread
-    woke the recorded thread, or the plan has changed.
+    If the thread sleeps at a poll without a recorded strike, strikes come as in an unguided run.
 
     Args:
         recorded: The recorded strikes by the recorded run's poll numbers.

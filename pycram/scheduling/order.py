@@ -1,15 +1,9 @@
 """Orders of branches that exploration requests.
 
 Branches have ranks, at first in the order in which they were added. The ready branch with the first rank runs until it
-waits or ends. A :class:`Precedence` is an exception: "branch 2 before branch 1 at its 3rd stop". Ranks with exceptions
-can describe every order, so a random order can be repeated, and simplified by removing exceptions.
-
-On the command line and in records, an order is a text:
-
-- ``added``: ranks without exceptions.
-- ``added:2-1@3,1.2-1.1@0``: ranks with exceptions. Branch 1.2 is the second branch that branch 1 began; 0 is the code
-  outside of all branches. Stop 0 is the start of a branch; each checkpoint and each wait is another stop.
-- ``pct:17:3:120``: :class:`Pct` draws the order, with number 17 and depth 3 over 120 turns.
+waits or ends. ``added:2-1@3`` is the text of an order by rank with a :class:`Precedence`: branch 2 overtakes branch 1
+at the third stop of branch 1. ``pct:17:3:120`` is an order that :class:`Pct` draws, with number 17 and depth 3 over 120
+turns.
 """
 
 from __future__ import annotations
@@ -82,7 +76,7 @@ export("pycram.failures", DeadlockedBranches)
 
 
 class Precedence(NamedTuple):
-    """A rule: another branch runs before the branch with the first rank, and stays ahead of that branch."""
+    """A rule: a branch overtakes the branch with the first rank, and stays ahead of it."""
 
     branch: str  # number of the branch that overtakes
     before: str  # number of the branch that is overtaken
@@ -122,7 +116,7 @@ class Ranked:
     """A branch, or the code outside of all branches, as an order sees it."""
 
     number: str  # "2" is the second branch that code outside of branches began, "2.1" the first that branch 2 began
-    stops: int = 0  # number of checkpoints and waits that the branch has passed
+    stops: int = 0  # number of checkpoints and waits that the branch has passed; at its start 0
     begun: int = 0  # number of branches that this branch has begun
 
 
@@ -222,8 +216,8 @@ class Order:
         """Return the branch that a precedence puts before the first branch by rank; earlier precedences win."""
         asked = self._asked.get((top.number, top.stops), ())
         while asked:
-            number = asked.popleft()  # the precedence has no effect if the branch that it prefers isn't ready
-            for each in ready:
+            number = asked.popleft()
+            for each in ready:  # if the preferred branch isn't ready, the precedence has no effect
                 if each.number == number:
                     return each
         return top

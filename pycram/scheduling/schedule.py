@@ -1,17 +1,8 @@
 """The scheduler of a thread: it chooses the branch that runs next, and wakes branches that wait.
 
-With a seed, the scheduler draws the next branch from all ready branches, so the same seed gives the same order. Without
-a seed, the branch that has been ready longest runs next. :mod:`pycram.scheduling.order` contains other orders. A branch
-that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. A patient wait,
-such as a wait in simulated time, resumes only if no branch is ready. Without a patient wait, the thread sleeps until
-another thread wakes it or a deadline passes. If neither a deadline nor a worker can end a wait, the branches are in a
-deadlock.
-
-A strike is an event that no seed determines: a deadline passes, or a worker ends. The scheduler polls for strikes at
-checkpoints and when it chooses the next branch. Recordings contain the polls with strikes, so that a guided run repeats
-them. A signal handler may raise an error between any two instructions, and any call may exceed the recursion limit.
-In both cases, the scheduler's loop ends, the error is raised outside of all branches, and the next loop schedules all
-branches again.
+A branch that yields switches to the scheduler's loop, a greenlet, which starts or resumes the next ready branch. A
+signal handler may raise an error between any two instructions, and any call may exceed the recursion limit. In both
+cases, the loop ends, the error is raised outside of all branches, and the next loop schedules all branches again.
 """
 
 from __future__ import annotations
@@ -53,8 +44,8 @@ _BEFORE: Final = frozenset(sys._current_frames())  # noqa: SLF001  ids of thread
 MISSED_SIGNALS_EVERY: Final = 0.1
 _OWN: Final = ("pycram.language", "pycram.scheduling")
 
-#: A function that describes a wait in a deadlock. It returns three values: the awaited event as text; the names of the
-#: branches on which the wait depends; and the words between both ("" if the text contains the names).
+#: Returns three values that describe a wait in a deadlock: the awaited event as text; the words between this text and
+#: the names ("" if the text contains the names); and the names of the branches on which the wait depends.
 Reason: TypeAlias = "Callable[[], tuple[str, str, Collection[str]]]"
 
 
@@ -68,7 +59,8 @@ class Waiter:
 
     Args:
         sources: The conditions that wake the wait during its ``with`` block.
-        patience: Tells whether a patient wait may resume now; it resumes when no branch is ready. None: not patient.
+        patience: Returns whether the wait may resume now, although no source woke it: the wait is patient, and resumes
+            when no branch is ready. None if the wait isn't patient.
         last: Whether all other patient waits resume before this one.
     """
 
@@ -196,9 +188,9 @@ def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine
 
 
 def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order: Order | None = None) -> Ready:
-    """Remove and return the branch or wait that runs next: by an order, at random, or the one that is ready longest.
+    """Remove and return the branch or wait that runs next. Only this function decides the order of a plan's branches.
 
-    Only this function decides the order of a plan's branches.
+    An ``order`` chooses, or ``dice`` draw. Without both, the branch that has been ready longest runs next.
     """
     if order is not None:
         candidates: dict[Ranked, Ready] = {}
@@ -315,7 +307,7 @@ class Scheduler:
             action: Runs the branch. ``action`` handles the branch's errors; an error that ``action`` raises ends the
                 scheduler's loop.
             failed: Called with an error that ``action`` raises, before the loop ends.
-            label: Returns the branch's name with its arguments, for people; "" for the name in records.
+            label: Returns the branch's name with its arguments, for messages; "" to show ``name`` there.
         """
         branch = _Branch(self, name, context, action, failed, site, label)
         if self.order is not None:
@@ -393,7 +385,7 @@ class Scheduler:
             interrupts.raise_pending()
 
     def leave(self, branch: _Branch) -> None:
-        """Return from an ended branch to the present loop; the loop that started the branch may no longer exist."""
+        """Return from an ended branch to the present loop, because the branch may have begun in an earlier loop."""
         if self._loop is not None:
             getcurrent().parent = self._loop
         self.branches.pop(branch, None)
@@ -454,7 +446,7 @@ class Scheduler:
         return None
 
     def is_awaited(self) -> bool:
-        """Return whether something is ready or a Ctrl-C waits for the next checkpoint; a patient wait then returns."""
+        """Return whether a branch or wait is ready, or a Ctrl-C is deferred; a patient wait then returns."""
         self.poll()
         return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
 
@@ -480,9 +472,7 @@ class Scheduler:
     def _sleep(self) -> None:
         first = min((each.end for each in self.strike_sources if not each.struck), default=math.inf)
         while not self._bell.acquire(timeout=min(max(0.0, first - time.monotonic()), MISSED_SIGNALS_EVERY)):
-            if (
-                first <= time.monotonic() or self.patient
-            ):  # otherwise a signal handler has run, and the thread sleeps again
+            if first <= time.monotonic() or self.patient:  # otherwise a signal handler has run
                 break
 
     def awaits_strike(self) -> bool:
@@ -564,7 +554,7 @@ class Scheduler:
 
 
 def _in_own_code(frame: FrameType) -> bool:
-    """Return whether a frame runs code of PyCRAM's language or scheduler, not the plan's own code."""
+    """Return whether a frame runs code of PyCRAM's language or scheduler, which the plan has called."""
     plan = plan_frame(frame)[0]
     current: FrameType | None = frame
     while current is not None and current is not plan:
@@ -605,7 +595,7 @@ def schedule_alone() -> None:
 
 
 class LockHeld(UsageError):
-    """A branch waits or yields while it holds a lock; all branches of its thread would then hold the lock."""
+    """A branch waits or yields while it holds a lock: the other branches of its thread would then hold the lock too."""
 
     def __init__(self) -> None:
         super().__init__("a branch must not wait or perform a motion while it holds the lock of a world or of fluents")

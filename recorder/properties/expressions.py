@@ -1,9 +1,7 @@
-"""Expressions about one state, such as ``milk.z > 0.5`` or ``holding(left) is milk``.
+"""Expressions about one state, such as ``milk.z > 0.5`` (docs/reference/properties.md).
 
 Python parses expressions, but never executes them: each allowed node of the syntax tree becomes a function of a
-:class:`Scene`. Names are bodies (``robot`` is the plan's robot), worlds, and the robot's arms. A name without a world
-means the body in the world that was opened last; ``lab.milk`` is in the world ``lab``. Names that aren't identifiers
-need quotes. The margin of a condition is the smallest distance of its quantities from values that would change the
+:class:`Scene`. The margin of a condition is the smallest distance of its quantities from values that would change the
 answer. If the condition holds, the margin is 0 or more. The margin of conditions about names is infinite.
 """
 
@@ -79,7 +77,7 @@ class NoValue(LookupError):
 
 @dataclass(frozen=True, order=True, slots=True)
 class Truth:
-    """Whether a condition holds, and its margin. This isn't a tuple, so that calculations with conditions fail."""
+    """Whether a condition holds, and the condition's margin. Calculations with conditions fail: this isn't a tuple."""
 
     margin: float
     holds: bool
@@ -103,7 +101,7 @@ class Geometry(Protocol):
         """Return whether two bodies touch. A body is a name and a link; the link "" means all links."""
 
     def owner(self, world: FoldedWorld, link: str) -> str:
-        """Return the body with a link of this name; "" if there is none."""
+        """Return the name of the body that has the link; "" if no body has it."""
 
 
 class Scene:
@@ -135,7 +133,7 @@ class Scene:
         raise NoValue(f"no object is called {name}", name, known)
 
     def holding(self, arm: str | None = None) -> str | None:
-        """Return the name of the object that the robot holds with an arm, or with any arm; None if there is none."""
+        """Return the name of the object that the robot holds with an arm, or with any arm; None if the arm is empty."""
         opened = self.opened()
         world = next((each for each in opened if each.robot in each.bodies), opened[0])
         links = None
@@ -187,7 +185,7 @@ class Scene:
 
 
 class Conditions:
-    """A condition of each object, or each pair of objects, that matches a pattern; "any" or "all" must hold."""
+    """One condition for each object, or each pair of objects, that matches a pattern: one or all of them must hold."""
 
     def __init__(self, truths: Iterable[Truth], choose: Callable[[Iterable[Truth]], Truth] = max) -> None:
         self.truths = list(truths)
@@ -195,7 +193,7 @@ class Conditions:
         self.truth = choose(self.truths) if self.truths else Truth(-RANGE, False)
 
     def negated(self) -> Conditions:
-        """Return the opposite conditions: "all" replaces "any", and the other way round."""
+        """Return the opposite conditions: all must hold instead of one, or one instead of all."""
         return Conditions([each.negated() for each in self.truths or [self.truth]], max if self._choose is min else min)
 
     def __len__(self) -> int:
@@ -297,7 +295,7 @@ def truth(value: object) -> Truth:
 
 
 class PropertyExpression:
-    """A compiled expression. ``source`` is the file and line of the property. Other texts raise BadProperty."""
+    """A compiled expression. ``source`` is the property's file and line. Raises BadProperty for any other text."""
 
     def __init__(self, text: str, source: str = "") -> None:
         self.text = " ".join(text.split())
@@ -348,11 +346,6 @@ class PropertyExpression:
     def _refuse(self, cause: str) -> NoReturn:
         raise BadProperty(self.text, cause, self.source)
 
-    def _refuse_node(self, node: ast.expr) -> NoReturn:
-        self._refuse(f"{_written(node)} isn't a part of the language")
-
-    # --- the allowed nodes --------------------------------------------------------------------------------------------
-
     def _compile(self, node: ast.expr) -> Function:  # noqa: C901, PLR0911  one case for each allowed node
         match node:
             case ast.Name(id=name):
@@ -386,7 +379,7 @@ class PropertyExpression:
             case ast.Call(func=ast.Name(id=name), keywords=[]):
                 return self._call(node, name)
             case _:
-                return self._refuse_node(node)
+                return self._refuse(f"{_written(node)} isn't a part of the language")
 
     def _comparison(self, node: ast.Compare) -> Function:
         nodes = [node.left, *node.comparators]
@@ -553,9 +546,6 @@ def _kind(node: ast.expr) -> str:
     return kind
 
 
-# --- values -----------------------------------------------------------------------------------------------------------
-
-
 def _part(owner: Any, name: str) -> Any:
     if isinstance(owner, BodyQuantities):
         return owner.part(name)
@@ -580,16 +570,13 @@ def _described(value: object) -> str:
 
 
 def _equal(a: Any, b: Any) -> Truth:
-    a, b = (value.name if isinstance(value, BodyQuantities) else _holds(value) for value in (a, b))
+    a, b = (truth(value).holds if isinstance(value, Truth | Conditions) else value for value in (a, b))
+    a, b = (value.name if isinstance(value, BodyQuantities) else value for value in (a, b))
     if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b) > 0:
         return min(map(_equal, a, b))
     if _is_number(a) and _is_number(b):
         return _at_least(ROUNDING, abs(a - b))
     return truth(a == b)
-
-
-def _holds(value: Any) -> Any:
-    return truth(value).holds if isinstance(value, Truth | Conditions) else value
 
 
 def _is_number(value: object) -> bool:

@@ -146,16 +146,8 @@ class _Parser:
         if until is not None and (kind != ALWAYS or stays):
             self._refuse(f"'until' and {'stays' if stays else kind!r} can't be combined")
         scopes = {name: self._moments(name) for name in _SCOPES if name in self._found}
-        return Property(
-            self._text,
-            kind,
-            PropertyExpression(body or stated, self._source),
-            until,
-            stays,
-            within,
-            **scopes,
-            source=self._source,
-        )
+        expression = PropertyExpression(body or stated, self._source)
+        return Property(self._text, kind, expression, until, stays, within, **scopes, source=self._source)
 
     def _expression(self, word: str) -> PropertyExpression | None:
         if word not in self._found:
@@ -167,8 +159,7 @@ class _Parser:
     def _moments(self, word: str) -> Moments:
         text = self._found[word]
         if not text.startswith(_TASK):
-            expression = self._expression(word)
-            return Moments(text, expression=expression)
+            return Moments(text, expression=self._expression(word))
         path = text.removeprefix(_TASK).strip("'\"/ ")
         if not path:
             self._refuse(f"the name of a task is missing after {word} task:")

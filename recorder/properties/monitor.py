@@ -1,10 +1,8 @@
 """A monitor follows the records of a run, and reports where properties are violated.
 
-The values of a world change at records, and at 30 samples in each simulated second. Times are in simulated seconds,
-summed over all worlds. An episode is a part of the run in which the property must hold. By default, the episode is the
-whole run; ``during``, ``after`` and ``before`` select other episodes. The margin of "always" is the smallest margin of
-the episode's moments, the margin of "eventually" is the largest. The margin of a property is the smallest margin of its
-episodes.
+Times are in simulated seconds, summed over all worlds. An episode is a part of the run in which the property must hold,
+by default the whole run. An episode's margin is the smallest margin of its moments for "always", and the largest for
+"eventually". A property's margin is the smallest margin of its episodes.
 """
 
 from __future__ import annotations
@@ -84,7 +82,7 @@ class Monitor:
     """A monitor of properties over the records of a run, from the first record or from keyframes of all worlds.
 
     Args:
-        contacts: Measures contacts. If it is None, contacts aren't measured, because the executor is missing.
+        contacts: Measures contacts; None without the executor, which alone can measure contacts.
     """
 
     def __init__(self, properties: Sequence[Property], contacts: Geometry | None = None) -> None:
@@ -122,18 +120,19 @@ class Monitor:
         return found + self._look(record, record.sim_step)
 
     def _apply(self, name: str, change: Callable[[], None]) -> None:
-        """Change a world, and measure the velocities of driven and carried bodies.
-
-        In a simulation, the engine sets such a body from pose to pose. Its recorded velocity is therefore 0, or nearly
-        0.
-        """
+        """Change a world, and measure the velocities of driven and carried bodies, whose recorded velocities are 0."""
         measured = {body: body.velocity for body in self._measured}
         for body, recorded in self._measured.items():
             body.velocity = recorded
         self._measured.clear()
         world = self.worlds.get(name)
-        before = {} if world is None else {body: (body.position, body.orientation) for body in _moved(world)}
-        began = 0 if world is None else world.sim_step
+        before, began = {}, 0
+        if world is not None:
+            began = world.sim_step
+            names = {each.body for each in world.attachments.values()}
+            names.update(each.begin.body for each in world.following.values())
+            moved = [world.bodies[each] for each in names if each in world.bodies]
+            before = {body: (body.position, body.orientation) for body in moved}
         change()
         world = self.worlds.get(name)
         seconds = 0.0 if world is None else (world.sim_step - began) / STEPS_PER_SECOND
@@ -205,13 +204,6 @@ class Monitor:
         ]
 
 
-def _moved(world: FoldedWorld) -> Iterator[FoldedBody]:
-    """Yield the bodies that are attached, or that follow a trajectory."""
-    names = {each.body for each in world.attachments.values()}
-    names.update(each.begin.body for each in world.following.values())
-    return (world.bodies[name] for name in names if name in world.bodies)
-
-
 @dataclass(slots=True)
 class _Episode:
     begun: CheckedMoment
@@ -224,11 +216,6 @@ class _Episode:
     done: bool = False  # for "until" and "eventually": whether the condition has held
     past: deque[tuple[float, Truth]] = field(default_factory=deque)  # for "stays": the end of a period, and its value
     latest: Truth | None = None
-
-    @property
-    def start(self) -> float:
-        """The time in s at which the episode began."""
-        return self.begun.time
 
 
 class _Watch:
@@ -251,16 +238,14 @@ class _Watch:
         self._held = False  # for "at end": whether the body held before this period
         self._seen: tuple[float, dict[str, Any]] | None = None  # for "at end": margin and values in this period
 
-    # --- episodes -----------------------------------------------------------------------------------------------------
-
     def dues(self) -> Iterator[float]:
         """Yield the times in s at which an unchanged state may decide the property."""
         watched = self._property
         for episode in self._episodes:
             if watched.within is not None:
-                yield episode.start + watched.within
+                yield episode.begun.time + watched.within
             if watched.stays:
-                yield episode.start + watched.stays
+                yield episode.begun.time + watched.stays
                 yield from (end + watched.stays for end, _ in episode.past)
 
     def look(self, moment: CheckedMoment, *, waiting: bool = False) -> Iterator[Violation]:
@@ -288,11 +273,11 @@ class _Watch:
     def _expire(self, moment: CheckedMoment, tolerance: float) -> Iterator[Violation]:
         within = self._property.within
         for episode in list(self._episodes) if within is not None else ():
-            if within is not None and moment.time > episode.start + within + tolerance:
+            if within is not None and moment.time > episode.begun.time + within + tolerance:
                 yield from self._end(episode, moment, f"not within {within:g} s")
 
     def _follow_end(self, moment: CheckedMoment, value: Truth) -> None:
-        """Find the start of the last period without the body; if the body never held, its last change."""
+        """Find the start of the last period in which the body doesn't hold; if it never held, its last change."""
         if value.holds:
             self._since, self._seen, self._held = None, None, True
         elif self._seen is None or (not self._held and self._changed(value.margin, *self._seen)):
@@ -334,10 +319,8 @@ class _Watch:
 
     def _begin(self, moment: CheckedMoment, key: object = None) -> None:
         if not self._over and not self._were.get("before"):
-            start = _Episode(moment, key)
-            if self._property.kind == EVENTUALLY or self._property.until is not None:
-                start.margin = _WORST
-            self._episodes.append(start)
+            until_reached = self._property.kind == EVENTUALLY or self._property.until is not None
+            self._episodes.append(_Episode(moment, key, _WORST if until_reached else _BEST))
 
     def _end_all(self, moment: CheckedMoment) -> Iterator[Violation]:
         self._over = self._property.after is None and self._property.during is None
@@ -348,8 +331,6 @@ class _Watch:
         """End all episodes at the end of the run."""
         for episode in list(self._episodes):
             yield from self._end(episode, self._valued or moment, NEVER_HELD)
-
-    # --- one episode --------------------------------------------------------------------------------------------------
 
     def _truth(self, expression: PropertyExpression, moment: CheckedMoment | None = None) -> Truth | None:
         try:
@@ -388,7 +369,7 @@ class _Watch:
             episode.done |= value.holds
 
     def _until(
-        self, episode: _Episode, moment: CheckedMoment, value: Truth | None, other: Truth | None = None
+        self, episode: _Episode, moment: CheckedMoment, value: Truth | None, other: Truth | None
     ) -> Iterator[Violation]:
         if episode.done:
             return
@@ -414,7 +395,7 @@ class _Watch:
         while past and past[0][0] <= now - length + 1e-9 and len(past) > 1:
             past.popleft()
         episode.latest = value if value is not None else episode.latest
-        return past[0][1] if past and now - episode.start >= length - 1e-9 else None
+        return past[0][1] if past and now - episode.begun.time >= length - 1e-9 else None
 
     def _note(self, episode: _Episode, moment: CheckedMoment, value: Truth) -> None:
         episode.margin, episode.closest = value, moment
@@ -425,18 +406,9 @@ class _Watch:
         found = watched.body.values(self._scene)
         return found if watched.until is None else found | watched.until.values(self._scene)
 
-    def _violated(
-        self,
-        moment: CheckedMoment,
-        value: Truth,
-        cause: str = "",
-        values: dict[str, Any] | None = None,
-        since: CheckedMoment | None = None,
-    ) -> Violation:
-        values = self._values() if values is None else values
-        found = Violation(self._property, moment, value.margin, values, cause, since)
-        self._violations.append(found)
-        return found
+    def _violated(self, moment: CheckedMoment, value: Truth) -> Violation:
+        self._violations.append(Violation(self._property, moment, value.margin, self._values()))
+        return self._violations[-1]
 
     def _end(self, episode: _Episode, moment: CheckedMoment, cause: str = "") -> Iterator[Violation]:
         self._episodes.remove(episode)
@@ -453,7 +425,9 @@ class _Watch:
             at_end = watched.kind == AT_END and episode.closest is not None
             at, cause = (episode.closest, "at the end") if at_end else (moment, cause)
             since = self._since if at_end else episode.begun
-            yield self._violated(at or moment, episode.margin, cause, episode.values, since)
+            found = Violation(watched, at or moment, episode.margin.margin, episode.values, cause, since)
+            self._violations.append(found)
+            yield found
 
     def verdict(self, tasks: dict[str, None]) -> PropertyVerdict:
         """Return the property's result after the end of the run."""
@@ -469,9 +443,8 @@ class _Watch:
             note = f"no task is called {task}; {suggestion(task, tasks)}"
             if did_you_mean(task, tasks):
                 raise BadProperty(watched.text, note, watched.source)
-        worst = min(said, key=lambda each: each.margin, default=None)
-        if worst is None:
+        if not said:
             return PropertyVerdict(watched, math.inf, None, {}, self._violations, 0, note)
-        return PropertyVerdict(
-            watched, worst.margin.margin, worst.closest, worst.values, self._violations, len(said), note
-        )
+        worst = min(said, key=lambda each: each.margin)
+        margin = worst.margin.margin
+        return PropertyVerdict(watched, margin, worst.closest, worst.values, self._violations, len(said), note)
