@@ -13,6 +13,7 @@ from replay.cli.main import FINE, INCOMPLETE, USAGE
 from replay.cli.retrace import AGAIN
 from replay.errors import Damaged, ReplayError
 from replay.explain import why_report
+from replay.explain.good_run import good_run
 from replay.explain.why import Why
 from replay.history.steps import HINT
 from replay.recording import Recording
@@ -62,11 +63,13 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError("--keep needs --prove")
     origins = _origins(log, why, options)
     code, pictures = _pictures(log, why, options.pictures)
+    good = good_run(log, why)
     if options.json:
         found = {} if origins is None else {"origins": report.data(origins)}
-        print_json(why_report.data(why) | {"pictures": pictures} | found)
+        print_json(why_report.data(why, good) | {"pictures": pictures} | found)
     else:
-        print_text("\n".join(why_report.lines(why, str(log.path), () if origins is None else origins.lines())))
+        values = () if origins is None else origins.lines()
+        print_text("\n".join(why_report.lines(why, str(log.path), values, good)))
         if pictures:
             print_text("\n".join(("", "Pictures of the failure", *(f"  {path}" for path in pictures))))
     return code
@@ -95,12 +98,13 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     for cause in stats.causes[:_COMMONEST]:
         with Recording(runs.path / cause.first) as log:
             why = log.why()
+            good = good_run(log, why)
             explained.append(
-                {"cause": cause.cause, "count": cause.count, "first": cause.first, "why": why_report.data(why)}
+                {"cause": cause.cause, "count": cause.count, "first": cause.first, "why": why_report.data(why, good)}
             )
             text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
-            headline, *sections = why.text.split("\n\n")
-            shown = [headline, *(section for section in sections if section.startswith(("Why", "Before")))]
+            headline, *sections = "\n".join(why_report.lines(why, good=good)).split("\n\n")
+            shown = [headline, *(part for part in sections if part.startswith(("Why", "Beside")))]
             text += [f"first in {cause.first}:"]
             text += [f"  {line}".rstrip() for line in "\n\n".join(shown).splitlines()]
     if options.json:

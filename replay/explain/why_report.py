@@ -15,6 +15,7 @@ from replay.compare import difference_lines
 from replay.explain.causes.case import Cause
 from replay.explain.causes.trials import Proof, TriedTrial
 from replay.explain.causes.waiting import Interruption
+from replay.explain.good_run import GoodRun
 from replay.explain.why import ChangesSince, InvolvedBody, TriedAction, Why, facing
 from replay.history.flow import is_strong, oddities
 from replay.history.source import Line
@@ -36,8 +37,8 @@ _NEARER: Final = 0.35  # distance in m from the robot to which the suggested ``a
 # --- as JSON data ----------------------------------------------------------------------------------------------------
 
 
-def data(why: Why) -> dict[str, object]:
-    """Return an explanation as JSON data."""
+def data(why: Why, good: GoodRun | None = None) -> dict[str, object]:
+    """Return an explanation as JSON data, with the comparison with a good run."""
     return {
         "plan": why.run.plan,
         "outcome": why.run.outcome,
@@ -56,6 +57,7 @@ def data(why: Why) -> dict[str, object]:
         "around": report.data(list(why.task.around()) if why.task else []),
         **report.call_stack(why.call_stack),
         "sources": report.data(why.sources),
+        "good_run": report.data(good),
         "variables": [
             {"file": file, "line": line, "values": dict(values)} for (file, line), values in why.variables.items()
         ],
@@ -104,6 +106,15 @@ def _(cause: Cause) -> dict[str, object]:
     return {"kind": cause.kind, "steps": own.pop("steps"), "text": " ".join(cause.lines()), **own}
 
 
+@report.data.register(GoodRun)
+def _(good: GoodRun) -> dict[str, object]:
+    step, other = good.steps
+    edits = [{**report.fields_data(line), "there": text} for line, text in good.edits]
+    answers = [{"here": record_data(own), "there": record_data(other)} for own, other in good.answers]
+    own = report.fields_data(good)
+    return {**own, "edits": edits, "answers": answers, "steps": {"here": step, "there": other}}
+
+
 @report.data.register(InvolvedBody)
 def _(involved: InvolvedBody) -> dict[str, object]:
     return {
@@ -141,10 +152,10 @@ def _(tried: TriedAction) -> dict[str, object]:
 # --- as text ---------------------------------------------------------------------------------------------------------
 
 
-def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str]:
+def lines(why: Why, path: str = "", origins: Iterable[str] = (), good: GoodRun | None = None) -> Iterator[str]:
     """Yield the explanation as text; if ``path`` is given, with commands for the recording.
 
-    ``origins`` are lines about the origins of values, which come first.
+    ``origins`` are lines about the origins of values, which come first. ``good`` is the comparison with a good run.
     """
     causes = [
         line
@@ -165,6 +176,8 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = ()) -> Iterator[str
     yield from sources if slips else ()
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
     yield from origin if forked else ()
+    if good is not None:
+        yield from section(f"Beside {good.file}, where the plan succeeded", good.lines())
     yield from () if slips else sources
     yield from section("Where in the plan", _where(why))
     threads = (
