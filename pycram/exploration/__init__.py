@@ -1,10 +1,8 @@
 """Exploration: a plan runs in many orders of its branches, to find races: orders with different endings.
 
-Random numbers and the order of sets are the same in all runs, so only the order of branches causes differences. The
-first run takes branches in the order in which they were added; :class:`~pycram.scheduling.order.Pct` draws the other
-orders. Delta debugging minimises the precedences for each ending (Zeller and Hildebrandt: Simplifying and isolating
-failure-inducing input, IEEE TSE 2002). The result is 1-minimal: if any precedence is removed, the run ends in another
-way.
+The first run takes branches in the order in which they were added; :class:`~pycram.scheduling.order.Pct` draws the
+other orders. Delta debugging minimises the precedences for each ending (Zeller and Hildebrandt: Simplifying and
+isolating failure-inducing input, IEEE TSE 2002): if any precedence is removed, the run ends in another way.
 """
 
 from __future__ import annotations
@@ -64,7 +62,7 @@ __all__ = [
     "explore",
 ]
 
-#: A function with two arguments, an order as text and a file: it runs the plan in that order, and records the run.
+#: Runs the plan in an order, which is given as text, and records the run into a file.
 Runner: TypeAlias = "Callable[[str, Path], object]"
 _Body: TypeAlias = "dict[str, list[float]]"  # the pose of a body ("position", "orientation") and its joints ("/JOINT")
 
@@ -181,7 +179,7 @@ def explore_runs(
     overwrite: bool = False,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Exploration:
-    """Explore a plan by a function that runs it once; see :func:`explore`.
+    """Explore a plan; ``run`` runs the plan once. :func:`explore` describes other arguments and errors.
 
     If ``file`` is RUN.mcap, recordings are named RUN.explored-1.mcap, ...; None keeps no recordings. ``plan`` is the
     file of the plan; None for the program. ``progress`` is called after each run with the number of ended runs.
@@ -269,9 +267,6 @@ def _run_again(runs: PlanRunner, result: Exploration, file: Path | None, *, over
         found.made = attempt.made if found.order.startswith(ADDED) else ()
 
 
-# --- reduction of an order --------------------------------------------------------------------------------------------
-
-
 class _Tries:
     """Runs the plan with sets of precedences, once for each set, to find the set that causes a certain ending."""
 
@@ -281,7 +276,7 @@ class _Tries:
         self._known: dict[tuple[Precedence, ...], OrderedRun] = {}
 
     def first_of(self, tries: Sequence[Sequence[Precedence]]) -> OrderedRun | None:
-        """Return the first run with that ending. At any moment, at most one run per core is in progress."""
+        """Return the first run with that ending; None if no run has it. At most one run per core is in progress."""
         for start in range(0, len(tries), self._runs.cores):
             wave = [tuple(each) for each in tries[start : start + self._runs.cores]]
             new = [each for each in wave if each not in self._known][: _MAX_TRIES - len(self._known)]
@@ -319,9 +314,6 @@ def _nearer(tries: _Tries, best: OrderedRun) -> OrderedRun:
         if found is not None and len(found.made) == len(made):
             best = found
     return best
-
-
-# --- runs -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -465,12 +457,12 @@ def _same(a: object, b: object) -> bool:
 
 
 class EndingSink:
-    """Computes a run's ending from its records; passes the records on to a file, if there is one."""
+    """Computes a run's ending from its records, and passes the records to a file, if there is one."""
 
     def __init__(self, file: McapSink | None = None) -> None:
         self._file: Sink = file or NullSink()
         self.attach, self.flush, self.close = self._file.attach, self._file.flush, self._file.close
-        #: For each failure, the line of each task that failed with it, as (FILE, FILE:LINE), outermost first.
+        #: Lines of the tracebacks of failed tasks, by failure: for each task, (FILE, FILE:LINE), outermost line first.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
         self._violated: dict[str, None] = {}  # violated properties, in the order of violations
         self.ending = Ending(DIED, "the process ended")  # replaced when the record of the run's end comes

@@ -29,7 +29,7 @@ from pycram.scheduling.order import BranchLine
 from recorder.errors import RecordingError
 from recorder.terminal import ProgressLines
 
-_MAX_TOLD: Final = 6  # maximum number of printed differences between states, and of printed precedences
+_MAX_PRINTED: Final = 6  # maximum number of printed differences between states, and of printed precedences
 _WIDTH: Final = 200  # maximum number of characters of a printed failure
 
 
@@ -129,10 +129,10 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
         yield ""
         if number > 1 and found.made:
             yield f"{number}: the plan ends this way, and not as in 1, if"
-            for place, each in enumerate(found.made[:_MAX_TOLD]):
+            for place, each in enumerate(found.made[:_MAX_PRINTED]):
                 yield f"  {'and ' if place else ''}{_standing(each.first)} runs before {_standing(each.second)}"
-            if found.made[_MAX_TOLD:]:
-                yield f"  and {len(found.made) - _MAX_TOLD} more"
+            if found.made[_MAX_PRINTED:]:
+                yield f"  and {len(found.made) - _MAX_PRINTED} more"
         else:
             yield f"{number}: {'in the order in which branches were added' if number == 1 else 'for example'}"
         yield "  " + shlex.join([*command, "--order", found.order, *rest])
@@ -160,8 +160,8 @@ def _words(ending: Ending, first: Ending | None = None) -> str:
     if first is None or first is ending or ending.kind != SUCCEEDED:
         return words
     otherwise = list(ending.differences(first))
-    more = [f"{len(otherwise) - _MAX_TOLD} more"] if len(otherwise) > _MAX_TOLD else []
-    return f"{words}, but {', '.join([*otherwise[:_MAX_TOLD], *more])}"
+    more = [f"{len(otherwise) - _MAX_PRINTED} more"] if len(otherwise) > _MAX_PRINTED else []
+    return f"{words}, but {', '.join([*otherwise[:_MAX_PRINTED], *more])}"
 
 
 def _standing(branch: BranchLine) -> str:

@@ -1,14 +1,9 @@
 """Expressions: the variables, pulse counters and operations behind fluents.
 
 A state has the values of all leaves (variables and counters of unhandled pulses) at one moment. An operation computes
-its value from one state, so it never mixes values of two moments. References from operands to their operations are
-weak, so unused networks are freed. A pulse means that something happened to a fluent, even if its value didn't change.
-Pulses spread to all operations on an expression. A counter counts each change only once, however many paths of the
-network lead to the counter.
-
-One re-entrant lock guards all leaves of the process. This lock comes after a world's lock and before a journal's lock,
-so the order of records is the order of changes. While a thread holds the lock, no user code runs: no function of a
-network, no ``__eq__``, no conversion to JSON, no finalizer of an old value.
+its value from one state, so it never mixes values of two moments. One re-entrant lock guards all leaves of the process.
+While a thread holds the lock, no user code runs: no function of a network, no ``__eq__``, no conversion to JSON, no
+finalizer of an old value.
 """
 
 from __future__ import annotations
@@ -268,9 +263,7 @@ class PulseCounter(Leaf):
         self.is_pulse: Callable[[Value, Value], bool] | None = changes if is_pulse is None and not counted else is_pulse
         with lock:
             super().__init__((of,), Pulses(0, None if self.is_pulse is None else _Seen(of.state(), None)))
-            for expression in _reachable(
-                (of,), lambda below: () if isinstance(below, PulseCounter) else below.operands
-            ):
+            for expression in _reachable((of,), lambda each: () if isinstance(each, PulseCounter) else each.operands):
                 if expression.counters is None:
                     expression.counters = weakref.WeakValueDictionary()
                 expression.counters[id(self)] = self

@@ -1,26 +1,8 @@
-"""Fluents: values that the branches of a plan share, wait for and react to (thesis 3.5.3).
+"""Fluents: values that the branches of a plan share, wait for and react to (thesis 3.5.3; docs/guides/fluents.md).
 
-Any branch or thread may read the value of a fluent, set it, and wait until it is not None::
-
-    battery = Fluent(100, "battery")
-    low = (battery < 20).OR(battery.IS(None))
-
-    with pursue as s:
-        s(plan)
-        s(low.wait_for)
-
-Operators make networks. A network computes its value from the values of its operands at one moment. Comparisons and
-AND, OR, NOT, IS, IS_NOT return True or None, never False, because waits end at a value that is not None. None means
-that there is no value: comparisons and sums with None are None. AND and OR read their second operand only if it
-matters, as in ``(speed != 0).AND(distance / speed < 10)``.
-
-Setting a fluent pulses it, even if the value stays the same. A network pulses when its value changes.
-:meth:`Fluent.pulsed` counts pulses; :meth:`Fluent.rising`, :meth:`Fluent.falling` and :meth:`Fluent.changed` count
-changes. :func:`~pycram.fluents.fluent.whenever` handles pulses and changes.
-
-A wait never misses a value, however short it lasts. A change only appends a new state; the waiting thread computes the
-values. Functions of networks run in the thread that reads or waits, without any lock held. Such functions should be
-quick, and depend only on their arguments. :mod:`pycram.fluents.world` has fluents that follow a world.
+Operators make networks. Comparisons and AND, OR, NOT, IS, IS_NOT are True or None, never False, because waits end at a
+value that is not None. Comparisons and sums with None are None. A wait misses no value, however short the value lasts:
+a change only appends a new state, and the waiting thread computes the values of all states, without any lock held.
 """
 
 from __future__ import annotations
@@ -91,7 +73,7 @@ class NotTrueOrFalse(UsageError):
 
 
 def _order(sign: str, test: Callable[[Value, Value], object]) -> Callable[[Fluent, object], Fluent]:
-    """Return the method for an order relation; the method returns None if one of the values is None."""
+    """Return the method for an order relation. The network that the method makes is None if an operand is None."""
 
     def compare(self: Fluent, other: object) -> Fluent:
         return _comparison(sign, lambda a, b: a is not None and b is not None and test(a, b), self, other)
@@ -158,8 +140,6 @@ class Fluent:
         """Return the reference by which records name the fluent."""
         return {"fluent": self.name}
 
-    # --- value -----------------------------------------------------------------------------------------------------
-
     def get_value(self) -> Value:
         """Return the present value.
 
@@ -216,8 +196,6 @@ class Fluent:
                 task.checkpoint = scheduler().checkpoints
             return happened
 
-    # --- pulses ----------------------------------------------------------------------------------------------------
-
     def pulse(self) -> None:
         """Pulse the fluent without changing its value; raises RecordingError if that can't be recorded."""
         pulse_unchanged(self.expression)
@@ -254,8 +232,6 @@ class Fluent:
         if not isinstance(handle_missed, Behavior):
             raise BadArgument("handle_missed", handle_missed, "Behavior.NEVER, ONCE or ALWAYS")
         return Derived(PulseCounter(self.expression, handle_missed, is_pulse))
-
-    # --- networks --------------------------------------------------------------------------------------------------
 
     def AND(self, other: object) -> Fluent:  # noqa: N802  the original's name
         """True if both values are true, else None; ``other`` is read only if the fluent's value is true."""
@@ -408,7 +384,7 @@ class StateStream:
         while True:
             late = limit is not None and limit.has_come
             if self._states:
-                checkpoint()  # one mapping serves all states, because a reaction must keep up with 30 states a second
+                checkpoint()  # once for all states, because a reaction must keep up with 30 states a second
             for _ in range(len(self._states)):
                 raise_if_cancelled()
                 yield self._states.popleft()
@@ -459,11 +435,10 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
             s(whenever, (battery < 20).rising(), charge)
             s(plan)
 
-    Both forms run in the thread that calls them. The repetition ends when the body raises an error, or when the decided
-    block around it cancels the branch. A ``break`` also ends the loop.
+    The repetition ends when the body raises an error or breaks the loop, or when the branch is cancelled.
 
     Returns:
-        Without a body, the result is an iterator that waits, and yields each value that isn't None.
+        Without a body, an iterator that waits, and yields each value that isn't None.
 
     Raises:
         BadArgument: ``fluent`` isn't a fluent, or the body isn't callable.

@@ -1,10 +1,9 @@
 """Fluents that follow a world: poses, joints, held objects and contacts.
 
-A transaction updates all fluents of its world at the same moment, and their records follow the record of the change. A
-simulation reads the values 30 times a simulated second, and assigns all values at its end. Values are tuples in m and
-xyzw, floats in rad or m, or names. If an object was removed or a world has ended, reading or awaiting its fluents
-raises WorldClosed. All functions here raise BadArgument for an argument that isn't an object, and UnknownName for a
-link, joint or arm that doesn't exist.
+A transaction updates all fluents of its world at the same moment. A simulation reads the values 30 times a simulated
+second, and assigns all values at its end. If an object was removed or a world has ended, reading or awaiting its
+fluents raises WorldClosed. All functions here raise BadArgument for an argument that isn't an object, and UnknownName
+for a link, joint or arm that doesn't exist.
 """
 
 from __future__ import annotations

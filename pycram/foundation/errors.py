@@ -1,8 +1,6 @@
 """Errors: base classes, usage errors, and chains of errors.
 
-A :class:`PlanFailure` means that the world prevents an action: a plan may catch it and try something else. A
-:class:`UsageError` means that the program is wrong: nothing should catch it. Attributes of an error are recorded with
-its message. An error of PyCRAM is a dataclass with a template for its message::
+An error of PyCRAM is a dataclass with a template for its message::
 
     @dataclass_error
     class GraspFailed(PlanFailure):
@@ -13,11 +11,8 @@ its message. An error of PyCRAM is a dataclass with a template for its message::
 
         _template = "{arm} gripper can't grasp {body}"
 
-- The fields are parameters of the constructor, and are recorded in this order. ``kept_as`` converts and copies the
-  argument.
-- If a message needs more than a template, override ``_message()``.
-- If a field depends on other fields, set it in ``_complete()``, which is called before ``_message()``.
-- If the parameters differ from the fields, write an own ``__init__``, and call ``super().__init__(message)`` there.
+The fields are parameters of the constructor, and are recorded in this order. If the parameters differ from the fields,
+write an own ``__init__``, and call ``super().__init__(message)`` there.
 """
 
 from __future__ import annotations
@@ -50,6 +45,7 @@ class PycramError(PortableError):
         """Set the fields that depend on other fields."""
 
     def _message(self) -> str:
+        """Return the message; overridden if a message needs more than the template."""
         return self._template.format_map(vars(self))
 
 
@@ -261,10 +257,10 @@ def call_all(calls: Iterable[Callable[[], object]]) -> list[Exception]:
 
 
 class OnError:
-    """Calls a function with an error or an interrupt of its ``with`` block; then the error is raised further.
+    """Calls a function with the error that leaves its ``with`` block, also with an interrupt.
 
-    A signal handler may still raise an error after the last statement of the block. The function doesn't see that
-    error, so code that must see every error needs ``except``.
+    A signal handler may still raise an error after the last statement of the block. The function isn't called for that
+    error, so code that must handle every error needs ``except``.
     """
 
     __slots__ = ("_call", "_kind")
@@ -320,6 +316,6 @@ def qualified_name(function: object) -> str:
 
 
 def export(module: str, *classes: type) -> None:
-    """Set the module that tracebacks and pickles name for classes: the module from which users import the classes."""
+    """Make tracebacks and pickles name a module for classes: the module from which users import the classes."""
     for exported in classes:
         exported.__module__ = module

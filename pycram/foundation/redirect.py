@@ -20,7 +20,7 @@ def redirected(*descriptors: int, to: int) -> Iterator[None]:
             restoring.callback(os.close, copy)
             restoring.callback(os.dup2, copy, descriptor)
         with suppress(TypeError):  # Windows needs the name of its C library
-            restoring.callback(ctypes.CDLL(None).fflush, None)  # The C library buffers its output to a pipe or a file
+            restoring.callback(ctypes.CDLL(None).fflush, None)  # the C library buffers its output to a pipe or a file
         for descriptor in descriptors:
             os.dup2(to, descriptor)
         yield

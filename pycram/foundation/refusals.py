@@ -1,7 +1,7 @@
 """Refusals: calls that PyCRAM rejects are recorded with their error, even if the plan catches the error.
 
-A refusal is recorded once: as the call that the plan made. If calls of PyCRAM are nested, only the outermost is
-recorded. If a plan's handler, resolver or query makes a call, the call has a separate record.
+A refusal is recorded once: as the call that the plan made. Calls that PyCRAM makes within this call aren't recorded,
+but calls that a handler, resolver or query of the plan makes are.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _RECORDED: Final = "_is_on_record"  # name of an attribute that marks recorded e
 
 
 def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function so that its refusals are recorded; calls with wrong arguments are refusals, too.
+    """Decorate a function so that its refusals are recorded, also those of calls with wrong arguments.
 
     Args:
         subject: Name of the argument ``self`` in records, such as "object" or "world"; by default "self".

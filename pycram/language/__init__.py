@@ -10,21 +10,7 @@ block            branches run decided by                    fails with
 ``try_in_order`` in order     the first that succeeds       all failures, if all have failed
 ================ ============ ============================= =================================
 
-A block can be written in these ways::
-
-    with par as s:                       # or par()
-        ProcessModule.perform(parking)   # a branch
-        s(function, argument)            # a branch
-        with seq:                        # a branch, whose own actions run in order
-            ProcessModule.perform(moving)
-
-    with par(failures) as s:             # collects failures in a list instead of raising; see s.state
-        ...
-
-    par(function, other)                 # the results, as a list
-
-``docs/guides/plan_language.md`` has the rules of branches, turns, failures and cancellation. The package also has
-:func:`failure_handling`, :func:`timeout` and :func:`finally_`.
+``docs/guides/plan_language.md`` shows how to write blocks, and has the rules of branches, failures and cancellation.
 """
 
 from __future__ import annotations

@@ -1,14 +1,8 @@
-"""Blocks of the plan language: the five words that open blocks, and the branches, bodies and ends of blocks.
+"""Blocks of the plan language (docs/guides/plan_language.md); the five kinds differ only in their :class:`Policy`.
 
-The five kinds of blocks differ only in their :class:`Policy`. A decided block cancels its other branches, also branches
-that are added later. A block ends when all branches have ended, and has the outcome of its deciding branch. A block
-without a deciding branch fails if any branch failed. A plan failure in the body ends the body, and counts as one of the
-block's failures. Two errors fail any block, even after the decision: a usage error, which is raised unchanged, and a
-failed cleanup of a cancelled branch, because the state of the world is then unknown.
-
-A block in the body of another block is a branch of the outer block, its *host*. In ``try_in_order`` the inner block
-runs in place; the host keeps its failure and continues with the next statement. In a concurrent host, a branch runs the
-inner block (:class:`ReadBlock`).
+Two errors fail any block, even after the block's decision: a usage error, and a failed cleanup of a cancelled branch,
+because the state of the world is then unknown. A block in the body of another block, its *host*, is a branch of the
+host. In ``try_in_order``, the inner block runs in place. In a concurrent host, a branch runs it (:class:`ReadBlock`).
 """
 
 from __future__ import annotations
@@ -58,7 +52,7 @@ class Policy:
 
 
 class Block:
-    """A block: ``s`` in ``with par as s``. Failures are collected in a list or, without a list, raised."""
+    """A block: ``s`` in ``with par as s``. The list ``failures`` collects its failures; without a list, it raises."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
@@ -100,9 +94,7 @@ class Block:
         """Reject a premature change of a world by the body's own code; a body that runs in place is never premature."""
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
-        """Reject an action that this body adds to an ``outer`` block while the body's earlier actions haven't ended."""
-
-    # --- branches ---------------------------------------------------------------------------------------------------
+        """Raise RunsEarly if the body's earlier actions haven't ended; ``what`` may change an ``outer`` block."""
 
     def __call__(self, action: Callable[..., Result], *args: object, **kwargs: object) -> Future:
         """Add a branch that calls a function; return a future of the result.
@@ -152,7 +144,7 @@ class Block:
         if scope is None or scope is self.scope or current_branch() is not self._opened_in:
             return
         within = (scope, *scope.around)
-        if self.scope in within and any(each.has_deadline for each in within[: within.index(self.scope)]):
+        if self.scope in within and any(each.deadline is not None for each in within[: within.index(self.scope)]):
             raise OutlivesTimeout(self.name, name)
 
     def _add(self, branch: Branch) -> None:
@@ -226,8 +218,6 @@ class Block:
         branch = Branch(nested, lambda: None, self._changed)
         self.branches.append(branch)
         self._settle(branch, state, error=raised)
-
-    # --- beginning and end --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
         if self.policy.concurrent:  # __exit__ waits, and must succeed
@@ -308,10 +298,9 @@ class Block:
                 body.finish(failure)
 
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
-        """Wait for all branches; return the last interrupt.
+        """Wait for all branches; return the last error of a signal handler during the wait, or else ``interrupt``.
 
-        The interrupt is ``interrupt`` if this error ended the body, or else an error that a signal handler raised
-        during the wait. An error during the wait cancels the branches.
+        An error during the wait cancels the branches.
         """
         own = self._scheduler
         while True:
@@ -346,10 +335,8 @@ class ReadBlock(Block):
     """A block in the body of a concurrent block: its body is read in place, and a branch of its host runs its actions.
 
     The block runs concurrently with its siblings, but Python runs a ``with`` statement in place. Python therefore only
-    *reads* the body: it adds the actions to a queue, and the branch runs them while Python reads the next statements.
-    Using a future in that body waits for its result. Attempts, timeouts, cleanups and waits for a fluent run in place,
-    after the earlier actions of a sequence. Until earlier actions have ended, RunsEarly rejects changes of a world, and
-    branches that the body adds to an outer block.
+    *reads* the body: each action goes into a queue, and the branch runs the queue while Python reads the next actions.
+    Attempts, timeouts, cleanups and waits for a fluent run in place, after the earlier actions of a sequence.
     """
 
     def __init__(self, policy: Policy, host: Block, failures: list[BaseException] | None = None) -> None:
@@ -384,8 +371,6 @@ class ReadBlock(Block):
                     raise RunsEarly(what, block.name, pending)
             block, above = block._run_by, block._own  # noqa: SLF001  same class
 
-    # --- reading ------------------------------------------------------------------------------------------------------
-
     def _begin(self, entering: ExitStack) -> None:
         entering.callback(self._stop_reading)
         started = self._run_by.start(self.name, self._work, dropped=self._drop, span=self._span)
@@ -413,8 +398,6 @@ class ReadBlock(Block):
     def _stop_reading(self) -> None:
         self._body_ended = True
         self._changed.notify_all()
-
-    # --- running ------------------------------------------------------------------------------------------------------
 
     def _work(self) -> None:
         stopped: BaseException | None = None
@@ -451,7 +434,7 @@ class ReadBlock(Block):
 
 
 class Opening(Scope[Block]):
-    """Opens a block at the start of a ``with`` statement; it can be reused, also in other threads and nested."""
+    """Opens a block at the start of a ``with`` statement; several statements and threads may use the same object."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         super().__init__(policy.name)

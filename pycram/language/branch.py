@@ -1,7 +1,7 @@
 """Branches: the actions of a block, and their outcomes.
 
-An action is a function of the plan. A function that contains ``async`` or ``yield`` is rejected: its call would only
-make a coroutine or a generator, and so succeed without running the code. A plain function may return a generator.
+An action is a plain function of the plan. A coroutine function or a generator function is rejected, because its call
+would succeed without running its code.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def name_of(action: Callable[..., Result]) -> str:
 
 
 def label_of(action: Callable[..., Result], args: tuple[object, ...], kwargs: Mapping[str, object]) -> str:
-    """Return the text of a call: "fetch(milk)". The function waits for no future, and calls no code of the plan."""
+    """Return the text of a call, such as "fetch(milk)", without waiting for futures or calling code of the plan."""
     if isinstance(action, partial):
         return label_of(action.func, (*action.args, *args), {**action.keywords, **kwargs})
     if isinstance(action, MethodType):
@@ -237,7 +237,7 @@ def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Resul
 
 
 def lazy(instead: str) -> Callable[[Function], Function]:
-    """Mark a plain function that returns a generator for its work; ``instead`` is the remedy in error messages."""
+    """Decorate a function that returns a generator for its work, and is no action; ``instead`` is the remedy."""
 
     def mark(function: Function) -> Function:
         setattr(function, _LAZY, instead)

@@ -33,7 +33,7 @@ class RunsEarly(UsageError):
         self.what = what  # the premature action
         self.block = block  # kind of the sequence: "seq" or "try_in_order"
         self.pending = tuple(pending)  # names of the earlier actions that have not ended
-        self.file, self.line = call_site()  # file and line in the plan of the code; the first line is 1
+        self.file, self.line = call_site()  # the plan's file and line; the first line is 1
         have = "have" if len(self.pending) > 1 else "has"
         super().__init__(
             f"{notebook.place(self.file, self.line)} would {what} before earlier actions of this {block} block: "
@@ -49,7 +49,7 @@ class OutlivesTimeout(UsageError):
     def __init__(self, block: str, branch: str) -> None:
         self.block = block  # kind of the block, such as "par".
         self.branch = branch  # name of the branch
-        self.file, self.line = call_site()  # file and line of the plan; the first line is 1
+        self.file, self.line = call_site()  # the plan's file and line; the first line is 1
         super().__init__(
             f"{notebook.place(self.file, self.line)} adds {branch} inside a timeout to the {block} block outside "
             f"it. That block ends after the timeout, so the deadline wouldn't apply to {branch}. Open the block inside "
@@ -60,9 +60,8 @@ class OutlivesTimeout(UsageError):
 class BranchesFailed(PlanFailure):
     """A block of the plan language failed; this failure contains the failures of all branches.
 
-    The failure of a block is an instance of all types that these failures have in common. If all branches failed with
+    It is an instance of all types that the branches' failures have in common. If all branches failed with
     ``Unreachable``, ``except Unreachable`` catches the block's failure, which has the fields of the first failure.
-    ``except`` therefore never hides failures of other types.
     """
 
     def __new__(cls, block: str, failures: Iterable[PlanFailure]) -> BranchesFailed:  # noqa: PYI034  a subclass

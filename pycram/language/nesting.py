@@ -175,14 +175,12 @@ def sequential() -> Iterator[Callable[[], None]]:
 def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Iterator[None]:
     """Run a cleanup action after the ``with`` block, even after an error; in the block, actions run in order.
 
-    Python's ``finally`` also runs in a cancelled branch, but a cancelled branch can't move. Cancellation doesn't affect
-    the cleanup. If both block and cleanup fail, the failure of the block is raised, with the other failure in its
-    context. A usage error takes precedence over a failure. If a cancelled block has a failed cleanup, the cancelling
-    block fails with NotCleanedUp.
+    In a cancelled branch, Python's ``finally`` can't move the robot, but this cleanup can. If both block and cleanup
+    fail, the failure of the block is raised, with the other failure in its context; a usage error takes precedence.
 
     Raises:
         BadArgument: The action isn't callable.
-        NotCleanedUp: The action failed after a cancellation.
+        NotCleanedUp: The action failed after a cancellation. The block that cancelled the branch raises the error.
     """
     if not callable(action):
         raise BadArgument("action", action, "a function")

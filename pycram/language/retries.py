@@ -1,18 +1,11 @@
 """Failure handling: retries after plan failures, with the same or other parameters (thesis 3.5.3).
 
-In CRAM, ``with-failure-handling`` repeats its body when the body calls ``retry``. Python runs the body of a ``with``
-statement once, so a plan needs a loop, here with at most six attempts::
+Python runs the body of a ``with`` statement once, so a plan needs a loop, here with at most six attempts::
 
     handling = failure_handling(5, arm="left").on(Unreachable, lambda _: {"arm": "right"}).on(InCollision, step_back)
     for attempt in handling:
         with attempt:
             pick_up(milk, attempt["arm"])
-
-After the last attempt, its failure is raised, with the earlier failures in its context. ``retry(arm="right")`` in the
-body ends the attempt, as in CRAM. ``failure_handling(5).run(pick_up, milk)`` or ``@failure_handling(5)`` retries a
-function. Only plan failures are retried. Code after ``with attempt`` in the loop also runs after failed attempts. A
-``break`` or ``return`` there drops a failure that the plan doesn't handle, because Python can't raise it any more;
-:class:`FailureLeft` warns.
 """
 
 from __future__ import annotations
@@ -52,7 +45,7 @@ class RetriesUsedUp(PlanFailure):
 
 
 class FailureLeft(RuntimeWarning):
-    """After a failed attempt, a plan left the loop, but neither handled nor raised the failure."""
+    """A plan left the loop after a failed attempt, as with ``break``; Python can't raise the failure any more."""
 
 
 class FailureHandling:
@@ -99,7 +92,7 @@ class FailureHandling:
 
     def handles(self, error: BaseException | None) -> bool:
         """Return whether to retry after an error."""
-        # in a cancelled handling, the cancellation of the next attempt would hide the failure of a cleanup
+        # in a cancelled branch, the cancellation of the next attempt would hide the failure of a cleanup
         hidden = error is not None and _is_cancelled() and leaves_uncleaned(error)
         return isinstance(error, self.kinds) and not hidden
 

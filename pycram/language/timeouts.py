@@ -2,8 +2,6 @@
 
 At the deadline, the part is cancelled. A cancelled part stops at its next checkpoint (:mod:`pycram.scheduling`), or at
 its end if it has no further checkpoint. The part fails with :class:`TimedOut`, which a plan may handle or retry.
-
-The body can't add a branch to a block around the timeout, because the branch would outlive the timeout.
 """
 
 from __future__ import annotations
@@ -86,12 +84,10 @@ class _SimulatedDeadline(Limit):
 
     @property
     def has_come(self) -> bool:
-        """Whether the deadline has come."""
         return self._world.sim_step >= self.end
 
     @property
     def was_missed(self) -> bool:
-        """Whether the deadline has passed."""
         return self._world.sim_step > self.end
 
 

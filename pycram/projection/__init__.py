@@ -1,8 +1,7 @@
 """Projection: a forked copy of the process executes an action, and returns the outcome (thesis 6.3; CRAM).
 
-The copy continues from this moment with the plan, its worlds and its random numbers. The copy therefore gets exactly
-the results that this process would get. Other branches of the plan don't run in the copy. This process waits for the
-outcome.
+The copy continues from this moment with the plan, its worlds and its random numbers, so it gets exactly the results
+that this process would get. Other branches of the plan don't run in the copy. This process waits for the outcome.
 """
 
 from __future__ import annotations
@@ -94,12 +93,10 @@ class Outcome:
     succeeded: bool
     #: The action's return value, in which objects belong to this process; None if the value can't be pickled.
     result: Result = None
-    #: The action's error; ProjectionDied after a crash or at a limit, ProjectedError for an error that can't be
-    #: pickled.
+    #: The action's error: ProjectionDied after a crash or at a limit, ProjectedError if the error can't be pickled.
     failure: BaseException | None = None
     duration: float = 0.0  # seconds of simulated time that passed in the current world
-    #: The current world's final state, for ``world.restore(outcome.state)``. The state is None without a world, or if a
-    #: body followed a trajectory at the end.
+    #: The current world's final state, for ``world.restore``; None without a world, or if a body followed a trajectory.
     state: SavedState | None = None
     recording: Path | None = None  # None if there is no recording
     unsent: str = ""  # text of a return value that can't be pickled
@@ -289,7 +286,7 @@ class _Projection:
         return Outcome(self._name, False, failure=ProjectionDied(self._name, cause), recording=self._recording)
 
     def begin(self) -> None:
-        """Record the start of the task. It isn't the current task, as several projections run in parallel."""
+        """Record the start of the task once. The task isn't the current task, because projections run in parallel."""
         if not self._begun:
             self._begun = True
             self._task.start(self._task_began)

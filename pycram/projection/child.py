@@ -120,12 +120,6 @@ def has_children() -> bool:
     return True
 
 
-def wait(children: Sequence[Child], timeout: float | None) -> None:
-    """Read from all children that send data. Return when a child has sent data, or after the timeout in s."""
-    for child in select.select(children, (), (), timeout)[0]:
-        child.read()
-
-
 def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
     """Run the child, which doesn't write to, close or clean up anything of the parent."""
     try:
@@ -153,8 +147,8 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
 
 
 def _leave(writing: int, parent: int) -> None:
-    """Prepare a process that the child's action has forked: it sends no answer, and ends with the child."""
-    if os.getppid() == parent:  # processes that the child forks inherit the open file
+    """Let a process that the child's action has forked send no answer, and end with the child."""
+    if os.getppid() == parent:
         os.close(writing)
         die_with(parent)
 
@@ -247,7 +241,9 @@ class ChildPool(Generic[Job]):
                 while waiting and len(running) < self.cores:
                     job = waiting.popleft()
                     running[job] = _Running(start(job), self.limit, self._grace)
-                wait([each.child for each in running.values()], min(each.time_left() for each in running.values()))
+                timeout = min(each.time_left() for each in running.values())
+                for child in select.select([each.child for each in running.values()], (), (), timeout)[0]:
+                    child.read()
                 if interrupts.is_pending():
                     checkpoint()
                 for job, each in list(running.items()):
@@ -268,10 +264,10 @@ class ChildPool(Generic[Job]):
 
 
 def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
-    """Return the index of the first question with the answer "yes"; None without such a question, or without copies.
+    """Return the index of the first question that is true; None without such a question, or without copies.
 
-    A copy of this process answers each question, and may change its worlds. Nothing is recorded, and an error counts as
-    "no".
+    A copy of this process answers each question, so questions may change worlds. Nothing is recorded, and an error
+    counts as False.
     """
     if obstacle() or is_held():
         return None

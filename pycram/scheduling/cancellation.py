@@ -64,24 +64,19 @@ class CancelScope(Condition):
         known = parent.deadlines if parent is not None else ()
         #: The deadlines of this scope and of the scopes around it, innermost first.
         self.deadlines: tuple[Limit, ...] = known if deadline is None else (deadline, *known)
-        self._deadline = deadline
+        self.deadline = deadline
         self.cancel_called = False  # whether cancel() was called
         self.struck = 0  # number of the checkpoint at which the thread noticed that the deadline had passed; or 0
 
     @property
     def is_overdue(self) -> bool:
         """Whether the deadline of this scope has passed; deadlines of outer scopes don't count."""
-        return self._deadline is not None and self._deadline.has_come
+        return self.deadline is not None and self.deadline.has_come
 
     def refuse_late(self) -> None:
         """Raise Cancelled if the deadline of this scope has passed."""
-        if self._deadline is not None and self._deadline.was_missed:
+        if self.deadline is not None and self.deadline.was_missed:
             raise Cancelled
-
-    @property
-    def has_deadline(self) -> bool:
-        """Whether this scope has a deadline."""
-        return self._deadline is not None
 
     @property
     def sources(self) -> tuple[Condition, ...]:
