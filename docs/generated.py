@@ -24,8 +24,13 @@ _RECORDS: Final = _DOCS.parent / "recorder" / "records" / "log.proto"
 _NAMES: Final = {
     "plans": ("Plans and parameters", ["pycram"]),
     "worlds": (
-        "Worlds and objects",
-        ["pycram.bullet_world", "pycram.event", "pycram.models.robots.description.RobotDescription"],
+        "BulletWorld, Object, Event and RobotDescription",
+        [
+            "pycram.bullet_world.BulletWorld",
+            "pycram.bullet_world.Object",
+            "pycram.event",
+            "pycram.models.robots.description.RobotDescription",
+        ],
     ),
     "designators": (
         "Designators, actions and process modules",
@@ -62,9 +67,10 @@ _SUBJECTS: Final = {
 def pages() -> dict[str, str]:
     """Return the pages, and the notebooks of the tutorial, by their paths in the site."""
     made = {f"reference/names/{name}.md": _names(*entry) for name, entry in _NAMES.items()}
-    made |= {"reference/records.md": _records(), "reference/commands.md": _commands()}
-    made["reference/tables.md"] = _tables()
     made |= {
+        "reference/records.md": _records(),
+        "reference/commands.md": _commands(),
+        "reference/tables.md": _tables(),
         "howto/index.md": _recipes(),
         "guides/index.md": "# Guides\n\nThe rules of each part.\n\n" + _titles("guides", "*"),
     }
