@@ -167,6 +167,7 @@ def _made_state(log: RecordReader, why: Why) -> Iterator[int]:
                 yield last.record.seq
 
 
+_CHANGES: Final = 20  # maximum number of last changes among which the largest is sought
 _CLOSE: Final = 0.15  # distance in m at which a point is near an object
 _FAR: Final = 0.5  # distance in m at which a point is away from all objects
 _ROOM: Final = 3.0  # distance in m at which a point is outside of the scene
@@ -193,12 +194,17 @@ def _moved_since(log: RecordReader, origin: Origin, why: Why) -> str:
     distance = 0.0 if before is None else math.dist(before.position, world.bodies[origin.body].position)
     if distance < _MOVED:
         return ""
-    last = blame(log, origin.body, why.step, world.name)
-    stack = last.causes.call_stack
-    motion = next((each.started for each in last.causes.tasks if each.started.kind == "motion"), None)
+    changes = [blame(log, origin.body, why.step, world.name)]
+    while len(changes) < _CHANGES and (step := changes[-1].record.seq - 1) > origin.step:
+        changes.append(blame(log, origin.body, step, world.name))
+    since = [each for each in changes if each.record.seq > origin.step]
+    most = max(since, key=lambda each: each.distance, default=changes[0])
+    stack = most.causes.call_stack
+    motion = next((each.started for each in most.causes.tasks if each.started.kind == "motion"), None)
     by = f" by {motion.name}" if motion is not None else ""
+    when = "last" if most is changes[0] else "farthest"
     return (
-        f"{origin.body} has moved {phrases.length(distance)} since then, last at step {last.record.seq}{by}"
+        f"{origin.body} has moved {phrases.length(distance)} since then, {when} at step {most.record.seq}{by}"
         + phrases.at(stack[-1] if stack else PlanSource(log).line("", 0))
     )
 
