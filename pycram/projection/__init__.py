@@ -40,7 +40,7 @@ from pycram.world.world import BulletWorld, current_world, open_worlds
 from recorder import html, records
 from recorder.recording import record
 from recorder.records import format_error
-from recorder.records.tracebacks import text_or
+from recorder.records.tracebacks import result_or
 from recorder.tracing import journal
 from recorder.tracing.interrupts import Uninterrupted
 from recorder.tracing.span import Span
@@ -334,7 +334,7 @@ def _answer(action: Action, task: Span, recording: Path | None, begin: Callable[
     except Exception:  # noqa: BLE001  pickling calls code of the plan's classes; the answer then contains a text
         if failure is None:
             kind = type(result).__name__
-            text = text_or(partial(repr, result), lambda error: f"<{kind}, without a text: {format_error(error)}>")
+            text = result_or(partial(repr, result), lambda error: f"<{kind}, without a text: {format_error(error)}>")
             return _pickled((True, None, None, steps, state, text))
         return _pickled((False, None, ProjectedError(format_error(failure)), steps, state, ""))
 

@@ -20,6 +20,7 @@ from recorder import notebook
 if TYPE_CHECKING:
     Formatter: TypeAlias = Callable[[BaseException], str]
 
+Value = TypeVar("Value")
 Other = TypeVar("Other")
 
 MAX_FRAMES: Final = 32  # the text of an error has at most this many frames, the innermost frames
@@ -150,15 +151,15 @@ def message(error: BaseException) -> Iterator[str]:
         yield from TracebackException(kind, error, error.__traceback__, limit=0).format_exception_only()
         return
     module = "" if kind.__module__ in {"builtins", "__main__"} else f"{kind.__module__}."
-    name, text = f"{module}{kind.__qualname__}", text_or(lambda: str(error), lambda _: "<exception str() failed>")
+    name, text = f"{module}{kind.__qualname__}", result_or(lambda: str(error), lambda _: "<exception str() failed>")
     yield f"{name}: {text}\n" if text else f"{name}\n"
     for note in notes if isinstance(notes, list) else ():
-        yield from (f"{line}\n" for line in text_or(partial(str, note), lambda _: "<note str() failed>").split("\n"))
+        yield from (f"{line}\n" for line in result_or(partial(str, note), lambda _: "<note str() failed>").split("\n"))
 
 
-def text_or(text: Callable[[], str], otherwise: Callable[[Exception], Other]) -> str | Other:
-    """Return the text from a user's method. If the method raises an error, return ``otherwise(error)``."""
+def result_or(call: Callable[[], Value], otherwise: Callable[[Exception], Other]) -> Value | Other:
+    """Return the result of a user's method. If the method raises an error, return ``otherwise(error)``."""
     try:
-        return text()
+        return call()
     except Exception as error:  # noqa: BLE001  a method of the user may raise any error
         return otherwise(error)

@@ -17,7 +17,7 @@ from hashlib import sha256
 from typing import Any, Final, TypeAlias
 
 from recorder.records.log_pb2 import Argument, Failure
-from recorder.records.tracebacks import MAX_ERRORS, format_traceback, text_or
+from recorder.records.tracebacks import MAX_ERRORS, format_traceback, result_or
 
 MAX_NESTING: Final = 100  # readers return a value with more nested lists and dictionaries as text
 MAX_CHARACTERS: Final = 8 << 20  # longer JSON isn't recorded, because readers reject records of many MiB
@@ -61,7 +61,7 @@ def to_json(value: object) -> str:
     An object without ``__record__`` becomes ``{"repr": ...}``. A value that raises errors or is too long becomes
     ``{"untold": type, "because": ...}``, so that recording never breaks a plan.
     """
-    return text_or(
+    return result_or(
         lambda: _json(value),
         lambda error: json.dumps({"untold": type(value).__qualname__, "because": format_error(error)}),
     )
@@ -126,7 +126,7 @@ def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> d
 
 
 def _message(error: BaseException) -> str:
-    return text_or(lambda: str(error), lambda broken: f"<no message: {type(broken).__qualname__}>")
+    return result_or(lambda: str(error), lambda broken: f"<no message: {type(broken).__qualname__}>")
 
 
 def format_error(error: BaseException) -> str:

@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple, TextIO
 
 from recorder.errors import discard
 from recorder.records import Output, escaped, format_error
-from recorder.records.tracebacks import text_or
+from recorder.records.tracebacks import result_or
 from recorder.tracing import context, journal
 from recorder.tracing.call_stack import CallSite, call_site
 from recorder.tracing.context import current_ident, current_name
@@ -79,7 +79,7 @@ def _logged(log: Journal) -> Iterator[None]:
 
 
 def _logged_line(message: logging.LogRecord) -> Output:
-    text = text_or(message.getMessage, lambda _: str(message.msg))
+    text = result_or(message.getMessage, lambda _: str(message.msg))
     if message.exc_info and message.exc_info[1] is not None:
         text = f"{text}: {format_error(message.exc_info[1])}"
     return Output(

@@ -34,7 +34,7 @@ from pycram.projection.child import Child, die_with, has_children, obstacle
 from pycram.scheduling.future import is_future
 from pycram.scheduling.schedule import is_held, scheduler
 from recorder.records import Record, Task, format_error
-from recorder.records.tracebacks import text_or
+from recorder.records.tracebacks import result_or
 from recorder.tracing import forking, interrupts, journal
 from recorder.tracing.call_stack import is_plan, plan_frames
 from recorder.tracing.journal import NullSink
@@ -182,7 +182,7 @@ def completions(frame: FrameType, text: str) -> list[str]:
 
 
 def _repr(value: object) -> str:
-    return text_or(partial(repr, value), lambda error: f"<{type(value).__name__}: {format_error(error)}>")
+    return result_or(partial(repr, value), lambda error: f"<{type(value).__name__}: {format_error(error)}>")
 
 
 # --- stopping ---------------------------------------------------------------------------------------------------------
@@ -241,7 +241,7 @@ class WatchedExpression:
         function = (self.file, self.first)
         codes = ((each.frame, each.frame.f_code) for each in frames)
         frame = next((one for one, code in codes if (code.co_filename, code.co_firstlineno) == function), None)
-        return None if frame is None else text_or(lambda: repr(value_of(frame, self.expression)), lambda _: None)
+        return None if frame is None else result_or(lambda: repr(value_of(frame, self.expression)), lambda _: None)
 
 
 @dataclass(slots=True)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
+from recorder.records.tracebacks import result_or
 from recorder.tracing.call_stack import described
 from replay.origins.noting import FUNCTIONS, Held, Note, ValueNotes, bound_names
 from replay.origins.origin import Origin
@@ -613,10 +614,7 @@ def _truth(value: Any) -> bool:
 
 def _holds(test: Callable[[], Any], *, otherwise: bool) -> bool:
     """Return whether a test's result is true; ``otherwise`` if a method of the plan's objects raises an error."""
-    try:
-        return bool(test())
-    except Exception:  # noqa: BLE001  a method of the plan may raise any error
-        return otherwise
+    return result_or(lambda: bool(test()), lambda _: otherwise)
 
 
 def _receiver(note: Note) -> Any:
