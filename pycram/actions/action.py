@@ -1,6 +1,6 @@
-"""Actions: goals of a robot, as plain functions of the plan language (CRAM).
+"""Actions: plain functions of the plan language that reach goals of a robot (CRAM).
 
-``@action("fetching")`` makes a function the action of that type; it replaces an earlier function of the type. The
+``@action("fetching")`` makes a function perform the actions of this type, instead of an earlier function. The
 function's signature and docstring define slots, defaults and units. The *choices* of an action yield values for the
 open slots on demand, the best first.
 """
@@ -73,9 +73,8 @@ def _place(name: str, value: Any) -> Any:
 def _place_for_an_object(name: str, value: Any) -> Any:
     wanted = _place(name, value)
     if isinstance(wanted, LocationDesignator) and not (wanted.for_objects or wanted.prop_value("position")):
-        raise BadArgument(
-            name, value, "a place for an object: a position, or a designator with the slot on, in or position"
-        )
+        known = "a place for an object: a position, or a designator with the slot on, in or position"
+        raise BadArgument(name, value, known)
     return wanted
 
 
@@ -136,12 +135,9 @@ _BY_SLOT: Final[Mapping[str, Check]] = {
     "arm": ARM,
     "grasp": GRASP,
 }
+_SPENT: Final = "number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget"
 _COMMON: Final = (
-    Slot(
-        "budget",
-        _BUDGET,
-        text="number of tries that may fail, also in subactions; by default 20, or the rest of the outer budget",
-    ),
+    Slot("budget", _BUDGET, text=_SPENT),
     Slot("projected", _FLAG, text="whether to try the best choices in projections first; False by default"),
 )
 
@@ -197,7 +193,7 @@ def action(
     checked: Mapping[str, Check] | None = None,
     one_of: Sequence[str] = (),
 ) -> Callable[[Callable[P, Result_co]], Action[P, Result_co]]:
-    """Decorate a function that performs the actions of a type. An earlier function is replaced.
+    """Decorate a function that performs the actions of a type; it replaces an earlier function of the type.
 
     The function gets an attribute ``designator``: a function with the same parameters that returns a designator of the
     action, as in ``perform(tidying_up.designator(object=milk))``.
@@ -205,10 +201,9 @@ def action(
     Args:
         name: Type of the actions, such as "fetching".
         choices: A generator function that yields values of slots by name, the best first; the action tries them in
-            order. The parameters of ``prepare`` are names of slots. Slots that aren't its parameters keep the values
-            that the plan gave.
-        prepare: Called with its slots before ``choices``, for example to search for an object. If it is a generator
-            function, its code after the only ``yield`` runs after the action.
+            order. The generator's parameters are names of slots; other slots keep the values that the plan gave.
+        prepare: A function that is called before ``choices``, for example to search for an object; its parameters are
+            names of slots. In a generator function, the code after the only ``yield`` runs after the action.
         checked: Checks of slots by name; PyCRAM knows the slots of its own actions.
         one_of: Slots of which exactly one is required.
 
@@ -218,7 +213,16 @@ def action(
     checks.text("name", name)
 
     def register(function: Callable[P, Result_co]) -> Action[P, Result_co]:
-        TYPES[name] = _type(name, function, choices, prepare, checked or {}, one_of)
+        TYPES[name] = ActionType(
+            name,
+            (*_slots(function, checked or {}), *_COMMON),
+            tuple(one_of),
+            only_one=bool(one_of),
+            function=function,
+            choices=choices,
+            prepare=prepare,
+            text=(inspect.getdoc(function) or "").partition("\n\nArgs:")[0],
+        )
 
         def designator(*args: P.args, **kwargs: P.kwargs) -> ActionDesignator:
             given = inspect.signature(function).bind_partial(*args).arguments
@@ -256,34 +260,15 @@ def replaced(
             TYPES[name] = before
 
 
-def _type(
-    name: str,
-    function: Callable[..., Any],
-    choices: Choices | None,
-    prepare: Callable[..., Any] | None,
-    checked: Mapping[str, Check],
-    one_of: Sequence[str],
-) -> ActionType:
+def _slots(function: Callable[..., Any], checked: Mapping[str, Check]) -> Iterator[Slot]:
     texts = _texts(function)
-    table = []
     for parameter in inspect.signature(function).parameters.values():
         if parameter.kind not in (parameter.KEYWORD_ONLY, parameter.POSITIONAL_OR_KEYWORD):
             raise BadArgument("function", qualified_name(function), "a function that takes keyword arguments")
         slot = slot_name(parameter.name)
-        required = parameter.default is parameter.empty
         check = checked.get(slot) or _BY_SLOT.get(slot, _ANYTHING)
-        table.append(Slot(slot, check, required=required, text=texts.get(parameter.name, "")))
-    text = (inspect.getdoc(function) or "").partition("\n\nArgs:")[0]
-    return ActionType(
-        name,
-        (*table, *_COMMON),
-        tuple(one_of),
-        only_one=bool(one_of),
-        function=function,
-        choices=choices,
-        prepare=prepare,
-        text=text,
-    )
+        required = parameter.default is parameter.empty
+        yield Slot(slot, check, required=required, text=texts.get(parameter.name, ""))
 
 
 def _texts(function: Callable[..., Any]) -> dict[str, str]:
@@ -308,8 +293,8 @@ class ActionDesignator(ResolvedDesignator):
     ``help(pycram.action_designators)`` lists PyCRAM's types of actions and their slots.
 
     A solution has the given slots, and values for the open slots; the best solution comes first. The action itself
-    resolves designators in its slots, because it may have to search for an object first. Solutions of a resolver that a
-    plan adds have the type of the action in ``action``.
+    resolves designators in its slots, because the action may have to search for an object first. If a plan adds a
+    resolver, the resolver's solutions name the type of the action in ``action``.
     """
 
     performed_by = "pycram.actions.perform"
@@ -331,7 +316,7 @@ def _checked(designator: ActionDesignator) -> tuple[ActionType, dict[str, Any]]:
 
 
 def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
-    """Prepare an action; after the ``with`` block, run the rest of its generator function ``prepare``."""
+    """Call an action's ``prepare``; if it is a generator function, its rest runs after the ``with`` block."""
     try:
         kind, given = _checked(designator)
     except DesignatorError:  # a resolver of the plan may know slots that the action doesn't know
@@ -354,7 +339,7 @@ def resolve(designator: ActionDesignator) -> Iterator[Solution]:
 
 
 def _open_choices(kind: ActionType, given: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
-    """Yield the choices of an action; given slots that aren't parameters of ``choices`` are left out."""
+    """Yield the choices of an action, without values for given slots that aren't parameters of ``choices``."""
     if kind.choices is None:
         yield {}
         return

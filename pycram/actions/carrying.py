@@ -48,12 +48,12 @@ _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=
 
 
 def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
-    """Find an object, open its container, and fold the arms before searching places; return opened containers."""
+    """Find an object, open its container, and fold the arms, all before places are searched; return what opened."""
     arms()
     closed = [access for access, _ in containers() if access.is_closed]
     body = _found(object)
     if holder(body) is None:
-        container = enclosing(body)
+        container = enclosing(center(body))
         if container is not None:
             perform(ActionDesignator(type="opening", container=container))
         park()
@@ -82,7 +82,7 @@ def _fetching_choices(
     grasp: str | None = None,
     clear: bool = False,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield arms and places of the robot for taking an object; last, choices that clear obstacles away first."""
+    """Yield arms and places of the robot for taking an object; the last choices clear obstacles away first."""
     body = object_of(object)
     if holder(body) is not None:
         yield {}
@@ -114,7 +114,7 @@ def _fetching_choices(
 def _from_places(
     body: Object, free: Sequence[str], reach: Target, grasp: str | None = None
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield arms, and places from which they reach a target, until an arm has taken the object."""
+    """Yield arms, and places from which these arms reach a target, until an arm has taken the object."""
     robot = BulletWorld.current_robot()
     for spot in itertools.islice(standing_places(robot, reach=[reach], arms=free, grasp=grasp), _MAX_PLACES):
         for arm in spot.arms:
@@ -170,9 +170,9 @@ def fetching(
 
 
 def _crowded(body: Object) -> bool:
-    """Return whether a movable object is near an object; it is a possible obstacle."""
-    others = [each for each in body.world.objects if each is not body and not each.fixed and not each.is_robot]
-    free = [each for each in others if each.carrier is None and each not in _waiting.get()]
+    """Return whether a movable object, which may be an obstacle, is near an object."""
+    others = [each for each in body.world.objects if not each.fixed and not each.is_robot and each.carrier is None]
+    free = [each for each in others if each not in (body, *_waiting.get())]
     return any(math.dist(each.get_position(), body.get_position()) < _BESIDE for each in free)
 
 
@@ -180,7 +180,7 @@ def _clear_away(body: Object, arm: str | None) -> None:
     """Move the objects that block an arm's way to an object to other surfaces.
 
     Raises:
-        ReasoningError: No blocking object can be moved, or a blocking object can't be taken before this object.
+        ReasoningError: No blocking object can be moved, or two objects block each other.
     """
     robot = BulletWorld.current_robot()
     description = robot.description
@@ -213,7 +213,7 @@ def _surfaces_beside(body: Object) -> list[Surface]:
 
 
 def _beyond(furniture: Object, surface: Surface, position: Sequence[float]) -> bool:
-    """Return whether a surface is larger than the surroundings of a position; the top of a small fridge isn't."""
+    """Return whether a surface reaches farther than ``_BESIDE`` from a position, unlike the top of a small fridge."""
     pose = furniture.surface_pose(surface)
     corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
     return any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
@@ -224,7 +224,7 @@ def _delivering_choices(
     target: Any,
     place: LocationDesignator | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places for the object and for the robot; end with an empty choice if the robot lost the object."""
+    """Yield places for the object and for the robot; if the robot lost the object, the last choice is empty."""
     body, robot = object_of(object), BulletWorld.current_robot()
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []

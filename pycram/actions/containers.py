@@ -59,7 +59,7 @@ class Access:
 
 
 def _known_container(name: str, value: Any) -> Any:
-    """Return the Access of a container or of its name; an Object is only checked, and returned unchanged."""
+    """Return the Access for a container or for its name; an Object is only checked, and returned unchanged."""
     if isinstance(value, Object):
         return BODY(name, value)
     known = containers()
@@ -89,12 +89,7 @@ def containers() -> list[tuple[Access, Any]]:
     ]
 
 
-def enclosing(body: Object) -> Any:
-    """Return the closed container around an object; None if no closed container is around it."""
-    return enclosing_at(center(body))
-
-
-def enclosing_at(position: Sequence[float]) -> Any:
+def enclosing(position: Sequence[float]) -> Any:
     """Return the closed container around a position in the world frame, m; None without such a container."""
     return next((each for access, each in containers() if access.is_closed and _holds(access, each, position)), None)
 
@@ -114,7 +109,7 @@ def _holds(access: Access, container: Any, position: Sequence[float]) -> bool:
 def making_room(body: Object) -> list[ActionDesignator]:
     """Return actions that make room for a robot near an object, ordered by the distance of the handles.
 
-    These actions open the object's own drawer or door as far as possible, and close others beside it.
+    These actions open the object's own drawer or door as far as possible, and close other drawers and doors beside it.
     """
     position = center(body)
     found: list[tuple[float, ActionDesignator]] = []
@@ -137,11 +132,8 @@ def _access_of(container: Access | Object, joint: str | None, handle: str | None
     if isinstance(container, Access):
         return container
     body = container
-    meant = [
-        access
-        for access, _ in containers()
-        if access.body is body and joint in (None, access.joint) and handle in (None, access.handle)
-    ]
+    own = [access for access, _ in containers() if access.body is body]
+    meant = [each for each in own if joint in (None, each.joint) and handle in (None, each.handle)]
     if len(meant) == 1:
         return meant[0]
     if handle is not None and joint is None:
@@ -165,10 +157,7 @@ def _handle_choices(
 ) -> Iterator[Mapping[str, Any]]:
     """Yield arms and places from which a handle can be held during its whole motion.
 
-    Args:
-        values: Target positions of the joint, rad or m, the best first.
-        place: Place of the robot, m; None to search places.
-        orientation: Orientation of the robot's base at that place; by default it doesn't turn.
+    ``values`` has goal positions of the joint, rad or m, the best first. If ``place`` is None, places are searched.
     """
     robot = BulletWorld.current_robot()
     arms = _free_arms(robot, access, arm)

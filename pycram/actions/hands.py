@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from pycram.actions.action import action, place_for_an_object, portable
-from pycram.actions.containers import containers, enclosing_at
+from pycram.actions.containers import containers, enclosing
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.navigating import go
 from pycram.actions.objects import object_of
@@ -57,7 +57,7 @@ def holding_arm(body: Object) -> Arm:
 
 
 def free_arms(name: str | None = None) -> list[str]:
-    """Return the names of the arms that hold no object; consider all arms, or only the arm with a ``name``.
+    """Return the names of the arms that hold no object, of all arms or only of the arm ``name``.
 
     Raises:
         MissingPart: The robot has no arm.
@@ -79,13 +79,11 @@ _AWAY: Final = (180, 90, -90)  # turns of the robot away from obstacles that are
 
 
 def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]:  # noqa: A002  the slot's name
-    """Yield poses of the giving hand, and the taking arm; last, with the robot turned away from obstacles."""
+    """Yield poses of the giving hand, and the taking arm; in the last choices, the robot turns away from obstacles."""
     body = object_of(object)
     robot = BulletWorld.current_robot()
     giver = _giver(robot, body)
-    assert robot.description is not None  # noqa: S101  the caller has checked that the robot has arms
-    others = [each for each in robot.description.arms.values() if each is not giver and each.hand is not None]
-    takers = [each for each in others if arm in (None, each.name)]
+    takers = [each for each in arms() if each is not giver and arm in (None, each.name)]
     if arm == giver.name:
         raise ReasoningError(f"{body.name} can't be handed over to the {arm} arm, which holds it")
     if not takers:
@@ -158,9 +156,9 @@ def _turned(robot: Object, here: PoseLike) -> Iterator[Pose]:
 
 
 def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, blocked: list[Blocked]) -> Iterator[Pose]:
-    """Yield collision-free poses of the giving hand in the robot's frame; add obstacles of others to ``blocked``.
+    """Yield collision-free poses of the giving hand in the robot's frame, with the robot at ``place``.
 
-    ``place`` is the place of the robot; None for its present place.
+    Other poses add their obstacles to ``blocked``. A place of None is the robot's present place.
     """
     middle, inward = _middle(robot, giver, taker)
     for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
@@ -190,11 +188,7 @@ def _middle(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
     return ((x + u) / 2, (y + v) / 2, (z + w) / 2), 1 if y < v else -1
 
 
-def _arms(arm: str | None = None) -> Iterator[Mapping[str, Any]]:
-    yield from ({"arm": each} for each in free_arms(arm))
-
-
-@action("picking-up", choices=_arms, checked={"object": portable})
+@action("picking-up", choices=lambda arm=None: ({"arm": each} for each in free_arms(arm)), checked={"object": portable})
 def picking_up(object: Any, arm: str | None = None, grasp: GraspSide | None = None) -> Any:  # noqa: A002  the slot's name
     """Takes an object with a gripper, without driving.
 
@@ -211,9 +205,9 @@ _UPRIGHT: Final = [geometry.from_rpy(0.0, 0.0, step * math.pi / 6) for step in r
 
 
 def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Mapping[str, Any]]:
-    """Yield places of an object at a target, the value of the slot ``target``: ``position`` and ``orientation``.
+    """Yield ``position`` and ``orientation`` of an object at places of a target, the value of the slot ``target``.
 
-    An orientation of None means any orientation. ``arm`` is the arm that must reach the place; None for any arm.
+    If an orientation is None, any orientation is allowed. ``arm`` is the arm that must reach the place; None for any.
     """
     if not isinstance(target, LocationDesignator):
         yield {"position": target, "orientation": None}
@@ -229,13 +223,13 @@ def places_for(body: Object, target: Any, arm: Arm | None = None) -> Iterator[Ma
 
 
 def check_target(body: Object, target: Any) -> None:
-    """Check, before anything moves, that a target has room for an object; raise NoPlace or PlaceFailed if not."""
+    """Check that a target has room for an object, before anything moves; raise NoPlace or PlaceFailed without room."""
     closed = _closed_at(target)
     place: Mapping[str, Any] = {}
     try:
         place = next(places_for(body, target))
     except NoPlace as failure:
-        if not closed or failure.last != "room":  # a closed container has no room for the object
+        if not closed or failure.last != "room":  # a closed container never has room
             raise
     if closed:
         last = f"{' and '.join(closed)}, which {'is' if len(closed) == 1 else 'are'} closed: open it first"
@@ -256,7 +250,7 @@ def check_target(body: Object, target: Any) -> None:
 def _closed_at(target: Any) -> list[str]:
     if not isinstance(target, LocationDesignator) or not target.for_objects:
         place = target.reference()["position"] if isinstance(target, LocationDesignator) else target
-        container = enclosing_at(place)
+        container = enclosing(place)
         return [] if container is None else [container.name]
     owners = {(body, surface.container) for body, surface in target.surfaces()}
     if any(not name for _, name in owners):

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 Surfaces: TypeAlias = "list[tuple[Object, Surface]]"  # pairs of furniture and a surface
 _THING: Final = "Object | ObjectDesignator | str"
 _ON: Final = "Surface | Object | str"
+_IN: Final = "Container | Object | str"
+_POINT: Final = f"{_THING} | Sequence[float]"
 
 
 def _surfaces(name: str, value: Any) -> Surfaces:
@@ -103,17 +105,9 @@ _SLOTS: Final = SlotTable(
             text="A surface, its name, furniture (all its surfaces outside containers), an object such as a "
             "plate (its top), or a list of these",
         ),
-        Slot(
-            "in",
-            ValueKind("", _inside, "Container | Object | str"),
-            text="A container, its name, or an object with containers",
-        ),
+        Slot("in", ValueKind("", _inside, _IN), text="A container, its name, or an object with containers"),
         Slot("for", ValueKind("", thing, _THING), text="the object to put down; by default the object of the action"),
-        Slot(
-            "near",
-            ValueKind("", _near, f"{_THING} | Sequence[float]"),
-            text="[x, y] or [x, y, z] in m, world frame, or an object",
-        ),
+        Slot("near", ValueKind("", _near, _POINT), text="[x, y] or [x, y, z] in m, world frame, or an object"),
         Slot(
             "side",
             ValueKind("", _side, f"Side | tuple[Side, {_THING}]"),
@@ -121,7 +115,7 @@ _SLOTS: Final = SlotTable(
         ),
         Slot(
             "reachable-for",
-            ValueKind("", _reachable, f"{_THING} | Sequence[float] | PutDown"),
+            ValueKind("", _reachable, f"{_POINT} | PutDown"),
             text="For a place of the robot, the target within reach: an object, or [x, y, z] in m; for a place "
             "of an object, the robot that must reach the place",
         ),
@@ -130,11 +124,7 @@ _SLOTS: Final = SlotTable(
             ValueKind("", thing, _THING),
             text="the object that the robot's camera must see from the place",
         ),
-        Slot(
-            "away-from",
-            ValueKind("", _near, f"{_THING} | Sequence[float]"),
-            text="an object or a point; its distance from the place is at least 0.4 m",
-        ),
+        Slot("away-from", ValueKind("", _near, _POINT), text="an object or a point at least 0.4 m from the place"),
         Slot("arm", ARM, text="the arm that must reach the target; by default any arm"),
     ),
     one_of=("position", "on", "in", "near", "reachable-for", "visible-for"),
@@ -262,9 +252,7 @@ def _robots_places(slots: Mapping[str, Any]) -> Iterator[FoundPlace]:
         see=None if seen is None else object_of(seen),
         near=_point(slots.get("near")),
     )
-    if away is None:
-        return places
-    return _far_from(away, places, robot)
+    return places if away is None else _far_from(away, places, robot)
 
 
 def _far_from(point: Sequence[float], places: Iterator[FoundPlace], robot: Object) -> Iterator[FoundPlace]:

@@ -77,17 +77,16 @@ def parking_arms(arm: str | None = None) -> None:
         arm: Name of the arm; by default all arms.
     """
     robot = BulletWorld.current_robot()
-    description = robot.description
-    every = [] if description is None else [each for each in description.arms.values() if "park" in each.poses]
+    arms = robot.description.arms.values() if robot.description else ()
+    every = [each for each in arms if arm in (None, each.name) and "park" in each.poses]
     for each in every:
-        if arm in (None, each.name) and level(robot, each):
+        if level(robot, each):
             _carry(robot, each)
-    every = [each for each in every if not level(robot, each)]
     now = robot.get_joint_positions()
     open_ = [
         each.name
         for each in every
-        if arm in (None, each.name)
+        if not level(robot, each)
         and any(abs(now[joint] - value) >= _PARKED for joint, value in each.posture("park").items())
     ]
     if not open_:
@@ -102,7 +101,7 @@ def parking_arms(arm: str | None = None) -> None:
 
 
 def _carry(robot: Object, arm: Arm) -> None:
-    """Draw an arm back before its shoulder; the object that it holds stays upright; ignore a failure."""
+    """Move the hand of an arm back to a point before the shoulder, with the held object upright; ignore a failure."""
     shoulder = robot.urdf.forward_kinematics(robot.get_joint_positions(), robot.urdf.joint(arm.joints[0]).child)[0]
     base = robot.get_position_and_orientation()
     places = [geometry.transform(geometry.multiply(base, (shoulder, geometry.IDENTITY[1])), each) for each in _CARRIED]

@@ -59,16 +59,14 @@ def has_camera() -> bool:
 
 def detected(bodies: Sequence[Object]) -> Object:
     """Return the object that the robot's camera sees best in its present direction; else raise PerceptionError."""
-    kind = bodies[0].type
-    sees = has_camera()
-    found: Object = perform(MotionDesignator(type="detecting" if sees else "world-state-detecting", object_type=kind))
+    kind, robot = bodies[0].type, BulletWorld.current_robot()
+    camera = robot.description.camera if robot.description else None
+    found: Object = perform(MotionDesignator(type="detecting" if camera else "world-state-detecting", object_type=kind))
     if found in bodies:
         return found
-    robot = BulletWorld.current_robot()
-    if sees and robot.description is not None and robot.description.camera is not None:
-        for body in bodies:
-            if visible(body, robot.description.camera.frame, robot=robot, threshold=RECOGNISABLE):
-                return body
+    for body in bodies:
+        if camera and visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE):
+            return body
     raise PerceptionError(kind, {body.name: f"is not seen, but {found.name}" for body in bodies})
 
 
@@ -110,7 +108,7 @@ export("pycram.actions", ObjectNotFound)
 
 @dataclass(frozen=True, slots=True)
 class _Point:
-    where: str  # words for messages, such as "on the island"
+    where: str  # text for messages, such as "on the island"
     position: Vector  # world frame, m
     container: str  # the container around the surface, as "BODY/CONTAINER"; "" without a container
 
@@ -186,9 +184,8 @@ class _Search:
                 for point in points:
                     self._look(point)
                     yield
-                hidden = [
-                    point for point in points if not self._in_sight(point, self._robot.get_position_and_orientation())
-                ]
+                here = self._robot.get_position_and_orientation()
+                hidden = [point for point in points if not self._in_sight(point, here)]
                 if hidden:  # a door or the front of a container may hide points
                     yield from self._from_before(access, hidden)
                 self._close(access, opened)
@@ -248,7 +245,7 @@ class _Search:
         return False
 
     def _from_before(self, access: Access, hidden: Sequence[_Point]) -> Iterator[None]:
-        """Look at hidden points from a place in front of the container that lets the camera see some of them."""
+        """Look at hidden points from a place in front of the container where the camera sees some of these points."""
         handle = access.body.get_link_position(access.handle)
         before = [(one + other) / 2 for one, other in zip(handle, hidden[0].position, strict=True)]
         with suppress(PlanFailure):
@@ -299,7 +296,7 @@ def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
 
 
 def _spread(outline: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-    """Yield points of a surface in the surface's frame, m; at these points a camera sees the whole surface."""
+    """Yield points of a surface in the surface's frame, m; a camera that looks at them sees the whole surface."""
     sides = []
     for axis in (0, 1):
         low, high = min(corner[axis] for corner in outline), max(corner[axis] for corner in outline)

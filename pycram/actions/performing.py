@@ -1,10 +1,8 @@
 """Performing actions: choices are tried in order until a choice succeeds or the budget is spent. Each try is a task.
 
-In ``projecting()``, projections in forks first try the best choices; the first choice that succeeds there is performed
-(thesis 6.3).
-
-If no arm could take an object, advice follows: turn the object, or slide it to an edge. A copy of the process tries
-each suggested motion of the object. Only reasoning runs in the copy, no code of the plan, and nothing is recorded.
+In ``projecting()``, forks of the process try the best choices first (thesis 6.3). If no arm could take an object, the
+failure gives advice: turn the object, or slide it to an edge. A copy of the process tests each suggested motion with
+reasoning only: no code of the plan runs in the copy, and nothing is recorded.
 """
 
 from __future__ import annotations
@@ -72,7 +70,7 @@ _SAME: Final = 1e-3  # maximum distance in m between an object and a target that
 
 
 def advice(failure: PlanFailure, action: ActionDesignator) -> str:
-    """Return texts of motions of an action's object after which the robot can take it; "" if none helps."""
+    """Return advice to move the action's object so that the robot can take the object; "" if no motion helps."""
     slots, failures = dict(action.description), list(_failures(failure))
     robot, given = BulletWorld.current_robot(), candidates_of(thing("object", unwrap(slots["object"])))
     untaken = [body for body in given if failures and all(_untaken(each, body) for each in failures)]
@@ -97,7 +95,7 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
 
 
 def _failures(failure: BaseException) -> Iterator[BaseException]:
-    """Yield the failures of all tried choices of an action and its subactions, or else the action's failure."""
+    """Yield the failures of all choices that an action and its subactions tried; without choices, its own failure."""
     tried = getattr(failure, "tried", ())
     for each in tried:
         if not isinstance(each.failure, ReasoningError):  # skip failures to clear obstacles away
@@ -116,7 +114,7 @@ def _untaken(failure: BaseException, body: Object) -> bool:
 
 
 def _turned(body: Object, turns: Sequence[int]) -> Iterator[tuple[str, Pose]]:
-    """``{}`` in it represents the object's name."""
+    """Yield advice, and poses of an object after turns; in the advice, ``{}`` stands for the object's name."""
     x, y, z = center(body)
     from_middle = geometry.multiply(((-x, -y, -z), geometry.IDENTITY[1]), body.get_position_and_orientation())
     for degrees in turns:
@@ -147,8 +145,8 @@ def _slid(body: Object) -> Iterator[tuple[str, Pose]]:
 
 
 def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: str | None, moves_base: bool) -> bool:
-    """Move an object, in a copy of the process; return whether the object comes to rest and the robot can take it."""
-    engine = body.world.engine  # the engine moves it without a transaction, which would call handlers of the plan
+    """Return whether an object comes to rest at a pose where the robot can take it; moves the object."""
+    engine = body.world.engine  # the engine moves the object without a transaction, which would call event handlers
     with body.world.lock:
         there = resting_position(body, *pose), pose[1]
         engine.set_pose(body.handle, there)
@@ -166,13 +164,11 @@ def _helps(robot: Object, body: Object, pose: Pose, arms: Sequence[Arm], grasp: 
 
 
 BUDGET: Final = 20  # default number of failed tries that an action and its subactions may have
-
-_ENDLESS: Final = 10**9  # number of retries; only the budget limits them
+_ENDLESS: Final = 10**9  # number of retries; the budget limits the tries
 _MAX_REASONS: Final = 4  # maximum number of different failures in the message of ActionFailed
 _MAX_IMAGINED: Final = 8  # default number of an action's choices that are projected
-#: Number of choices that are projected in parallel: few in the first batch, because the best choice mostly succeeds,
-#: and more in later batches. The numbers are the same on all computers, so a run has the same records whatever the
-#: number of cores.
+#: Number of choices that are projected in parallel: one in the first batch, because the best choice mostly succeeds.
+#: The numbers don't depend on the number of cores, so a run has the same records on all computers.
 _IN_PARALLEL: Final = (1, 4)
 
 
@@ -201,7 +197,7 @@ def projecting(budget: int = _MAX_IMAGINED, *, seconds: float | None = None) -> 
 
     Args:
         budget: Maximum number of projected choices of an action.
-        seconds: Simulated time after which no more choices are projected.
+        seconds: Simulated time in s after which no more choices are projected.
 
     Raises:
         BadArgument: A limit is out of range.
@@ -231,8 +227,8 @@ def thinking(*, wanted: bool | None) -> Thinking | None:
 def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]) -> list[Outcome]:
     """Perform choices of an action in copies of this process, up to the first success; return the outcomes.
 
-    For each choice, the best first, the argument has the action, its solution, and the chosen slots for records. An
-    error of a choice that isn't a plan failure is raised.
+    Each candidate has the action, its solution, and the chosen slots for records; the best candidate comes first. If a
+    choice raises an error that isn't a plan failure, this function raises the error.
     """
     outcomes = project_all([partial(_Imagined(kind, solution), **choice) for kind, solution, choice in candidates])
     for outcome in outcomes:
@@ -242,7 +238,7 @@ def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]
 
 
 class _Imagined:
-    """A function that performs an action with a solution. A projection calls it."""
+    """A function for a projection; the function performs an action with a solution."""
 
     def __init__(self, kind: ActionType, solution: Solution) -> None:
         self.__qualname__ = kind.type
@@ -345,13 +341,11 @@ class _Budget:
 
 
 _budget: ContextVar[_Budget | None] = ContextVar("pycram_budget", default=None)
-_takes: ContextVar[bool] = ContextVar("pycram_takes", default=False)  # whether an outer action has this object
+_takes: ContextVar[bool] = ContextVar("pycram_takes", default=False)  # whether an outer action has the slot object
 
 
 def perform(designator: ActionDesignator | MotionDesignator) -> Any:
     """Perform an action or a motion; return its result or, in the body of a block with branches, a future.
-
-    The choices of an action are tried in order until a choice succeeds.
 
     Raises:
         DesignatorError: The argument isn't an action or motion, or a slot is missing, unknown or wrong.
@@ -377,7 +371,7 @@ def _act(designator: Designator) -> _Act:
     BulletWorld.current_robot()
     kinds = [cls for cls in type(designator).__mro__ if issubclass(cls, ActionDesignator)]
     if next(designator.branches(), None) is None and not any(cls.resolvers for cls in kinds):
-        designator.check()  # other slots are errors, unless a resolver of the plan may know them
+        designator.check()  # unknown slots are errors, unless the plan has resolvers, which may know these slots
     return _Act(designator)
 
 
@@ -436,11 +430,7 @@ class _Act:
 
 
 class _Tries(FailureHandling):
-    """The tries of an action's choices, in order.
-
-    ``solutions`` yields at least one solution. ``ahead`` contains the limits for projecting choices first; None without
-    projections.
-    """
+    """The tries of an action's choices, in order; ``ahead`` limits the projections, and is None without projections."""
 
     def __init__(
         self,
@@ -458,11 +448,10 @@ class _Tries(FailureHandling):
         self._found = solutions
         self._solutions = solutions if ahead is None else self._imagined(ahead)
         self._solution: Solution = {}
-        self._spent = False  # whether the limits of projections left out choices
+        self._spent = False  # whether choices were left out at the limits of projections
 
     @property
     def fields(self) -> dict[str, object]:
-        """The parameters of the node of the task tree."""
         return {"action": self._kind.type, "budget": self._budget.left}
 
     def carried_out(self) -> Any:
@@ -514,7 +503,7 @@ class _Tries(FailureHandling):
 
 
 def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], Iterator[Solution]]:
-    """Return the next solutions, and an iterator over the others, which raises a failure of the search."""
+    """Return up to ``size`` solutions, and an iterator over the rest; it raises a failure that came after them."""
     found: list[Solution] = []
     try:
         found.extend(itertools.islice(solutions, size))  # list() would lose the solutions before an error
