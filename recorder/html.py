@@ -34,11 +34,11 @@ def page(title: str, *parts: str) -> str:
     return f'<div style="overflow-x:auto"><b>{escape(title)}</b>{"".join(parts)}</div>'
 
 
-def table(columns: Sequence[str], rows: Sequence[Sequence[object]], limit: int = MAX_ROWS) -> str:
-    """Return the HTML of a table with the first ``limit`` rows."""
+def table(columns: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """Return the HTML of a table with the first 20 rows."""
     head = "".join(f"{_HEAD}{escape(column)}</th>" for column in columns)
-    body = "".join(f"<tr>{''.join(f'{_CELL}{_cell(value)}</td>' for value in row)}</tr>" for row in rows[:limit])
-    more = f"<div>... {len(rows) - limit} more rows</div>" if len(rows) > limit else ""
+    body = "".join(f"<tr>{''.join(f'{_CELL}{_cell(value)}</td>' for value in row)}</tr>" for row in rows[:MAX_ROWS])
+    more = f"<div>... {len(rows) - MAX_ROWS} more rows</div>" if len(rows) > MAX_ROWS else ""
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
 
 
@@ -61,7 +61,7 @@ def text(lines: Iterable[str]) -> str:
 
 
 def sections(lines: Iterable[str]) -> tuple[list[str], list[tuple[str, list[str]]]]:
-    """Return the first lines of a report, and its sections: each has an empty line, a title and indented lines."""
+    """Return the first lines of a report, and its sections; a section is an empty line, a title and indented lines."""
     headlines: list[str] = []
     found: list[tuple[str, list[str]]] = []
     begins = False
@@ -76,11 +76,11 @@ def sections(lines: Iterable[str]) -> tuple[list[str], list[tuple[str, list[str]
     return headlines, found
 
 
-def report(lines: Iterable[str], unfolded: int = 2) -> str:
-    """Return the HTML of a report, with the first ``unfolded`` sections open."""
+def report(lines: Iterable[str]) -> str:
+    """Return the HTML of a report, with the first two sections open."""
     headlines, found = sections(lines)
     folds = (
-        f"<details{' open' if number < unfolded else ''}><summary>{escape(title)}</summary>{text(body)}</details>"
+        f"<details{' open' if number < 2 else ''}><summary>{escape(title)}</summary>{text(body)}</details>"
         for number, (title, body) in enumerate(found)
     )
     first, *more = headlines or [""]

@@ -39,8 +39,8 @@ _MAX_RECORDS: Final = 50  # maximum number of records in a chunk
 _MAX_BYTES: Final = 1 << 20  # maximum number of bytes in a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
 _Key: TypeAlias = tuple[str, str, int]  # topic, world and its lifetime; "" and 0 for all worlds
-#: A buffered message: key of the channel, number and time of the record, bytes, and the record. The record is None if
-#: its line in the log was already made.
+#: A buffered message: key of the channel, number and time of the record, bytes, and the record; None instead of the
+#: record if the record's line in the log was already made.
 _Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
 _LINES: Final = ("/log", "", 0)
 _TRANSFORMS: Final = ("/tf", "", 0)
@@ -55,8 +55,7 @@ class McapSink:
     Args:
         path: The file to write. An existing file is replaced only if it is an MCAP file.
         final_metadata: A function that returns more metadata when the file ends.
-        models: A file of shared models, which the recording doesn't contain again. The recording doesn't contain these
-            models again.
+        models: A file of shared models. The recording doesn't contain these models again.
         durable: Wait for the disk after each chunk, so that a power failure loses no closed chunk.
 
     Raises:
@@ -76,7 +75,7 @@ class McapSink:
         self._final_metadata = final_metadata
         self._models = models
         self._durable = durable
-        self._lock = threading.Lock()
+        self.lock = threading.Lock()  # :mod:`recorder.tracing.forking` holds the lock during a fork
         self._buffer: list[_Buffered] = []  # messages since the last chunk was closed
         self._size = 0  # number of bytes in the buffer
         self._pending = 0  # number of records in the buffer
@@ -133,7 +132,7 @@ class McapSink:
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Buffer a record."""
         seq, now = record.seq, record.wall_time_ns
-        with self._lock:
+        with self.lock:
             self._check()
             self._now = now
             self._size += len(payload)
@@ -188,7 +187,7 @@ class McapSink:
 
     def flush(self) -> None:
         """Write the buffered records."""
-        with self._lock:
+        with self.lock:
             if self._pending and not self._closed:
                 with self._guarded():
                     self._flush()
@@ -202,7 +201,7 @@ class McapSink:
 
     def attach(self, asset: AssetFile) -> None:
         """Attach a file."""
-        with self._lock, self._guarded():
+        with self.lock, self._guarded():
             if self._models is None or asset.key not in self._models.keys:
                 self._flush()
                 self._writer.add_attachment(self._now, asset.key, asset.media_type, asset.content)
@@ -212,14 +211,14 @@ class McapSink:
 
     def close(self) -> None:
         """Complete the file."""
-        with self._lock:
+        with self.lock:
             if self._closed:
                 return
             self._closed = True
             self._ended.set()
             self._wake.set()
         self._timer.join()
-        with self._lock:
+        with self.lock:
             try:
                 with self._guarded():
                     self._flush()
@@ -239,11 +238,6 @@ class McapSink:
         raw.close()
 
     @property
-    def lock(self) -> threading.Lock:
-        """The lock of the file; :mod:`recorder.tracing.forking` holds it during a fork."""
-        return self._lock
-
-    @property
     def lost(self) -> str:
         """The cause of the first write error; "" without an error."""
         return "" if self._failed is None else self._failed[0]
@@ -259,7 +253,7 @@ class McapSink:
             self._wake.clear()
             if self._ended.wait(_FLUSH_PERIOD):
                 return
-            with unrecorded(), self._lock:  # a finalizer may print in this thread, and would wait for this lock
+            with unrecorded(), self.lock:  # a finalizer may print in this thread, and would wait for this lock
                 if self._pending and self._failed is None and not self._closed:
                     with contextlib.suppress(RecordingError), self._guarded():  # the next write also raises this error
                         self._flush()
@@ -333,9 +327,7 @@ def free_path(path: Path) -> Path:
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Open and lock a file for writing: a new file, an older recording or a pipe with a reader.
-
-    Older recordings are emptied.
+    """Open and lock a file for writing: a new file, an older recording, which is emptied, or a pipe with a reader.
 
     Raises:
         RecordingError: the file can't be written, another recording is writing it, or it isn't a recording.
@@ -393,10 +385,7 @@ class WatchedFile:
         self.is_regular = stat.S_ISREG(os.fstat(self._number).st_mode)
 
     def check(self, size: int) -> None:
-        """Raise :class:`Changed` if another program moved, replaced or resized the file.
-
-        ``size`` is the expected size in bytes.
-        """
+        """Raise :class:`Changed` if another program moved or replaced the file, or if its size isn't ``size`` bytes."""
         if not self.is_regular:
             return
         ours = os.fstat(self._number)

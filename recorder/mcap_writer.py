@@ -1,8 +1,8 @@
 """Write the MCAP container: chunks of messages with their indexes, attachments, metadata and the summary.
 
-The ``mcap`` package serializes everything except messages. The package's own writer takes three times as long for a
-message. Chunks are compressed with Zstandard. Readers refuse files that inflate too much, because they may be
-decompression bombs. A chunk therefore stays uncompressed if it would compress too well.
+The ``mcap`` package serializes everything except messages, for which its own writer takes three times as long. Readers
+refuse files that inflate too much, because such files may be decompression bombs. A chunk therefore stays uncompressed
+if it would compress too well.
 """
 
 from __future__ import annotations
@@ -48,8 +48,7 @@ _MESSAGE_FIELDS: Final = _MESSAGE.size - _MESSAGE_HEAD
 _INDEX: Final = struct.Struct("<BQHI")  # fields: opcode, length, channel, size of the entries in bytes
 _FOOTER_START: Final = struct.Struct("<BQQQ")  # the first part of the footer, which the summary's CRC covers
 
-#: The metadata with this name contain the name (``file``) and the hash (``sha256``) of the file of models that a
-#: recording shares.
+#: Name of the metadata with the name (``file``) and hash (``sha256``) of the file of models that a recording shares.
 MODELS_METADATA: Final = "pycram.models"
 MODELS_NAME: Final = re.compile(r"models-[0-9a-f]{12}\.mcap")
 MODELS_LIBRARY: Final = "pycram models"  # without the release number, so that equal models make equal files
@@ -61,7 +60,7 @@ class McapWriter:
 
     def __init__(self, file: BinaryIO, library: str) -> None:
         self._file = file
-        self._at = 0
+        self.size = 0  # number of written bytes, without the open chunk
         self._crc = 0
         self._compressor = zstandard.ZstdCompressor(level=1)  # higher levels take longer and save nothing
         self._chunk: list[bytes] = []
@@ -83,11 +82,6 @@ class McapWriter:
         file.write(start)
         file.flush()
         self._file = file
-
-    @property
-    def size(self) -> int:
-        """Number of written bytes, without the open chunk."""
-        return self._at
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Add the definition of a message type, and return its id."""
@@ -131,7 +125,7 @@ class McapWriter:
         """Close the chunk and write a file; the time is in ns since the Unix epoch."""
         self.flush()
         file = Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data)
-        at, packed = self._at, _packed(file)
+        at, packed = self.size, _packed(file)
         self._write(packed)
         self._attachments.append(
             AttachmentIndex(
@@ -148,7 +142,7 @@ class McapWriter:
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Close the chunk and write metadata about the file."""
         self.flush()
-        at, packed = self._at, _packed(Metadata(name=name, metadata=dict(data)))
+        at, packed = self.size, _packed(Metadata(name=name, metadata=dict(data)))
         self._write(packed)
         self._metadata.append(MetadataIndex(offset=at, length=len(packed), name=name))
 
@@ -162,7 +156,7 @@ class McapWriter:
         content = b"".join(self._chunk)
         compression, data = "zstd", self._compressor.compress(content)
         self._inflated += len(content)
-        if self._inflated > max(FREE, MAX_RATIO * (self._at + len(data))):
+        if self._inflated > max(FREE, MAX_RATIO * (self.size + len(data))):
             compression, data = "", content
         first_ns, last_ns = (self._first_ns, self._last_ns) if self._entries else (0, 0)
         chunk = Chunk(
@@ -173,7 +167,7 @@ class McapWriter:
             uncompressed_crc=zlib.crc32(content),
             uncompressed_size=len(content),
         )
-        at, packed = self._at, _packed(chunk)
+        at, packed = self.size, _packed(chunk)
         offsets: dict[int, int] = {}
         indexes: list[bytes] = []
         end = at + len(packed)
@@ -206,7 +200,7 @@ class McapWriter:
         """Write the summary, which ends the file."""
         self.flush()
         self._write(_packed(DataEnd(data_section_crc=self._crc)))
-        summary_start = self._at
+        summary_start = self.size
         groups: list[tuple[int, Sequence[McapRecord]]] = [
             (Opcode.SCHEMA, self._schemas),
             (Opcode.CHANNEL, self._channels),
@@ -249,7 +243,7 @@ class McapWriter:
 
     def _write(self, packed: bytes) -> None:
         self._file.write(packed)
-        self._at += len(packed)
+        self.size += len(packed)
         self._crc = zlib.crc32(packed, self._crc)
 
 
@@ -263,8 +257,7 @@ def _packed(record: McapRecord) -> bytes:
 class SharedModels:
     """A file of models that several recordings of a folder share. Recordings contain only their other models.
 
-    The name of the file contains the hash of its content. Equal models therefore make the same file, and a file never
-    changes.
+    The file's name contains the hash of its content, so equal models make the same file.
     """
 
     file: str

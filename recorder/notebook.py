@@ -68,25 +68,20 @@ def own_variables() -> Mapping[str, object]:
 
 
 def traceback_lines(error: BaseException) -> list[str]:
-    """Return the lines that IPython prints for an error, without the frames of PyCRAM and IPython.
+    """Return the lines that IPython prints for an error and its causes, without the frames of PyCRAM and IPython.
 
-    The same frames are left out of the error's causes. If an error has only such frames, they are kept.
+    An error that has only such frames keeps them.
     """
     formatter = _shell().InteractiveTB
+    related = [error]
     with ExitStack() as undoing:
-        for each in _related(error):
+        for each in related:  # the loop appends to the list that it iterates over
+            others = (each.__cause__, each.__context__, *vars(each).get("failures", ()))
+            related += [other for other in others if isinstance(other, BaseException) and other not in related]
             undoing.callback(setattr, each, "__traceback__", each.__traceback__)
             each.__traceback__ = _shortened(each.__traceback__)
         lines: list[str] = formatter.structured_traceback(type(error), error, error.__traceback__, tb_offset=0)
     return lines
-
-
-def _related(error: BaseException) -> list[BaseException]:
-    related = [error]
-    for each in related:
-        others = (each.__cause__, each.__context__, *vars(each).get("failures", ()))
-        related += [other for other in others if isinstance(other, BaseException) and other not in related]
-    return related
 
 
 def _shortened(trace: TracebackType | None) -> TracebackType | None:

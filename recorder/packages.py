@@ -1,7 +1,6 @@
 """Required packages: their versions, their extras of pyproject.toml, and how to install an extra.
 
-Recordings can be read with only the base dependencies. Messages name a checkout, because PyPI's project "pycram" is
-another one.
+Messages name a checkout, because the project "pycram" on PyPI is another project.
 """
 
 from __future__ import annotations
@@ -99,7 +98,7 @@ class LazyModule:
         self._name = name
 
     def __getattr__(self, attribute: str) -> Any:
-        with Uninterrupted():  # In libraries with lazy imports, Ctrl-C would be lost
+        with Uninterrupted():  # in libraries with lazy imports, Ctrl-C would be lost
             value = getattr(importlib.import_module(self._name), attribute)
         setattr(self, attribute, value)
         return value

@@ -30,10 +30,7 @@ def describe(
     order: str,
     parameters: Mapping[str, Any],
 ) -> None:
-    """Add a run's inputs to the record of its start. A seed that is None isn't known.
-
-    ``order`` is the order of branches; "" if the seed determines it.
-    """
+    """Add a run's inputs to the record of its start. ``order`` is "" if the seed determines the order of branches."""
     run.arguments.extend(without_secrets([escaped(str(text)) for text in arguments]))
     for name, value in parameters.items():
         text = json.dumps(LEFT_OUT if is_secret(name) else value, default=str)
@@ -108,10 +105,7 @@ def pycram_revision() -> Revision:
 
 
 def _revision(file: Path, digest: str) -> Revision:
-    """Return a revision that contains the given hash.
-
-    If git tracks the file, the revision also has the commit of its repository.
-    """
+    """Return a revision with the given hash and, if git tracks the file, with the commit of its repository."""
     states = _git(file, "status", "--porcelain=v2", "--branch", "--untracked-files=no")
     names = _git(file, "ls-files", "--error-unmatch", "--", file.name)
     if not names:  # a package may be inside a repository of another project

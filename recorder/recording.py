@@ -155,7 +155,7 @@ def start(path: str | Path, live: str | None = None, **options: Any) -> Recordin
 
 
 def stop() -> Recording | None:
-    """Stop and return the recording that :func:`start` has started. Return None if there is no such recording."""
+    """Stop and return the recording that :func:`start` has started; return None without such a recording."""
     if not _started:
         return None
     block, recording = _started.pop()
@@ -188,8 +188,8 @@ def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
     aren't redirected.
 
     Args:
-        sink_of: Gets the record of the run's start, which it may complete, and returns a sink. The function returns the
-            sink, or None for an ordinary recording.
+        sink_of: Returns a sink, or None for an ordinary recording. Its argument is the record of the run's start, which
+            it may complete.
     """
     global _redirect  # noqa: PLW0603  the process has only one redirection
     owner = process()

@@ -1,9 +1,8 @@
 """A URDF: a tree of links, joints with limits and kinematics, and shapes of links.
 
 Lengths are in m, angles in rad, velocities per second. Poses are ``(position, quaternion xyzw)`` of a link's frame in
-the frame of the root link. By default, the value of a joint is 0, or follows from the joint that it mimics. Only direct
-children of the root element are read, so elements of Gazebo are skipped. Shapes are read from canonical models
-(``docs/architecture.md``): every shape has a size, every mesh is STL or OBJ. Meshes themselves aren't read.
+the frame of the root link. Only direct children of the root element are read, so elements of Gazebo are skipped. Shapes
+are read from models that PyCRAM has converted: every shape has a size, every mesh is STL or OBJ.
 """
 
 from __future__ import annotations
@@ -70,10 +69,7 @@ class Urdf:
         return below[len(above) :]
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
-        """Return the pose of a link in the root link.
-
-        ``positions`` are joint values in rad or m by name (default 0).
-        """
+        """Return the pose of a link in the root link for joint values in rad or m, by name; see :meth:`value`."""
         pose = IDENTITY
         for joint in self.chain(self.root, link):
             fixed = joint.type == "fixed"  # the transform of a fixed joint is the origin; most joints are fixed
@@ -90,7 +86,7 @@ class Urdf:
         return poses
 
     def followers(self, positions: Mapping[str, float]) -> dict[str, float]:
-        """Return the positions (rad or m) of the joints that mimic the given joints, by name. Limits are kept."""
+        """Return the positions (rad or m) of the joints that mimic the given joints, by name, within their limits."""
         return {
             name: self._following(name, mimic, positions[mimic.leader])
             for name, mimic in self.mimics.items()
@@ -102,7 +98,7 @@ class Urdf:
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
     def value(self, joint: str, positions: Mapping[str, float]) -> float:
-        """Return the position of a joint (rad or m): the given position, or what its leader implies, or 0."""
+        """Return the position of a joint (rad or m): the given position, or else that of a mimicking joint, or 0."""
         value = positions.get(joint)
         if value is not None:
             return value
@@ -113,7 +109,7 @@ class Urdf:
 
     @cached_property
     def mimics(self) -> Mapping[str, Mimic]:
-        """The rule of each mimicking joint, by name; the mimicked joints don't mimic other joints.
+        """The rules of mimicking joints by name; a joint that mimics a mimicking joint has the combined rule.
 
         In some published models, a joint mimics a joint that doesn't exist. Such a joint moves independently.
 
@@ -243,7 +239,7 @@ class UrdfJoint:
     upper: float = 0.0  # upper limit in rad or m; inf if continuous, 0 if fixed
     effort: float = math.inf  # maximum force or torque in N or Nm; inf if it isn't given
     velocity: float = math.inf  # maximum velocity in rad/s or m/s; inf if it isn't given
-    mimic: Mimic | None = None  # The rule if the joint mimics another; None otherwise
+    mimic: Mimic | None = None  # the rule if the joint mimics another; None otherwise
 
     @property
     def movable(self) -> bool:
@@ -380,7 +376,7 @@ class Shape:
 
 def read_shapes(model: str | bytes, role: str) -> dict[str, list[Shape]]:
     """Return the "visual" or "collision" shapes of a URDF by link name. Links without shapes are left out."""
-    return shapes_in(ET.fromstring(model), role)  # noqa: S314  Not needed: PyCRAM wrote the model
+    return shapes_in(ET.fromstring(model), role)  # noqa: S314  PyCRAM wrote the model
 
 
 def shapes_in(root: ET.Element, role: str) -> dict[str, list[Shape]]:

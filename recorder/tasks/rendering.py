@@ -181,10 +181,7 @@ def _parts(nodes: Sequence[Node], output: Sequence[Output], *, whole: bool) -> l
 
 
 def _lifted(nodes: Sequence[Node]) -> list[Node]:
-    """Return siblings; the attempts of an action replace its successful failure handling.
-
-    If an action has a single attempt, and it succeeded, its parts replace the attempt.
-    """
+    """Return siblings; an action's attempts, or its only attempt's parts, replace its successful failure handling."""
     shown: list[Node] = []
     for node in nodes:
         tries = node.children if node.kind == "failure-handling" and "action" in node.parameters else []

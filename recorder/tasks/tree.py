@@ -81,8 +81,7 @@ class Node:
     asked: Task | None = None  # the record of the task's request; None if the task started immediately
     finished: Task | None = None  # the record of the task's end; None before the end
     forgotten: int = 0  # number of children that were dropped
-    #: The queries that chose the task's actions. Only tasks of a recording on the path to the failure have such
-    #: queries.
+    #: The queries that chose the task's actions; only for tasks of a recording on the path to the failure.
     choices: list[Query] = field(default_factory=list)
     size: int = 0  # number of bytes of the task's own records, if the tree limits bytes
     parts: dict[int, Node] = field(default_factory=dict)  # children by id
@@ -214,10 +213,7 @@ class Node:
 
     @property
     def dealt_with(self) -> bool:
-        """Whether this task or a task around it ended without a failure.
-
-        A failure of this task then didn't end the plan.
-        """
+        """Whether this task or a task around it ended without a failure, so that no failure here ended the plan."""
         return any(node.finished is not None and not node.failed for node in self.around())
 
     @property
@@ -245,7 +241,7 @@ class Node:
 
 
 def decisive(origins: Sequence[Node]) -> Node | None:
-    """Return the last task whose failure no outer task recovered from; if there is none, the last task.
+    """Return the last task that isn't dealt with (:attr:`Node.dealt_with`), or else the last task.
 
     ``origins`` are the tasks in which failures began, in the order of their ends.
     """
@@ -263,7 +259,7 @@ class Tree:
 
     Args:
         limit: Maximum number of tasks. When a limit is exceeded, the tasks that ended first are dropped.
-        size: Maximum number of bytes of records. The tasks that ended first are dropped.
+        size: Maximum number of bytes of records.
     """
 
     __hash__ = None  # type: ignore[assignment]  # mutable

@@ -1,9 +1,8 @@
 """The plan's frames: call stacks of tasks, and the local variables of raised errors.
 
 A call stack contains the plan's lines that called one another, outermost first. In a thread that runs a part of a task,
-the call stack continues that of the request. Every call stack therefore begins where the plan begins. Local variables
-are described without calling users' code: values of Python's types are written out, and objects of a world are named.
-Of other values, only the type is given.
+the call stack continues the request's call stack, so it begins where the plan begins. Local variables are described
+without calling users' code.
 """
 
 from __future__ import annotations
@@ -67,7 +66,8 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> CallStack:
     innermost = (line,) if line is not None else ()
     if not journal.recording():
         return CallStack(innermost or inherited[-1:], inherited[-1:], thread)
-    own = _lines_from(frame.f_back) if frame is not None else ()
+    sites = [_site(each) for each in plan_frames(frame and frame.f_back)]
+    own = tuple(each for each, _ in groupby(reversed(sites)))
     around = (*inherited, *(own[1:] if own[:1] == inherited[-1:] else own))
     lines = around if around[-1:] == innermost else (*around, *innermost)  # a lambda is in the line that requests it
     if len(lines) > MAX_LINES:
@@ -84,18 +84,10 @@ def call_site() -> CallSite:
 
 
 def _innermost(frame: FrameType | None) -> tuple[FrameType | None, CallSite | None]:
-    """Return the plan's innermost frame and its line.
-
-    If no plan runs, return None and the innermost line of other code.
-    """
+    """Return the plan's innermost frame and its line; if no plan runs, None and the innermost line of other code."""
     frame, foreign = plan_frame(frame)
     innermost = frame or foreign
     return frame, _site(innermost) if innermost is not None else None
-
-
-def _lines_from(frame: FrameType | None) -> tuple[CallSite, ...]:
-    lines = [_site(each) for each in plan_frames(frame)]
-    return tuple(line for line, _ in groupby(reversed(lines)))
 
 
 def _site(frame: FrameType) -> CallSite:
@@ -220,7 +212,7 @@ def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Fa
 
 
 def _new_frames(error: BaseException) -> list[StackFrame]:
-    """Return the plan's frames that led to an error, outermost first; frames that are already recorded are left out."""
+    """Return the plan's frames that led to an error, outermost first, without frames that are already recorded."""
     recording, known = vars(error).get(_MARK, (0, frozenset()))
     if recording != journal.recording_number():
         known = frozenset()
@@ -254,10 +246,9 @@ def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
 
 
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
-    """Yield names and values in the order of their first assignment.
+    """Yield names and values in the order of their first assignment, without IPython's own variables.
 
-    Modules have many variables, such as imports, so only their last variables with a visible value are kept. IPython's
-    own variables are left out.
+    A module has many variables, so only its last variables with a visible value are kept.
     """
     hidden = notebook.own_variables() if frame.f_locals is frame.f_globals else {}
     try:

@@ -3,7 +3,6 @@
 The current world is the world that was opened or made current last; when it closes, the previous world becomes current
 again. If a thread chooses the current world, the choice applies to the thread, its branches, and all threads that
 haven't chosen. If a branch chooses the current world, the choice applies only to the branch and its own branches.
-Before a record is made, the free room on the stack is checked, so that no RecursionError interrupts the record.
 """
 
 from __future__ import annotations
@@ -68,8 +67,8 @@ class KnownWorld(Protocol):
 
 
 _lock = threading.Lock()
-# Open worlds in the order in which they became current, each with the thread of the branch that chose the world, or 0.
-# A change replaces the dictionary.
+# Open worlds in the order in which they became current, each with the thread of the branch that chose the world; 0 if
+# no branch chose it. A change replaces the dictionary.
 _open: dict[KnownWorld, int] = {}
 _chosen: ContextVar[tuple[weakref.ref[KnownWorld], ...]] = ContextVar("pycram_world", default=())
 
@@ -113,7 +112,7 @@ def current_world(among: Collection[KnownWorld] | None = None) -> KnownWorld | N
 FOR_RECORD: Final = 40  # a record needs at most this many stack frames, with the compression of the file
 FOR_TASK: Final = 120  # a task needs at most this many stack frames for its records, its block and its end
 
-_COUNTED: Final = 4  # Maximum number of times that Python counts a frame, because C functions count, too
+_COUNTED: Final = 4  # maximum number of times that Python counts a frame, because C functions count, too
 _outside = 0  # maximum number of frames below a greenlet; Python counts them for the greenlet, too
 
 

@@ -1,9 +1,7 @@
 """Forks of a process that records; no other module forks.
 
-The child has only the thread that forked. Other threads of PyCRAM serve recordings of the parent, which the child
-doesn't use, but none of these threads may hold a lock during the fork. A child that continues its parent replaces the
-parent; from then on, the parent only waits. A recording therefore belongs to its process and to a child that continues
-this process, but not to other children.
+The child has only the thread that forked, so no other thread of PyCRAM may hold a lock during the fork. A recording
+belongs to its process. If a child continues its parent, the recording belongs to the child, and the parent only waits.
 """
 
 from __future__ import annotations
@@ -57,7 +55,7 @@ def fork_continuation() -> int:
     From then on, this process may only wait. Sinks of the journals must not have threads, nor files that both processes
     would write.
     """
-    state = random.getstate()  # In a child, Python would reseed random numbers
+    state = random.getstate()  # in a child, Python would reseed random numbers
     child = _fork(_fork_continuing)
     if not child:
         random.setstate(state)
@@ -116,8 +114,7 @@ _OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag for not following links;
 def _separate_file_positions() -> None:
     """Give this forked child its own positions in the files that are open for reading only.
 
-    If both shared a position, the parent would miss the content that the child reads. Files that are written, such as
-    logs, stay shared.
+    If both processes shared a position, the parent would miss the content that the child reads.
     """
     try:
         descriptors = os.listdir(_OPEN)  # noqa: PTH208  few allocations, because each written page is copied

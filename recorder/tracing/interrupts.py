@@ -1,11 +1,9 @@
 """Ctrl-C interrupts the plan's own Python immediately. Elsewhere, it is deferred so that no state is broken.
 
-Python raises KeyboardInterrupt in the main thread between any two instructions. Within a change, an interrupt would
-make the world differ from its log; within a record, a number would stay without a record; within a block, a branch
-would continue alone. Ctrl-C therefore waits for the end of a section (:class:`Uninterrupted`), which is a change or a
-record. In branches and in the plan language (:class:`Host`), Ctrl-C waits for the next checkpoint
-(:mod:`pycram.scheduling`). Our handler of SIGINT is installed only in sections and scopes of the plan language in the
-main thread, and calls the handler that was installed before.
+Python raises KeyboardInterrupt in the main thread between any two instructions. Ctrl-C waits for the end of a section
+(:class:`Uninterrupted`), which is a change or a record. In branches and in the plan language (:class:`Host`), Ctrl-C
+waits for the next checkpoint (:mod:`pycram.scheduling`). Our handler of SIGINT is installed only in sections and scopes
+of the plan language in the main thread, and calls the handler that was installed before.
 """
 
 from __future__ import annotations
@@ -26,10 +24,7 @@ _TERMINATING: Final = tuple(int(getattr(signal, name)) for name in ("SIGTERM", "
 
 
 class Terminated(SystemExit):
-    """A signal has requested the end of the process.
-
-    The exit code is 128 plus the number of the signal, as in shells.
-    """
+    """A signal has requested the end of the process. The exit code is 128 plus the signal's number, as in shells."""
 
     def __init__(self, number: int) -> None:
         super().__init__(128 + number)
@@ -92,10 +87,9 @@ def _defers(frame: FrameType) -> bool:
 
 
 def enter(host: Host | None = None) -> bool:
-    """Install our handler until :func:`leave`, and return whether it was installed.
+    """Install our handler until :func:`leave`, and return whether it is installed; only the main thread can do so.
 
-    Only the main thread can install handlers. From then until :func:`leave`, the host decides whether Ctrl-C is
-    deferred.
+    Until :func:`leave`, the host decides whether Ctrl-C is deferred.
     """
     global _handler, _holder, _host, _open, _sections, _pending  # noqa: PLW0603  as above
     thread = threading.get_ident()
@@ -132,8 +126,8 @@ def leave() -> None:
 def terminable() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP as Ctrl-C in the block, unless the program handles these signals.
 
-    A stopped plan therefore leaves a complete recording. The process ends after the block, even if the plan has caught
-    the interrupt. Outside of the main thread, this function has no effect.
+    The process ends after the block, even if the plan has caught the interrupt. Outside of the main thread, this
+    function has no effect.
 
     Raises:
         Terminated: SIGTERM or SIGHUP has arrived.
@@ -234,10 +228,7 @@ _soon: Callable[[], bool] | None = None
 
 
 def call_soon(function: Callable[[], bool]) -> None:
-    """Call a function after each outermost section of the main thread, until the function returns True.
-
-    The function does work that must come after a record, such as a change after a certain step.
-    """
+    """Call a function after each outermost section of the main thread, until the function returns True."""
     global _soon  # noqa: PLW0603  the process has only one main thread
     _soon = function
 
@@ -253,10 +244,7 @@ def _call() -> None:
 
 
 class Uninterrupted:
-    """A section that SIGINT doesn't interrupt. Sections may be nested.
-
-    Outside of the main thread, sections have no effect.
-    """
+    """A section that SIGINT doesn't interrupt. Sections may be nested; outside of the main thread, they do nothing."""
 
     __slots__ = ("_held",)
 

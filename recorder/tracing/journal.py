@@ -27,8 +27,8 @@ from recorder.tracing.interrupts import Uninterrupted
 class Sink(Protocol):
     """The destination of records. The journal calls sinks with its lock held; a sink must not call the journal.
 
-    A sink must not keep references to mutations and keyframes. It may keep other records; another journal may later
-    change their number and time.
+    A sink must not keep references to mutations and keyframes. A sink may keep other records, but another journal may
+    later change the number and time of these records.
     """
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:
@@ -90,15 +90,10 @@ class Journal:
         self._writing = self._resuming = False
         self._interrupting: deque[Record | AssetFile] = deque()  # items that arrived while this thread was writing
         self._strikes: list[Strike] = []  # strikes since the latest record
-        self._next = 0
+        self.length = 0  # number of records; the next record has this ``seq``
         self._latest_ns = 0
         self._attached: set[str] = set()
         self._expected: set[str] = set()
-
-    @property
-    def length(self) -> int:
-        """Number of records; the next record has this ``seq``."""
-        return self._next
 
     def add_sink(self, sink: Sink) -> None:
         """Add a sink: it receives all later records, and is closed with the other sinks."""
@@ -118,8 +113,7 @@ class Journal:
     def append(self, record: Record) -> None:
         """Set the number and times of a record, and write the record.
 
-        If this thread is already writing a record, the record is queued; for example, signal handlers and finalizers
-        may print.
+        The record of a signal handler or finalizer that interrupts the writing of another record is queued.
         """
         record.cause = _cause.get().get(self, 0)
         self._take(record)
@@ -165,10 +159,10 @@ class Journal:
         if self._strikes:
             item.strikes.extend(self._strikes)
             self._strikes.clear()
-        item.seq = self._next
+        item.seq = self.length
         item.wall_time_ns = self._latest_ns
         item.monotonic_ns = self._monotonic_ns() - self._began_ns
-        self._next += 1
+        self.length += 1
         topic, payload = TOPICS[type(item)], item.SerializeToString()
         for sink in self._sinks:
             sink.write(topic, item, payload)
@@ -327,11 +321,7 @@ looks: Callable[[], int] = int  # a function of the scheduler that returns how o
 
 
 def strike(look: int, which: Iterable[int]) -> None:
-    """Add a strike to every open journal: an event of the clock or of worker threads that a poll found.
-
-    Args:
-        which: Indices of the polled sources that struck, from 0.
-    """
+    """Add a strike to every open journal. ``look`` is the number of the poll, ``which`` the indices of its sources."""
     for journal in _open:
         journal.strike(Strike(look=look, which=which))
 
@@ -387,8 +377,7 @@ def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Reco
 
     Args:
         journal: The journal. After an error, the journal gets no further records.
-        running: A context manager that returns the first records, those of running tasks, and keeps these tasks from
-            ending.
+        running: A context manager that returns the records of running tasks, and keeps tasks from starting or ending.
 
     Raises:
         RecursionError: The stack has no room for the keyframes.

@@ -1,9 +1,8 @@
 """The running task: a span for each node of the task tree.
 
-A span is opened around each designator execution, process module, language block, branch and attempt. Records belong to
-the span of their context. Plain threads start with an empty context, so threads that belong to a task must use
-``contextvars.copy_context().run``. Spans make records even if nothing is recorded, for the tree of the running plan
-(:func:`tree`).
+Records belong to the span of their context. Plain threads start with an empty context, so threads that belong to a task
+must use ``contextvars.copy_context().run``. Spans make records even if nothing is recorded, for the tree of the running
+plan (:func:`tree`).
 """
 
 from __future__ import annotations
@@ -57,14 +56,11 @@ _current: Final = cast("ContextVar[Span | None]", journal.current_task)
 
 
 class Cancelled(BaseException):
-    """The task was cancelled, because the outcome of the block around it was decided.
-
-    It isn't caught by a plan's ``except Exception``.
-    """
+    """The task was cancelled, because a block around it was decided. ``except Exception`` doesn't catch this error."""
 
 
 def tree() -> Tree:
-    """Return the growing tree of the latest 20,000 tasks: of the latest recording, or without one of the process."""
+    """Return the growing tree of the latest 20,000 tasks: of the latest recording, or before that of the process."""
     return _tree
 
 
@@ -84,7 +80,7 @@ class Span:
     error: BaseException | None = None  # failure that ends the task although no exception is raised
     decision: Decision | None = None  # decision about the task
     checkpoint: int = 0  # checkpoint at which the clock or a worker thread ended the task
-    #: The task of the context that made this one.
+    #: The task around the code that made this task
     _around: Span | None = field(default_factory=lambda: _current.get(), repr=False)  # noqa: PLW0108  defined below
     _start_ns: int = 0
     _begun: bool = False
@@ -104,7 +100,7 @@ class Span:
         """Record the start. ``began_ns`` is the time of a start that came earlier, by the performance counter.
 
         Raises:
-            RecursionError: The stack has no room for a record of the task's end. In this case the task isn't recorded.
+            RecursionError: The stack has no room for the task's records. The task then isn't recorded.
         """
         self._start_ns = began_ns or time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)
@@ -222,10 +218,7 @@ def current() -> Span | None:
 
 @contextmanager
 def running() -> Iterator[list[Task]]:
-    """Run a block in which no task starts or ends.
-
-    Yield the running tasks as the first records of a new recording, outer tasks before inner tasks.
-    """
+    """Run a block in which no task starts or ends; yield records of the running tasks, outer tasks first."""
     with _emitting:
         records = []
         for _, began in sorted(_running.items()):
@@ -260,8 +253,5 @@ def current_call_stack() -> CallStack:
 
 
 def span(kind: str, name: str, parameters: Mapping[str, object] | None = None) -> Span:
-    """Return a task for a ``with`` statement; it records the beginning and the end of the block.
-
-    The block may set ``solution`` and ``result`` of the task.
-    """
+    """Return a task for a ``with`` statement. The block may set ``solution`` and ``result`` of the task."""
     return Span(kind, name, parameters=parameters or {})

@@ -1,10 +1,9 @@
 """Show a recording live in a Rerun viewer. A slow or missing viewer doesn't delay the plan.
 
 Records go into a bounded queue (:class:`LiveQueue`). A thread sends the records in batches to a separate process
-(:func:`main`), which translates them. A batch is a list of files, and of topics with payloads. A viewer can block its
-client, fill its memory or prevent its exit; only the separate process suffers from that. The process answers
-``Status.READY`` or ``Status.ABSENT``, and then the number of shown records of each batch. An empty batch means the end.
-Records that were dropped are counted and reported.
+(:func:`main`), which translates them, because a viewer can block its client, fill its memory or prevent its exit. The
+process answers ``Status.READY`` or ``Status.ABSENT``, and then the number of shown records of each batch. An empty
+batch means the end.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from recorder.errors import RecordingError
 from recorder.records import TOPICS, Event, Fluent, Mutation, Output, Record
 from recorder.records.values import AssetFile
 from recorder.tracing.forking import own
-from recorder.tracing.journal import unrecorded
+from recorder.tracing.journal import NullSink, unrecorded
 from recorder.viewer.connection import (
     END_TIMEOUT,
     Target,
@@ -69,11 +68,8 @@ main(sys.argv[1:])
 _lingering: Final[list[subprocess.Popen[bytes]]] = []  # processes that are still delivering records
 
 
-class RerunSink:
-    """A sink that shows records in a viewer.
-
-    ``live`` is the argument of :func:`recorder.record`; other values raise RecordingError.
-    """
+class RerunSink(NullSink):
+    """A sink that shows records in a viewer; raises RecordingError for a wrong ``live`` (:func:`recorder.record`)."""
 
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
@@ -112,9 +108,6 @@ class RerunSink:
         """Queue a file."""
         self._queue.put(asset, transient=False)
 
-    def flush(self) -> None:
-        """Do nothing, because a viewer doesn't store records."""
-
     def close(self) -> None:
         """End when the viewer has all records, or after a timeout."""
         if self._ended.is_set():
@@ -141,10 +134,7 @@ class RerunSink:
             )
 
     def _hand_over(self) -> bool:
-        """Send the remaining items to the process, and wake the thread.
-
-        Return whether the other process has taken the items.
-        """
+        """Send the remaining items to the other process, and wake the thread. Return whether the process took them."""
 
         def send() -> None:
             with self._sending, contextlib.suppress(OSError):
@@ -331,10 +321,7 @@ def _print(text: str) -> None:
 
 
 def _end_with_parent(absent: threading.Event, linger: float) -> None:
-    """End this process ``linger`` seconds after the end of the recording's process, which closes the pipe.
-
-    If there is no viewer, this process ends immediately.
-    """
+    """End this process after the recording's process has closed the pipe; with a viewer, ``linger`` seconds later."""
     sys.stdin.buffer.read()
     sys.stderr.flush()
     os.dup2(os.open(os.devnull, os.O_WRONLY), _STDERR)
@@ -462,10 +449,7 @@ class _Display:
 
 
 def _deliver(stream: rr.RecordingStream, window: ViewerWindow | None) -> None:
-    """Wait without a time limit until the viewer has taken all rows.
-
-    Raise :class:`ViewerGone` if the viewer has ended.
-    """
+    """Wait without a time limit until the viewer has taken all rows. Raise ViewerGone if the viewer has ended."""
     while True:
         try:
             stream.flush(timeout_sec=_CALL_TIMEOUT)

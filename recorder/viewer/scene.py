@@ -1,7 +1,7 @@
 """Bodies in the viewer's 3D scene: their shapes at the recorded poses.
 
-The entity of a link has the transform of the link; the frames have the names of ``/tf``. The entities below contain the
-shapes. A removed body has no shapes, but its frames stay, because the viewer needs their path to the root.
+The entity of a link has the link's transform between frames with the names of ``/tf``; the entities below it have the
+shapes. If a body is removed, its frames stay, because the viewer needs their path to the root.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ViewerScene:
     def __init__(self, columns: Columns, prefix: str = "") -> None:
         self._columns = columns
         self._prefix = prefix
-        self._frames = FrameTree()
+        self.frames = FrameTree()
         self._files: dict[str, bytes] = {}
         self._transforms: dict[tuple[str, str], Series] = {}  # poses by world and frame, of removed bodies, too
         self._first: TimePoint | None = None
@@ -71,12 +71,12 @@ class ViewerScene:
     def attach(self, asset: AssetFile) -> None:
         """Take an attached file. Models and meshes must precede the records that use them."""
         if asset.name.endswith(".urdf"):
-            self._frames.add_urdf(asset.sha256, asset.content)
+            self.frames.add_urdf(asset.sha256, asset.content)
         self._files[asset.sha256] = asset.content
 
     def frame(self, world: str, body: str = "", link: str = "") -> str:
         """Return the viewer's name of the frame of a world's root, a body's base or a link."""
-        model = self._frames.model(world, body)
+        model = self.frames.model(world, body)
         if model is not None and link == model.root:
             link = ""
         return self._prefix + (frame_name(world, body, link) if body else ROOT)
@@ -94,7 +94,7 @@ class ViewerScene:
 
     def _with_link(self, world: str, body: str, link: str) -> tuple[SceneBody, Urdf] | None:
         """Return a body and its model; None if one is missing."""
-        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
+        scene_body, model = self.bodies.get(world, {}).get(body), self.frames.model(world, body)
         return (scene_body, model) if scene_body is not None and model is not None and link in model.links else None
 
     def robot(self, world: str, name: str = "") -> tuple[str, SceneBody] | None:
@@ -113,7 +113,7 @@ class ViewerScene:
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Return the positions in the world in m of the joints from the first given joint to a link.
+        """Return the positions in m in the world of the joints from the first given joint to a link.
 
         ``joints`` contains positions in rad or m; other joints don't move. Without a model, the list is empty.
         """
@@ -146,10 +146,6 @@ class ViewerScene:
             return geometry.transform(model.forward_kinematics(values, link), offset)
 
         return position
-
-    def motions(self, record: Mutation | Keyframe) -> list[BodyMotion]:
-        """Return the motions of a record in the order of simulated time; store the models of new bodies."""
-        return self._frames.motions(record)
 
     def begin(self, record: Mutation | Keyframe, now: TimePoint) -> None:
         """Show the bodies that a record added or removed. Then call :meth:`move` for the motions of the record."""
@@ -223,7 +219,7 @@ class ViewerScene:
 
     def shapes(self, world: str, body: str) -> list[Shape]:
         """Return the visual shapes of a body in the frame of its base; [] if it has no model."""
-        scene_body, model = self.bodies.get(world, {}).get(body), self._frames.model(world, body)
+        scene_body, model = self.bodies.get(world, {}).get(body), self.frames.model(world, body)
         content = self._files.get(scene_body.loaded.assets[0].sha256) if scene_body is not None and model else None
         if scene_body is None or model is None or content is None:
             return []

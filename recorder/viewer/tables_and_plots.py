@@ -1,11 +1,8 @@
 """The log, the tables of records, and curves over time.
 
-The log has a line for each record, and an entity for each kind, so that users can hide kinds. Curves are the heights of
-bodies, the joints of robots and furniture, fluents with numbers or truth values, and the margins of properties.
-
-A ghost is a translucent copy of an object. A ghost is shown while the believed position is more than 1 cm from the
-actual position. The curve of a property is the margin of its expression, which is negative while the expression doesn't
-hold.
+The log has an entity for each kind of record, so that users can hide kinds. A ghost is a translucent copy of an object.
+A ghost is shown while the believed position is more than 1 cm from the actual position. The curve of a property is the
+margin of its expression, which is negative while the expression doesn't hold.
 """
 
 from __future__ import annotations

@@ -40,12 +40,7 @@ class TaskTimeline:
         self._columns = columns
         self._started: dict[int, tuple[Task, TimePoint]] = {}  # the starts of running tasks
         self._tasks = Lanes()
-        self._lanes: dict[Lane, _Lane] = {}
-
-    @property
-    def count(self) -> int:
-        """The number of lanes."""
-        return len(self._lanes)
+        self.lanes: dict[Lane, _Lane] = {}
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Show a task's start or end."""
@@ -82,12 +77,12 @@ class TaskTimeline:
         lane.states.add(since, (state,))
 
     def _lane(self, place: Lane) -> _Lane:
-        if place not in self._lanes:
+        if place not in self.lanes:
             depth, slot = place
             path = self._columns.path(LANES, f"{depth}.{slot + 1}" if slot else str(depth))
             states = self._columns.series(path, lambda rows: rr.StateChange.columns(state=[state for (state,) in rows]))
-            self._lanes[place] = _Lane(path, states)
-        return self._lanes[place]
+            self.lanes[place] = _Lane(path, states)
+        return self.lanes[place]
 
 
 GRAPH: Final = "graph"

@@ -86,7 +86,7 @@ class Translator:
 
     def layout(self, front: str, eye: tuple[Vector, Vector] | None = None) -> Layout:
         """Return the layout of the views, as it is known so far."""
-        return Layout(self.worlds.centres, front, self._timeline.count, eye)
+        return Layout(self.worlds.centres, front, len(self._timeline.lanes), eye)
 
     def attach(self, asset: AssetFile) -> None:
         """Take an attached file; models and meshes must come before the records that use them."""
@@ -156,7 +156,7 @@ class Translator:
         world, end = record.world, record.sim_step
         effect = record.effect if isinstance(record, Mutation) else None  # reading the field is slow
         only_moves = isinstance(record, Mutation) and record.WhichOneof("command") in _MOTIONS
-        motions = self.scene.motions(record)
+        motions = self.scene.frames.motions(record)
         if not only_moves or world not in self.scene.bodies:
             self.scene.begin(record, now)
         steps = max(record.simulate.steps, 1) if isinstance(record, Mutation) else 1

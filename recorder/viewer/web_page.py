@@ -1,10 +1,9 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
 Other users and pages of other servers must not get records. Each request must therefore contain the secret token of the
-address, name this server as its ``Host`` (against DNS rebinding), and have no other ``Origin`` than the page. The page
-works without a network. The viewer's files are WebAssembly within the viewer's program, which only serves them over
-HTTP; the library's own server would listen on all addresses of the machine. The program therefore runs until its files
-were read from it.
+address, name this server as its ``Host`` (against DNS rebinding), and have no other ``Origin`` than the page. The
+viewer's program contains the page's files, and serves them over HTTP on all addresses of the machine. The program
+therefore runs only until this process has read the files.
 """
 
 from __future__ import annotations
@@ -98,7 +97,7 @@ class GrowingFile:
             self._grown.notify_all()
 
     def pieces(self) -> Iterator[bytes]:
-        """Yield the content from the beginning, then all content that is added. The iteration never ends."""
+        """Yield the content from the beginning, then all content that is added; never end."""
         at = 0
         while True:
             with self._grown:
