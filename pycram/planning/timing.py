@@ -9,11 +9,13 @@ from __future__ import annotations
 
 import logging
 import math
+import sys
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -89,10 +91,15 @@ def stopping(path: Array, rates: Rates) -> Knots:
 
 @cache
 def _toppra() -> Any:
+    plots = {name: ModuleType(name) for name in ("matplotlib", "matplotlib.pyplot") if name not in sys.modules}
     with needed(), warnings.catch_warnings():
         warnings.simplefilter("ignore", SyntaxWarning)  # Python 3.12 warns about docstrings of toppra
-        import toppra  # noqa: PLC0415  importing toppra takes 2 s, mostly for matplotlib
-
+        sys.modules.update(plots)  # toppra uses matplotlib only in functions that draw; its import takes half a second
+        try:
+            import toppra  # noqa: PLC0415  importing toppra takes half a second, mostly for SciPy
+        finally:
+            for name in plots:
+                del sys.modules[name]
     logging.getLogger("toppra").setLevel(logging.ERROR)
     return toppra
 
