@@ -9,15 +9,18 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from contextvars import ContextVar
 from functools import partial
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
+from weakref import WeakKeyDictionary
 
 from pycram import planning
 from pycram.foundation.failures import Blocked, Displaced, NoPath, PlanFailure, WorldClosed
 from pycram.models.robots.description import Arm
+from pycram.planning.path import STRAIGHT
 from pycram.reasoning.collision.checker import CollisionChecker
 from pycram.reasoning.grasping import fingers
 from pycram.world import attachment, driving, simulation
@@ -46,7 +49,11 @@ _DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)
 _SAMPLES: Final = 15  # checks per second for contacts between moving parts of a robot
 _THERE: Final = 0.01  # maximum distance in rad or m of joints from their goal in an arm that needn't move
 _PATIENCE: Final = 5  # budget of the last search for a path, as a multiple of the usual budget
+_REMEMBERED: Final = 16  # number of motions of joints around obstacles whose paths are tried again
 _SAME: Final = 1e-4  # maximum difference in rad or m of equal joint positions
+
+#: The latest motions of joints around obstacles, by robot.
+_followed: WeakKeyDictionary[Object, deque[planning.PlannedMotion]] = WeakKeyDictionary()
 
 
 class Execution:
@@ -244,7 +251,7 @@ class ContinuousExecution(Execution):
         }
         steps = [self.grip(robot, before)]
         if lifted:
-            steps.append(_following(robot, partial(planning.joint_motion, robot, lifted, start=before)))
+            steps.append(_following(robot, _joint_plan(robot, lifted, start=before)))
         start = before | lifted
         end = start | dict(posture)
         if level(robot, arm):
@@ -259,9 +266,9 @@ class ContinuousExecution(Execution):
         line = _line(robot, arm, end, ways, ignored, ignored_links)
         if line is None:  # the open fingers may have room around the object
             goal = {joint: posture[joint] for joint in arm.joints}
-            way = partial(planning.joint_motion, robot, goal, start=start, ignored_links=ignored_links)
+            way = _joint_plan(robot, goal, start=start, ignored_links=ignored_links)
             return _all((*steps, _following(robot, way)))
-        steps.append(_following(robot, partial(planning.joint_motion, robot, line[-1], start=start)))
+        steps.append(_following(robot, _joint_plan(robot, line[-1], start=start)))
         return _all((*steps, partial(_along, (robot, line[::-1]))))
 
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:
@@ -341,7 +348,7 @@ def _in_turn(
         parts = [of_arms[0] | others, *of_arms[1:]]
     steps = []
     for part in parts:
-        plan = partial(_upright, robot, partial(planning.joint_motion, robot, part, patience=patience), start=start)
+        plan = partial(_upright, robot, _joint_plan(robot, part, patience=patience), start=start)
         steps.append(_following(robot, plan))
         start = {**start, **part}
     return steps
@@ -389,6 +396,12 @@ def _now(robot: Object, joints: Iterable[str]) -> dict[str, float]:
     return {name: min(max(lower, now[name]), upper) for name, (lower, upper) in limits.items()}
 
 
+def _joint_plan(robot: Object, goal: Mapping[str, float], **options: Any) -> Callable[..., planning.PlannedMotion]:
+    """Return a plan for joints that first tries the ways back along the robot's latest motions."""
+    earlier = _followed.setdefault(robot, deque(maxlen=_REMEMBERED))
+    return partial(planning.joint_motion, robot, goal, earlier=earlier, **options)
+
+
 def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Step:
     """Return a step that follows a plan; plan now, and again if the robot has moved when the step begins.
 
@@ -403,7 +416,9 @@ def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Ste
         active = robot.world.trajectories.active
         while _is_crossed(robot, planned.trajectory):
             simulation.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
-            planned = plan()  # the path the path begins at the new posture
+            planned = plan()  # the path begins at the new posture
+        if planned.trajectory.joints and planned.search.planner != STRAIGHT:
+            _followed.setdefault(robot, deque(maxlen=_REMEMBERED)).append(planned)
         _follow(robot.world, [(robot, planned)])
 
     return step

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
@@ -63,6 +63,7 @@ def joint_motion(
     ignored_links: Collection[tuple[Object, str]] = (),
     seed: int | None = None,
     patience: int = 1,
+    earlier: Iterable[PlannedMotion] = (),
 ) -> PlannedMotion:
     """Return a motion of joints to a goal. The robot and held objects touch only objects that they touch at the start.
 
@@ -76,6 +77,7 @@ def joint_motion(
         ignored_links: objects with the links that aren't obstacles.
         seed: seed of the search; None for the run's seed.
         patience: budget of the search, as a multiple of :data:`pycram.planning.path.MAX_CHECKS` checks.
+        earlier: motions of the robot; the way back along one of them is often free, and needs no search.
 
     Raises:
         UnknownName: The robot has no such joint.
@@ -108,7 +110,7 @@ def joint_motion(
             failures = _failures.setdefault(robot, {})
             situation = _situation(robot, query.drawn_seed(1), patience, choice.forced, now, ignored, ignored_links)
             try:
-                found = path.find_path(query, clearance, choice, failures.get(situation))
+                found = path.find_path(query, clearance, choice, failures.get(situation), moved.ways(earlier))
             except NoPath as no_path:
                 failures[situation] = copy(no_path)
                 raise
@@ -186,6 +188,12 @@ class _Moved:
         searched = dict(zip(self.searched, row.tolist(), strict=True))
         followers = self._robot.urdf.followers(searched) if self._followers else {}
         return self.kept | searched | {name: followers[name] for name in self._followers}
+
+    def ways(self, motions: Iterable[PlannedMotion]) -> Iterator[Array]:
+        """Yield the paths (n, d) of motions of the same joints, as positions of the searched joints."""
+        for motion in motions:
+            if motion.trajectory.joints == self.joints:
+                yield np.array(motion.search.way_points).reshape(-1, len(self.joints))[:, : len(self.searched)]
 
     def with_followers(self, rows: Array) -> Array:
         """Return positions (n, joints) of all moving joints for positions (n, d) of the searched joints."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -26,12 +26,14 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 STRAIGHT: Final = "straight line"
+EARLIER: Final = "earlier path"
 RRT_CONNECT: Final = "RRT-Connect"
 MAX_CHECKS: Final = 20_000  # maximum number of checked configurations in all searches for a path
 
 _STEPS: Final = (1.0, 0.5, 0.25)  # steps of searches as shares of the space's step; small steps miss fewer collisions
 _FINE: Final = 0.25  # step of the final check as a share of the space's step
 _RATE: Final = 240.0  # number of samples per second with which a timed path is checked
+_MAX_EARLIER: Final = 4  # maximum number of earlier paths that are tried before a search
 _MAX_PAIRS: Final = 3  # maximum number of pairs of links in a failure
 
 
@@ -64,7 +66,7 @@ class Query:
 class Path:
     """A path without new collisions, with its times."""
 
-    planner: str  # STRAIGHT or RRT_CONNECT
+    planner: str  # STRAIGHT, EARLIER or RRT_CONNECT
     seed: int  # seed of the successful search; 0 without a search
     attempts: int  # number of searches
     budget: int  # maximum number of checked configurations
@@ -72,13 +74,20 @@ class Path:
     knots: Knots  # knots of the timed path
 
 
-def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPath | None = None) -> Path:
+def find_path(
+    query: Query,
+    clearance: Clearance,
+    choice: Choice,
+    failure: NoPath | None = None,
+    earlier: Iterable[Array] = (),
+) -> Path:
     """Return a path that touches only objects that the robot touches at the ends.
 
     The first search has half of the budget, keeps a distance from obstacles, and stays in the query's narrower space.
 
     Args:
         failure: failure of the same search before, which isn't repeated.
+        earlier: paths (n, d) that are tried before a search, in both directions.
 
     Raises:
         NoPath: The search found no path within the budget.
@@ -88,6 +97,7 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
     reached = [query.start]  # the start, followed by the nearest configuration of each search
     most = query.patience * MAX_CHECKS
     rooms = (True, query.space, most // 2), (False, query.wider or query.space, most)
+    ways = _nearest(query, earlier)
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
         if touch is None and choice.admits(STRAIGHT):
@@ -95,6 +105,11 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
             return Path(STRAIGHT, 0, len(reached) - 1, most, line, timing.timed(line, query.rates, timing.SPACINGS[0]))
         if touch is not None:
             choice.reject(STRAIGHT, Touching([touch]))
+        way = _shortest_free(query, clearance, ways, fine) if ways and choice.admits(EARLIER) else None
+        if way is not None:
+            choice.take(EARLIER, checks=clearance.checks)
+            knots = _timed(query, clearance, way, fine)
+            return Path(EARLIER, 0, len(reached) - 1, most, way, knots)
         if not choice.admits(RRT_CONNECT):
             break
         found = None if failure else _searched(query, clearance, space, budget, reached)
@@ -110,6 +125,27 @@ def find_path(query: Query, clearance: Clearance, choice: Choice, failure: NoPat
         failure = NoPath(query.mover, goal, clearance.checks, nearest, float(distances.min()), pairs)
     choice.reject(RRT_CONNECT, Unreached(failure.checks, failure.distance, failure.pairs))
     raise copy(failure)
+
+
+def _nearest(query: Query, paths: Iterable[Array]) -> list[Array]:
+    """Return the paths (n, d) from the query's start to its goal whose middle parts are nearest earlier paths."""
+    found = [np.vstack([query.start, way, query.goal]) for path in paths for way in (path, path[::-1])]
+    gaps = {id(way): query.space.distance(way[[0, -1]], way[[1, -2]]).sum() for way in found}
+    direct = query.space.distance(query.start, query.goal)
+    near = [way for way in found if gaps[id(way)] < direct]
+    return sorted(near, key=lambda way: gaps[id(way)])[:_MAX_EARLIER]
+
+
+def _shortest_free(query: Query, clearance: Clearance, ways: Iterable[Array], fine: float) -> Array | None:
+    """Return the first of some paths (n, d) that is free, without its unnecessary way points; None if no path is."""
+    found = next((way for way in ways if clearance.free(query.space.along(way, fine))), None)
+    number = 1
+    while found is not None and number < len(found) - 1:
+        if clearance.free(query.space.along(found[[number - 1, number + 1]], fine)):
+            found = np.delete(found, number, axis=0)
+        else:
+            number += 1
+    return found
 
 
 def _searched(query: Query, clearance: Clearance, space: Space, budget: int, reached: list[Array]) -> Array | None:

@@ -69,12 +69,17 @@ def test_the_arm_goes_around_obstacles(
     assert "would touch pillar" in rejections(query)
     evidence = {argument.name: json.loads(argument.json) for argument in query.evidence}
     assert evidence["checks"] == planned.search.checks <= path.MAX_CHECKS
+    back = joint_motion(arm, RIGHT, start=LEFT, earlier=[planned])
+    assert back.search.planner == "earlier path"
+    assert length(back) <= length(planned)
     monkeypatch.setattr(path, "MAX_CHECKS", 60)
     with pytest.raises(NoPath):
         joint_motion(arm, LEFT)
     patient = joint_motion(arm, LEFT, patience=100)
     assert path.MAX_CHECKS < patient.search.checks <= patient.search.max_checks == 100 * path.MAX_CHECKS
-    assert deepest(arm, planned, 240) < 5e-3
+    assert max(deepest(arm, planned, 240), deepest(arm, back, 240)) < 5e-3
+    pillar.set_position([0.55, 0, 0.75])
+    assert joint_motion(arm, RIGHT, start=LEFT, earlier=[planned], patience=100).search.planner != "earlier path"
 
 
 @pytest.mark.usefixtures("pillar")
