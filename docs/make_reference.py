@@ -34,15 +34,15 @@ quaternions are [x, y, z, w]. You may leave out an optional slot, or set it to N
 """
 _ACTIONS: Final = """\
 `perform(transporting(object=milk, target="island"))` executes an action. The action chooses values for empty
-slots; if one choice fails, it tries the next choice. `pycram.action_designators` has a typed constructor for each
-action, which returns `ActionDesignator(type=..., ...)`. In keyword arguments, write the names of slots with `_` for
-`-`, such as `reachable_for=`; add a `_` to names that are Python keywords, such as `in_=`. If an object isn't
-found, or no place is suitable (`NoPlace`), the action fails before anything moves. Every action also has these slots:
+slots. If one choice fails, the action tries the next choice. `pycram.action_designators` has a typed constructor for
+each action; the constructor returns `ActionDesignator(type=..., ...)`. In keyword arguments, write `_` instead of the
+`-` in a slot's name, as in `reachable_for=`. Append `_` to a name that is a Python keyword, as in `in_=`. If PyCRAM
+finds no object or no place (`NoPlace`), the action fails before anything moves. Every action also has these slots:
 """
 _MOTIONS: Final = """\
 `perform(moving(target=[1, 0, 0]))` executes a motion. `pycram.motion_designators` has a typed constructor for each
-motion, which returns `MotionDesignator(type=..., ...)`. The value of a slot may also be a designator of an object or a
-place. In the `continuous` environment, where motions take simulated time, motions can fail in more ways.
+motion; the constructor returns `MotionDesignator(type=..., ...)`. The value of a slot may also be a designator of an
+object or a place. In the environment `continuous`, motions take simulated time, and can fail in more ways.
 """
 _ARMS: Final = "For each arm of the robot, `NAME-arm` is a slot with the arm's name, such as `left-arm`."
 
