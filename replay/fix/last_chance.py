@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,7 +28,7 @@ from recorder.records.text import NOT_TRIED, TAKEN, chosen_name, fates
 from replay.compare import compare_recordings
 from replay.errors import ReplayError
 from replay.explain.causes.case import FailureCase
-from replay.explain.causes.trials import NONE, Trial, TriedTrial, restored
+from replay.explain.causes.trials import NONE, Trial, TriedTrial, away, restored
 from replay.fix.search import Repair, SearchResult, reaches_goal, required, search
 from replay.fix.trials import Trials
 from replay.history.source import Line, PlanSource
@@ -147,12 +147,13 @@ class _Chances:
         held = {each.body for each in case.world.attachments.values() if each.carrier == case.world.robot}
         needed = {case.world.robot, *held.intersection(case.subjects)}
         names = [name for name in case.world.bodies if name not in needed]
+        busy = {case.holder(name, self._end - 1) for name in needed} - {""}
         changes = [each.seq for each in self._log.records(Mutation, 0, self._end) if self._changes(each, {*names})]
         known: dict[int, bool] = {len(changes): False}  # results by number of kept changes
 
         def helps(kept: int) -> bool:
             if kept not in known and self._left():
-                tried = self._prover.tried(_put_back(case, names, changes[kept] - 1, self._end))
+                tried = self._prover.tried(_put_back(case, names, busy, changes[kept] - 1, self._end))
                 known[kept] = self._prover.succeeds(tried)
                 self._found.runs = self._control + self._prover.forks
             return known.get(kept, False)
@@ -268,14 +269,20 @@ class _Chances:
                     yield Trial(closed - 1, text, answers=(text,))
 
 
-def _put_back(case: FailureCase, names: Sequence[str], then: int, end: int) -> Trial:
-    """Return the fork in which objects, also in the robot's hands, are where they were after an earlier step."""
+def _put_back(case: FailureCase, names: Sequence[str], busy: set[str], then: int, end: int) -> Trial:
+    """Return the fork in which objects, also in the robot's hands, are where they were after an earlier step.
+
+    An object that was in a busy hand is moved far away instead, because a hand holds one object.
+    """
     hands = {name: case.holder(name, then) for name in names if case.holder(name, then) != case.holder(name, end - 1)}
-    freed = [f"{written(name)}.hand={NONE}" for name in hands]
-    taken = [f"{written(name)}.hand={arm}" for name, arm in hands.items() if arm in case.hands]
+    settings = [f"{written(name)}.hand={NONE}" for name in hands]
     words = f"all objects are as they were at step {then}"
-    whole = next(restored(case, names, then, end, words), Trial(end, words))
-    return replace(whole, settings=(*freed, *whole.settings, *taken))
+    settings += next(restored(case, names, then, end, words), Trial(end, words)).settings
+    for name, arm in hands.items():
+        moved = away(case, name, end) if arm in busy else ()
+        settings += [each for trial in moved for each in trial.settings]
+        settings += [f"{written(name)}.hand={arm}"] if arm in case.hands and arm not in busy else []
+    return Trial(end, words, tuple(settings), world=case.world.name if case.world is not None else "")
 
 
 def _alternatives(query: Query) -> list[str]:

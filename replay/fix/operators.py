@@ -36,7 +36,6 @@ _OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
 _SCALES: Final = {ast.Mult, ast.Div}
 _FEW: Final = 2  # whole numbers up to this number are counts, not lengths
 _MANY: Final = 4.0  # a number that is so much larger than all others has another unit
-_GRAVITY: Final = 9.0
 _RIGHT_ANGLES: Final = 15.0  # multiples of this number are likely angles in degrees
 _PASSED: Final = 0.3  # additional cost of a number for a function of the plan, which may convert it
 _AXIS: Final = re.compile(r"(?:.*_)?[xyz]")
@@ -67,11 +66,9 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     if value is None:
         return
     is_count = isinstance(value, int) and value <= _FEW and node in plan.counts
-    usual = max(
-        (each for each in plan.numbers if each != value and not _GRAVITY < each < _GRAVITY + 1), default=math.inf
-    )
+    usual = max((each for each in plan.numbers if each != value), default=math.inf)
     for number, factor in enumerate(_FACTORS if value and not is_count else ()):
-        is_unit = value >= _MANY * usual and value * factor <= usual
+        is_unit = value in plan.numbers and value >= _MANY * usual and value * factor <= usual
         is_unit |= factor == _FACTORS[2] and not value % _RIGHT_ANGLES
         cost = 0.25 + 0.05 * number if is_unit else 0.3 + 0.1 * number + 0.4 * (number > 2)
         cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)

@@ -15,6 +15,7 @@ _ACTING: Final = (
     *("perform", "simulate", "settle", "wait_for", "attach", "detach", "Object", "BulletWorld"),
     *("append", "add", "extend", "insert", "pop", "remove", "update", "clear"),
 )
+_GRAVITY: Final = 9.0
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
 
@@ -39,7 +40,9 @@ class PlanSyntax:
         self.constants: set[str] = set()  # variables with a written container
         self.unused: set[str] = set()  # names that the plan defines, but doesn't use for an effect
         self.literals: dict[str, str] = {}  # types of variables with a list, a dictionary or a set
-        self.numbers = [each for each in map(written_number, self.nodes) if each is not None]  # without signs
+        written = map(written_number, self.nodes)
+        #: Numbers that may be lengths and angles, without signs; gravity is none of these.
+        self.numbers = [each for each in written if each is not None and not _GRAVITY < each < _GRAVITY + 1]
         self.defined = {
             each.asname or each.name
             for node in self.nodes

@@ -201,7 +201,7 @@ def _watch_effects(allowed: Sequence[Path], outside: list[str]) -> None:
             refused = writes and not is_inside(path)
         elif event in _CHANGING:
             path = arguments[_CHANGING[event]]
-            refused = not is_inside(path)
+            refused = not is_inside(path) and not (event == "os.mkdir" and Path(os.fsdecode(path)).is_dir())
         else:
             refused = event in _REACHING
             path = arguments

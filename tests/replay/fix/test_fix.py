@@ -199,9 +199,11 @@ def test_values_for_assertions_and_prints_stay_unchanged() -> None:
 
 
 def test_other_scales_and_swapped_axes_are_doubted_without_a_number_that_suggests_them() -> None:
-    editor = Editor("LEFT, RIGHT = 0.4, 1.6\nHEIGHT = 80\nput([LEFT, RIGHT, HEIGHT])\ny = LEFT / RIGHT\n")
+    editor = Editor(
+        "LEFT, RIGHT = 0.4, 1.6\nHEIGHT = 80\nput([LEFT, RIGHT, HEIGHT])\ny = LEFT / RIGHT\nset_gravity(-9.8)\n"
+    )
     doubted = {
-        edit.text.splitlines()[edit.line - 1]: edit.chance for line in (1, 2, 3, 4) for edit in editor.edits(line)
+        edit.text.splitlines()[edit.line - 1]: edit.chance for line in range(1, 6) for edit in editor.edits(line)
     }
     for text, chance in {
         "LEFT, RIGHT = 0.004, 1.6": True,
@@ -209,6 +211,7 @@ def test_other_scales_and_swapped_axes_are_doubted_without_a_number_that_suggest
         "put([RIGHT, LEFT, HEIGHT])": True,
         "y = (LEFT * RIGHT)": True,
         "y = (LEFT // RIGHT)": False,
+        "set_gravity(-0.098)": True,
     }.items():
         assert doubted[text] == chance
 
