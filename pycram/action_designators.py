@@ -77,7 +77,7 @@ def fetching(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Drives to a place within reach of an object, and takes the object; clears obstacles, drawers and doors away.
+    """Drives to a place within reach of an object, and takes the object; moves obstacles, opens drawers and doors.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
@@ -216,9 +216,10 @@ def parking_arms(
     budget: int | None = None,
     projected: bool | None = None,
 ) -> ActionDesignator:
-    """Folds the arms, if possible together; held objects move along.
+    """Folds the arms, if possible at the same time; held objects move along.
 
-    In an environment with ``level``, an arm with a held object moves back instead, and keeps the object upright.
+    In an environment with ``level``, an arm that holds an object isn't folded: the arm moves back, and keeps the object
+    upright.
 
     Args:
         arm: Name of the arm; by default all arms.
@@ -297,9 +298,9 @@ def searching(
     """Searches for an object until the camera sees it, and returns the object.
 
     The search begins at the believed place of the object. Next, the robot looks at all surfaces, the nearest first:
-    from its present place, then from places near the surfaces. At last, it opens closed drawers and doors, looks
-    inside, and closes them. If it finds no object, the action fails with ObjectNotFound and the searched places. A
-    robot without a camera uses the state of the world.
+    from its present place, then from places near the surfaces. Finally, the robot opens closed drawers and doors,
+    looks inside, and closes them. If the robot finds no object, the action fails with ObjectNotFound, which has the
+    searched places. A robot without a camera uses the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.

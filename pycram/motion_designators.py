@@ -78,7 +78,7 @@ def accessing(
     arm: str | None = None,
     distance: float | None = None,
 ) -> MotionDesignator:
-    """Grips a handle and moves its joint to the given distance, with the contents; a distance of 0 means closed.
+    """Grips a handle, and opens the drawer or door with its contents by a distance; a distance of 0 means closed.
 
     Args:
         drawer_joint: A name.

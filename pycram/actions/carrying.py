@@ -135,7 +135,7 @@ def fetching(
     place: Any = None,
     clear: bool = False,
 ) -> Any:
-    """Drives to a place within reach of an object, and takes the object; clears obstacles, drawers and doors away.
+    """Drives to a place within reach of an object, and takes the object; moves obstacles, opens drawers and doors.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.

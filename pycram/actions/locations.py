@@ -136,7 +136,7 @@ _EXCLUDING: Final = (("on", "in"), ("position", "on"), ("position", "in"), ("on"
 
 
 class LocationDesignator(ResolvedDesignator):
-    """A place. With the slot ``on`` or ``in``, it is a place for an object, else a place where the robot stands.
+    """A place for an object, with the slot ``on`` or ``in``; without these slots, a place where the robot stands.
 
     Examples: ``LocationDesignator(on="island", near=[-0.8, 1])``, ``LocationDesignator(reachable_for=milk)``. Solutions
     have ``position`` and ``orientation`` in the world frame, and the ``arms`` that reach the place. The search yields

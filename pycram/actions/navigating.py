@@ -69,9 +69,10 @@ def park() -> None:
 
 @action("parking-arms")
 def parking_arms(arm: str | None = None) -> None:
-    """Folds the arms, if possible together; held objects move along.
+    """Folds the arms, if possible at the same time; held objects move along.
 
-    In an environment with ``level``, an arm with a held object moves back instead, and keeps the object upright.
+    In an environment with ``level``, an arm that holds an object isn't folded: the arm moves back, and keeps the object
+    upright.
 
     Args:
         arm: Name of the arm; by default all arms.

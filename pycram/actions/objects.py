@@ -23,10 +23,10 @@ _SLOTS: Final = SlotTable(
 
 
 class ObjectDesignator(ResolvedDesignator):
-    """An object, such as ``ObjectDesignator(type="milk")``; the robot's latest belief is the first solution.
+    """An object about which the robot has a belief, such as ``ObjectDesignator(type="milk")``.
 
-    Solutions have ``object``, ``position`` and ``orientation``: the object, and the pose at which the robot believes it
-    to be.
+    Solutions have ``object``, and the believed ``position`` and ``orientation`` of this object. The solution with the
+    robot's latest belief comes first.
     """
 
     takes: ClassVar[SlotTable] = _SLOTS

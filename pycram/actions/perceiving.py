@@ -118,9 +118,9 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
     """Searches for an object until the camera sees it, and returns the object.
 
     The search begins at the believed place of the object. Next, the robot looks at all surfaces, the nearest first:
-    from its present place, then from places near the surfaces. At last, it opens closed drawers and doors, looks
-    inside, and closes them. If it finds no object, the action fails with ObjectNotFound and the searched places. A
-    robot without a camera uses the state of the world.
+    from its present place, then from places near the surfaces. Finally, the robot opens closed drawers and doors,
+    looks inside, and closes them. If the robot finds no object, the action fails with ObjectNotFound, which has the
+    searched places. A robot without a camera uses the state of the world.
 
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.

@@ -133,7 +133,7 @@ class Unreachable(PlanFailure):
     arm: str  # name of the arm, or of the tool frame
     target: Sequence[float] = kept_as(floats)
     distance: float | None = None  # distance in m from the target to the tool in the nearest posture; None: unknown
-    reason: str = ""  # another cause than the distance
+    reason: str = ""  # the cause, if it isn't the distance
 
     def _message(self) -> str:
         near = f"; the nearest posture found stays {self.distance:.3f} m away" if self.distance is not None else ""
@@ -202,9 +202,9 @@ class NoPath(PlanFailure):
     goal: Mapping[str, float] = kept_as(dict)  # joint values by name; for a base, x, y and yaw in the world
     checks: int  # number of configurations that were checked for collisions
     nearest: Mapping[str, float] = kept_as(dict)  # the reached configuration that is nearest to the goal
-    distance: float  # distance from ``nearest`` to the goal in joint values; for a base in m, 1 rad as 0.5 m
+    distance: float  # joint distance from ``nearest`` to the goal; for a base in m, where 1 rad counts as 0.5 m
     pairs: Sequence[CollisionPair] = kept_as(list)  # the pairs of links that most often ended a path by touching
-    reason: str = ""  # another cause
+    reason: str = ""  # the cause, if the search wasn't the cause
 
     def _message(self) -> str:
         if self.reason:
@@ -300,7 +300,7 @@ class GripperBlocked(PlanFailure):
 
 @dataclass_error
 class PlaceFailed(PlanFailure):
-    """The object can't be set down at the target, or it didn't come to rest there."""
+    """The object can't be put down at the target, or the object didn't come to rest there."""
 
     body: str
     target: Sequence[float] = kept_as(floats)
@@ -322,14 +322,14 @@ class PlaceFailed(PlanFailure):
 
 @dataclass_error
 class TrackingLost(PlanFailure):
-    """A body couldn't follow its trajectory; it stops, and stays where it is."""
+    """A body couldn't follow its trajectory; the body stops, and stays where it is."""
 
     body: str
     number: int  # number of the trajectory in its world
     joint: str  # the first joint whose deviation was too large
-    error: float  # deviation of that joint, rad or m
+    error: float  # deviation of ``joint``, rad or m
     time: float  # time reached on the trajectory, s
-    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body at that time, with their loads, hardest first
+    pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body at that time, the hardest first
 
     def _message(self) -> str:
         why = f": {phrases(self.pairs)}" if self.pairs else "; it touches nothing"
@@ -339,7 +339,7 @@ class TrackingLost(PlanFailure):
 
 @dataclass_error
 class TrajectoryEnded(PlanFailure):
-    """A trajectory ended early: it was stopped, or its world was reset or restored."""
+    """A trajectory ended early: the trajectory was stopped, or its world was reset or restored."""
 
     body: str
     number: int  # number of the trajectory in its world
@@ -354,11 +354,11 @@ class TrajectoryEnded(PlanFailure):
 
 @dataclass_error
 class Displaced(PlanFailure):
-    """Between two parts of a motion, something else moved a joint or the base, such as another branch."""
+    """Between two parts of a motion, something else, such as another branch, moved a joint or the base."""
 
     body: str
     coordinate: str  # name of the joint; x, y or yaw for the base
-    expected: float  # its expected position in rad or m
+    expected: float  # expected value of this coordinate in rad or m
     position: float
 
     _template = (
@@ -378,9 +378,9 @@ class AccessFailed(PlanFailure):
     arm: str = ""
     asked: float | None = None  # requested position of the joint in rad or m
     value: float | None = None  # joint position at which the arm's path ends early; None if the path isn't the cause
-    reached: float | None = None  # the last joint position that the arm could reach; None if it can't begin
-    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation at ``value``
-    remedies: Sequence[str] = kept_as(list, default=())  # texts
+    reached: float | None = None  # the last joint position that the arm could reach; None if it reaches no position
+    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation of the tool at ``value``
+    remedies: Sequence[str] = kept_as(list, default=())  # ways to succeed, as texts
 
     def _message(self) -> str:
         moved = "opened" if self.asked is None else f"moved to {self.asked:g}"
@@ -394,7 +394,7 @@ class AccessFailed(PlanFailure):
 
 
 class HandleUnreachable(AccessFailed, Unreachable):
-    """The arm can't reach the handle, or can't follow it on the whole path of the door or drawer."""
+    """The arm can't reach the handle, or can't follow the handle on the whole path of the door or drawer."""
 
     def __init__(
         self, joint: str, reason: str, *, target: Sequence[float], distance: float | None, turn: float, **details: Any
@@ -402,7 +402,7 @@ class HandleUnreachable(AccessFailed, Unreachable):
         AccessFailed.__init__(self, joint, reason, **details)
         self.target = floats(target)  # target position of the tool
         self.distance = distance  # distance in m from the target to the tool in the nearest posture
-        self.turn = turn  # angle between the requested and the reached orientation
+        self.turn = turn  # angle in rad between the requested orientation and the reached orientation
 
 
 class HandleBlocked(AccessFailed):

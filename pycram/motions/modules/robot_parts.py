@@ -76,7 +76,7 @@ _TURNS: Final = (0, 30, -30, 60, -60, 90, -90, 135, -135, 180)  # turns about th
 class MoveHead(SimulatedModule):
     """Points the camera's axis at a point, or at the centre of an object.
 
-    If the camera is fixed, or the head only pans or only tilts, the picture must only show the point.
+    If the camera is fixed, or the head only pans or only tilts, the camera only needs to see the point.
     """
 
     failures = (LookingFailed, MissingPart)
