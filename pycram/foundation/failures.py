@@ -379,7 +379,7 @@ class AccessFailed(PlanFailure):
     asked: float | None = None  # requested position of the joint in rad or m
     value: float | None = None  # joint position at which the arm's path ends early; None if the path isn't the cause
     reached: float | None = None  # the last joint position that the arm could reach; None if it reaches no position
-    orientation: Sequence[float] | None = kept_as(floats, default=None)  # requested orientation of the tool at ``value``
+    orientation: Sequence[float] | None = kept_as(floats, default=None)  # orientation of the tool at ``value``
     remedies: Sequence[str] = kept_as(list, default=())  # ways to succeed, as texts
 
     def _message(self) -> str:
