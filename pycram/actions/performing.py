@@ -116,9 +116,10 @@ def _untaken(failure: BaseException, body: Object) -> bool:
 def _turned(body: Object, turns: Sequence[int]) -> Iterator[tuple[str, Pose]]:
     """Yield advice, and poses of an object after turns; in the advice, ``{}`` stands for the object's name."""
     x, y, z = center(body)
+    upright = geometry.conjugate(leaning(body.get_orientation()))
     from_middle = geometry.multiply(((-x, -y, -z), geometry.IDENTITY[1]), body.get_position_and_orientation())
     for degrees in turns:
-        turn = geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), geometry.conjugate(leaning(body)))
+        turn = geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), upright)
         yield f"turn {{}} by {degrees} degrees", geometry.multiply(((x, y, z), turn), from_middle)
 
 

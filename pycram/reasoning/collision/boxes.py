@@ -52,7 +52,7 @@ _NEIGHBOURS: Final = 3  # if at most this many joints are between two links, the
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """k oriented boxes. Two sets of boxes are equal only if they are the same Python object."""
+    """k oriented boxes. Sets of boxes are compared by identity."""
 
     links: tuple[str, ...]  # (k,) names of the links in the boxes
     centers: Array  # (k, 3) centers in the world, m
@@ -61,7 +61,7 @@ class Boxes:
 
     @classmethod
     def around(cls, engine: Engine, body: LoadedBody, model: Object) -> Boxes:
-        """Return the boxes of a body at its pose in an engine; ``model`` is the object with the body's shapes."""
+        """Return the boxes of a body at its pose in an engine; ``model`` is the object that has the body's shapes."""
         names, low, high = _bounds(model.model.path)
         positions, orientations = engine.link_frames(body, names)
         axes = geometry.to_matrices(orientations)
@@ -108,7 +108,7 @@ class Boxes:
         return Boxes(self.links, centers, axes, self.half_extents)
 
     def raised(self, up: float) -> Boxes:
-        """Return one box, along the world's axes, around the space that all boxes sweep when they are lifted, in m."""
+        """Return one box along the world's axes: around the space of all boxes when they are lifted by ``up`` m."""
         if not self.links:
             return self
         lows, highs = self.ends
@@ -225,7 +225,7 @@ def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> ND
     overlap: NDArray[np.bool_] = np.all(
         np.abs(offset) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0], axis=1
     )
-    left = np.flatnonzero(overlap)  # if there are few pairs, the axes of the first boxes already separate most of them
+    left = np.flatnonzero(overlap)  # the axes of the first boxes separate most pairs
     turn, offset, cosines, halves, other_halves = (part[left] for part in (turn, offset, cosines, halves, other_halves))
     along = (turn.transpose(0, 2, 1) @ offset[:, :, None])[:, :, 0]
     apart = (np.abs(along) > other_halves + (cosines.transpose(0, 2, 1) @ halves[:, :, None])[:, :, 0]).any(axis=1)
@@ -301,7 +301,7 @@ class MovingLinks:
         return found
 
     def hangs_on(self, link: str, other: str) -> bool:
-        """Return whether a link is below all joints of another link; both must have shapes or hold an object."""
+        """Return whether all joints above ``other`` are above ``link``; both links have shapes or hold an object."""
         own, numbers = self._structure.own, self._structure.numbers
         return not own[numbers[other], numbers[link]]
 

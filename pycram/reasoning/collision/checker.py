@@ -7,6 +7,7 @@ checks these pairs with the engine one by one in a simulation clone, when a call
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Self, TypedDict
@@ -27,9 +28,7 @@ if TYPE_CHECKING:
     Pair = tuple[Object, str, Object, str]  # a moving object and its link, then another object and its link
 
 DEPTH: Final = 2e-3  # minimum overlap in m of shapes that collide; the engine pads shapes
-_SELF_DEPTH: Final = (
-    0.02  # minimum overlap in m of the robot's own links that collide; their hulls overlap more than the links
-)
+_SELF_DEPTH: Final = 0.02  # minimum overlap in m of the robot's own links that collide; hulls are wider than links
 _STANDING: Final = 0.9  # minimum vertical component of the normal of a contact between a robot's wheels and the floor
 _FEET: Final = 0.02  # maximum height in m of a contact between a robot's wheels and the floor
 
@@ -57,12 +56,13 @@ class PostureCandidate:
 
 
 class CollisionChecker:
-    """Checks postures of a robot for collisions. The checker is a context manager; the caller holds the world's lock.
+    """Checks postures of a robot for collisions, in a ``with`` block; the caller holds the world's lock.
 
     Args:
         joints: names of the moving joints; other links of the robot aren't checked.
-        ignored_links: links that the robot may touch, with the objects on them; for example, links that move along.
-        margin: objects up to this distance in m are checked, too.
+        ignored: objects that the robot may touch.
+        ignored_links: links of objects that the robot may touch, such as links that move along.
+        margin: distance in m up to which links that don't touch are checked, too.
     """
 
     def __init__(
@@ -110,7 +110,6 @@ class CollisionChecker:
         every = every.subset(np.array(counted, dtype=bool)) if ignored_links else every
         self._other_boxes = every.widened(margin) if margin else every
         self._other_owners = list(itertools.compress(owners, counted))
-        self._copies: dict[tuple[Object, str], LoadedBody] = {}  # checked bodies by object and link
         self._base = links.base_pose  # present pose of the robot in the clone
         self._placed: PostureCandidate | None = None
 
@@ -172,8 +171,8 @@ class CollisionChecker:
     def pairs(self, candidate: PostureCandidate) -> Sequence[Pair]:
         """Return the pairs of links with overlapping boxes, each pair once, without pairs of the robot's own links.
 
-        Pairs are ordered so that the first pair of each object comes before second pairs: callers first need to know
-        which objects are touched. Furniture comes after other objects, because boxes of furniture are wide.
+        The first pairs of all objects come before second pairs, because callers first need to know which objects are
+        touched. Furniture comes after other objects, because boxes of furniture are wide.
         """
         if not candidate.pairs:
             boxes, others = candidate.overlaps
@@ -182,16 +181,11 @@ class CollisionChecker:
                 for box, other in zip(boxes.tolist(), others.tolist(), strict=True)
             )
             order: dict[Pair, tuple[int, bool]] = {}
-            counts: dict[Object, int] = {}
-            fixed: dict[Object, bool] = {}
+            counts: Counter[Object] = Counter()
             for pair in pairs:
-                body = pair[2]
-                if (pair[0], body) in self._passed:
-                    continue
-                if body not in counts:
-                    counts[body], fixed[body] = 0, body.fixed
-                counts[body] += 1
-                order[pair] = counts[body], fixed[body]
+                if (pair[0], pair[2]) not in self._passed:
+                    counts[pair[2]] += 1
+                    order[pair] = counts[pair[2]], pair[2].fixed
             candidate.pairs.extend(sorted(order, key=order.__getitem__))
         return candidate.pairs
 
@@ -260,10 +254,7 @@ class CollisionChecker:
         return [[(self._own[a], link, self._own[b], other) for (a, link), (b, other) in each] for each in found]
 
     def depth(self, candidate: PostureCandidate, pair: Pair) -> float:
-        """Return the overlap in m of two links in a candidate; wheels don't overlap the floor.
-
-        For links that don't touch, the overlap is negative, but not below the negative margin.
-        """
+        """Return the overlap in m of two links in a candidate, without wheels on the floor; at least ``-margin``."""
         touches = self._touches(candidate, pair)
         if touches and pair[0].is_robot and pair[2].is_environment:
             touches = [touch for touch in touches if not _carries_wheels(touch)]
@@ -272,7 +263,7 @@ class CollisionChecker:
     def least(self, pair: Pair) -> float:
         """Return the least overlap in m at which two links collide; the limit is larger for the robot's own links.
 
-        Held objects may come near the links that carry them, such as the shoulder, because the hulls are wide.
+        Held objects may come near the arm that holds them, because hulls are wide.
         """
         mover, _, body, other = pair
         if body is not self.robot:
@@ -302,11 +293,7 @@ class CollisionChecker:
 
     def _copy(self, body: Object, link: str) -> LoadedBody:
         """Return the clone's body with a link of an object; furniture has a body for each link."""
-        copy = self._copies.get((body, link))
-        if copy is None:
-            copy = self._clone.link(body, link) if body.is_environment else self._clone.body(body.name)
-            self._copies[body, link] = copy
-        return copy
+        return self._clone.link(body, link) if body.is_environment else self._clone.body(body.name)
 
     def closest_points(self, candidate: PostureCandidate, other: LoadedBody) -> list[ClosestPoint]:
         """Return the contact points of a body with the robot, which is in a candidate's posture."""
@@ -333,10 +320,7 @@ class CollisionChecker:
         return {link for link, count in counts.items() if count == len(names)}
 
     def constant_links(self, link: str | None) -> set[str]:
-        """Return the robot's links that the moving joints don't move.
-
-        ``link`` is another link whose pose is constant, such as the hand in all postures for a grasp.
-        """
+        """Return the links that don't move if ``link`` has a constant pose, such as a hand in postures for a grasp."""
         counts = self._links.joint_counts
         constant = {0} if link is None else {0, counts[link]}
         return {other for other, count in counts.items() if count in constant}
@@ -360,13 +344,13 @@ def touched(
         return checker.touched(candidate)
 
 
-def in_the_way(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
+def in_the_way(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:
     """Return the deepest pair for each collision in a posture, then colliding pairs of the robot's own links.
 
     :func:`touched` describes the arguments.
     """
     with CollisionChecker(robot, positions) as checker:
-        (candidate,) = checker.predict([positions], base)
+        (candidate,) = checker.predict([positions])
         return checker.in_the_way(candidate)
 
 

@@ -1,6 +1,6 @@
 """Ray casts: where straight lines enter and leave an object's collision shapes.
 
-A gripper needs the width of an object between its fingers. The object's bounds are larger than this width, because
+A grasp needs the width of an object between the fingers; the object's bounds are larger than this width, because
 bounds grow with rotations and include hollows. All lines are intersected with the model's convex pieces together.
 """
 
@@ -147,8 +147,7 @@ class RayCaster:
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
         u, v, along, room = planes.T
-        # a line parallel to a plane is treated as leaving it far ahead if the line is inside, and far behind if it is
-        # outside
+        # a line parallel to a plane leaves the plane far ahead if the line is inside, and far behind if it is outside
         along = np.where(np.abs(along) < _PARALLEL, _PARALLEL, along)
         factors = np.empty((len(planes), 3))
         factors[:, 0] = room - u * (firsts[where] + begins * steps[where])[number]

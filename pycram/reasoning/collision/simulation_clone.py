@@ -3,8 +3,8 @@
 In a :class:`PosingClone`, bodies pass through each other, and are set to poses and postures. In a
 :class:`PhysicsClone`, bodies collide, and time is simulated. Each query first updates its clone.
 
-An engine's step takes longer with more links, even if they are distant. Loading takes longer with more meshes. So
-simulation clones load furniture as rigid parts, and collision checks load single links.
+More links make the engine's steps slower, and more meshes make loading slower. So a physics clone loads furniture as
+rigid parts, and a posing clone loads single links of furniture.
 """
 
 from __future__ import annotations
@@ -88,10 +88,7 @@ class SimulationClone:
                 copy.state = None
 
     def cached(self, body: Object, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return a value that is computed from an object's state; it is cached until the object moves.
-
-        ``key`` is the cached value's name in the cache.
-        """
+        """Return the value that ``compute`` returns for an object's state; it is cached until the object moves."""
         now = self.state(body)
         values = self._values.setdefault(body, {})
         state, value = values.get(key, (None, None))
@@ -125,11 +122,9 @@ class PosingClone(SimulationClone):
         self._states = {body.name: take_snapshot(body) for body in self.world.objects}
 
     def body(self, name: str) -> LoadedBody:
-        """Return the copy of an object, updated to its state in the world unless the caller has moved the copy."""
+        """Return the copy of an object. The copy has the object's state, unless the caller has moved the copy."""
         copy = self._copies.get((name, ""))
-        if (
-            copy is not None and copy.state is self._states[name]
-        ):  # a query uses a body many times, so mostly nothing has changed
+        if copy is not None and copy.state is self._states[name]:  # a query uses a body many times
             return copy.body
         body: Object = self.world.get_object(name)
         if copy is None:

@@ -46,7 +46,7 @@ class GraspPlan:
     posture: Posture | None  # the nearest posture if the arm reaches no grasp
     # collisions of the arm in the posture, ordered by object; the deepest collision is first
     obstacles: Mapping[Object, Collision] = field(default_factory=dict)
-    self_collisions: Sequence[CollisionPair] = ()  # own links of the robot that would touch, if they prevent all grasps
+    self_collisions: Sequence[CollisionPair] = ()  # the robot's own links that would touch, if all grasps fail on them
     penetrating: CollisionPair | None = None  # links of the open hand and of the target that would overlap
 
     def evidence(self) -> dict[str, object]:
@@ -106,11 +106,9 @@ class _Grasping:
         if not grasps:
             return GraspPlan(None, None)
         solver = self.solver
+        targets = [(grasp.position, grasp.orientation if self.arm else None, self.base) for grasp in grasps]
         if self.arm is None:
-            return self._least_touching(
-                grasps, solver.search([(grasp.position, None, self.base) for grasp in grasps]), limit
-            )
-        targets = [(grasp.position, grasp.orientation, self.base) for grasp in grasps]
+            return self._least_touching(grasps, solver.search(targets), limit)
         # the thorough search finds postures at the limit of the arm's reach, but runs only if the quick search fails
         solved = solver.closed_form(targets) if solver.in_closed_form else solver.search(targets, quick=True)
         if any(posture.reaches() for postures in solved for posture in postures):
@@ -192,7 +190,7 @@ class _Choice:
             if grasp is plan.grasp:
                 pairs = [collision["pair"] for collision in plan.obstacles.values()]
                 pairs += [plan.penetrating] if plan.penetrating else []
-            else:  # a posture that wasn't checked completely may be good
+            else:  # a posture that wasn't checked completely may be free
                 pairs = by_hand or min(known, key=len)
             self._choice.reject(str(grasp), Touching(pairs) if pairs else Untried(), len(postures))
 
@@ -200,9 +198,7 @@ class _Choice:
         queue: list[tuple[Cost, int, int, dict[Object, float], Iterator[Touch]]] = []
         for option, (first, *_) in enumerate(self._candidates):
             heappush(queue, (_FREE, option, _HAND, {}, self._checker.collisions(first, self._hand)))
-        contorted: dict[
-            tuple[int, int], GraspPlan
-        ] = {}  # plans whose postures have collisions of the robot's own links
+        contorted: dict[tuple[int, int], GraspPlan] = {}  # plans in which the robot's own links collide
         while queue:
             cost, option, number, depths, touches = heappop(queue)
             bound = queue[0][:3] if queue else (_INFINITE, 0, 0)
@@ -227,8 +223,7 @@ class _Choice:
     def _check(self, touches: Iterator[Touch], depths: dict[Object, float], cost: Cost, enough: Cost) -> Cost:
         """Check the next contacts of a posture until its cost exceeds ``enough``, and return the cost.
 
-        ``depths`` contains the depths in m of earlier contacts by object, and ``cost`` their cost; new depths are
-        added.
+        ``depths`` has the depths in m of earlier contacts by object; this method adds new depths.
         """
         for (_, _, body, _), points in touches:
             depth = max(-point.distance for point in points)
@@ -256,8 +251,8 @@ def holding_grasps(
 
     Args:
         names: the allowed sides; None for all sides.
-        failures: receives the reasons against other grasps. The caller may add failures; after a few failures
-            the search ends.
+        failures: a list that receives the reasons against other grasps. The caller may add failures, too; after a few
+            failures the search ends.
     """
     refused: list[Grasp] = []
     adjusted: list[Grasp] = []
@@ -282,9 +277,8 @@ def holding_grasps(
 def _adjusted(body: Object, grasp: Grasp, closing: Closing) -> Iterator[Grasp]:
     """Yield grasps near a grasp that doesn't hold a thin object.
 
-    Some are higher if the fingers would touch furniture, because a part of the object may hang below its surface. Some
-    are deeper if the fingers would not touch two sides, because the tips of wide open fingers may reach less far. Some
-    of these grasps are turned with the object, because the fingers may miss its sides.
+    If the fingers would touch furniture, one grasp is higher. If the fingers would touch fewer than two sides of the
+    object, other grasps are deeper, because open fingers may reach less far; some of these turn with the object.
     """
     if closing.obstacles and all(body.world.get_object(pair.body).fixed for pair in closing.obstacles):
         x, y, z = grasp.position
@@ -302,11 +296,11 @@ def _nothing(
     robot: Object, arm: Arm, body: Object, names: Sequence[str] | None, plan: GraspPlan, base: Pose | None
 ) -> PlanFailure:
     if plan.posture is None:
-        tilt = geometry.angle(leaning(body), geometry.IDENTITY[1])
+        tilt = geometry.angle(leaning(body.get_orientation()), geometry.IDENTITY[1])
         lies = f"because it leans by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
         if arm.gripper.suction:
             return GraspFailed(arm.name, body.name, f"{lies}no part of it is flat enough for the suction cup")
-        sides = Choice("grasp", {})  # the caller needs the reasons even if nothing is recorded
+        sides = Choice("grasp", {})  # receives the reasons, even if nothing is recorded
         candidates(body, robot, arm, names, base=base, choice=sides)
         misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
         widths = [misfit.width for misfit in misfits if misfit.width is not None]
@@ -318,10 +312,9 @@ def _nothing(
 
 def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
     """Return why a grasp won't hold the object; None if it will hold it."""
-    if plan.obstacles:
-        return Blocked(arm.name, center(body), [collision["pair"] for collision in plan.obstacles.values()])
-    if plan.penetrating is not None:
-        return Blocked(arm.name, center(body), [plan.penetrating])
+    pairs = [collision["pair"] for collision in plan.obstacles.values()] or list(filter(None, [plan.penetrating]))
+    if pairs:
+        return Blocked(arm.name, center(body), pairs)
     if closing is None:
         return GraspFailed(arm.name, body.name, "the fingers would close on nothing")
     if closing.obstacles:

@@ -1,4 +1,4 @@
-"""Motions of fingers until an obstacle stops them; a simulation clone computes the motions before the fingers move."""
+"""Motions of fingers until an obstacle stops the fingers, computed in a simulation clone before the fingers move."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _CLOSING_STEPS: Final = 8  # steps from open to closed, each less than the thick
 _CLOSING_HALVINGS: Final = 5  # number of bisections of a closing step: accurate to 0.4 mm of the PR2's aperture
 _MANY: Final = 3  # minimum number of moving parts of a hand that close one by one; two jaws are one mechanism
 _ALONE: Final = 64  # steps between open and closed for a part that closes alone
-_REACH: Final = 0.005  # total gap in m between object and opposite fingers; hand and object give way and close this gap
+_REACH: Final = 0.005  # total gap in m between an object and opposite fingers that closes as hand and object give way
 _ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
 _AROUND: Final = 0.4  # the same for fingers around a center; two of three touch a carton's edges at 60 degrees
 _CACHED: Final = 32
@@ -163,7 +163,7 @@ def close_around(
         if gripper.suction:
             at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
             return Closing({}, 2) if at_cup else None
-        # fingers may touch a hollow object only while they close: the closed fingers would be inside of it
+        # closed fingers may be inside of a hollow object, so the search begins with open fingers
         tried = (step / _CLOSING_STEPS for step in reversed(range(_CLOSING_STEPS)))
         stuck = next((share for share in tried if touches(share)), None)
         if stuck is None:
@@ -176,9 +176,8 @@ def close_around(
             else:
                 free = share
         positions = gripper.at(stuck)
-        for own, joints in (
-            parts if len(parts) >= _MANY else ()
-        ):  # each of many fingers continues until it touches the object
+        # each of many fingers continues until it touches the object
+        for own, joints in parts if len(parts) >= _MANY else ():
             shares = (stuck - step / _ALONE for step in range(math.ceil(stuck * _ALONE)))
             end = gripper.at(next((share for share in shares if touches(share, own, joints)), 0.0))
             positions |= {joint: end[joint] for joint in joints}
@@ -254,10 +253,7 @@ def _near(
     there: Mapping[str, float],
     bodies: Sequence[Object],
 ) -> dict[Part, LoadedBody]:
-    """Return the copies of objects that fingers may touch between open and closed.
-
-    The gripper's palm is at a pose in the world, and ``there`` contains the robot's joint positions by name.
-    """
+    """Return the copies of objects that fingers may touch between open and closed; ``palm`` is the palm's pose."""
     path = robot.model.path
     others = tuple((name, there[name]) for name in _between(path, gripper) if name in there)
     return clone.overlapping(_swept(path, gripper, others).placed(palm), bodies)
@@ -265,7 +261,7 @@ def _near(
 
 @lru_cache(maxsize=_CACHED)
 def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
-    """Return the joints of a checked URDF between the palm and the fingers that the gripper doesn't move."""
+    """Return the joints between palm and fingers that the gripper doesn't move."""
     urdf = stored_tree(path)
     to_palm = {joint.name for joint in urdf.chain(urdf.root, gripper.palm)}
     to_fingers = {joint.name for finger in gripper.fingers for joint in urdf.chain(urdf.root, finger)}
@@ -276,10 +272,7 @@ def _between(path: Path, gripper: Gripper) -> tuple[str, ...]:
 
 @lru_cache(maxsize=_CACHED)
 def _swept(path: Path, gripper: Gripper, others: tuple[tuple[str, float], ...]) -> Boxes:
-    """Return boxes in the palm's frame around the space that fingers sweep between open and closed.
-
-    ``others`` contains positions of other joints between the palm and the fingers.
-    """
+    """Return boxes in the palm's frame around the space of moving fingers; ``others``: joints of :func:`_between`."""
     urdf = stored_tree(path)
     paths: dict[str, list[Pose]] = {finger: [] for finger in gripper.fingers}
     for step in range(_SWEPT + 1):

@@ -1,7 +1,7 @@
 """Candidates for grasps: the sides and positions from which a gripper can take an object.
 
-Ray casts find candidates. Grasps are from the front, the top, the left and the right if the object fits between the
-fingers, otherwise from the top over its rim. The gripper is turned with an object that lies across or leans.
+Ray casts find candidates: from the front, the top, the left and the right if the object fits between the fingers,
+otherwise from the top over the object's rim. If the object lies across or leans, the gripper turns with the object.
 :mod:`pycram.reasoning.grasping.choice` chooses a candidate.
 """
 
@@ -82,8 +82,8 @@ def candidates(
     Args:
         robot: the robot, whose heading defines the front.
         names: the allowed sides; None for all sides.
-        off_center: whether to return only grasps that lean with a slightly leaning object, and grasps from the top off
-            a long object's middle.
+        off_center: whether to return other grasps: from the top beside the middle of a long object, and with the lean
+            of a slightly leaning object.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     sides = names
@@ -92,7 +92,7 @@ def candidates(
         names = ("top",)
     facing = heading(robot, base)
     lying = body.get_orientation()
-    lean = _lean(lying)
+    lean = leaning(lying)
     stood = geometry.product(geometry.conjugate(lean), lying)
     angle = geometry.angle(lean, IDENTITY[1])
     found: list[Grasp] = []
@@ -146,12 +146,8 @@ def _along_length(body: Object) -> Sequence[Vector]:
     return (x, y, z), (u, v, w)
 
 
-def leaning(body: Object) -> Quaternion:
-    """Return the rotation from the vertical to the nearest axis of an object."""
-    return _lean(body.get_orientation())
-
-
-def _lean(lying: Quaternion | Sequence[float]) -> Quaternion:
+def leaning(lying: Sequence[float]) -> Quaternion:
+    """Return the rotation from the vertical to the nearest axis of an object with an orientation."""
     axes = [geometry.rotate(lying, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
     x, y, z = max(axes, key=lambda axis: abs(axis[2]))
     if z < 0.0:
@@ -173,7 +169,7 @@ def _upright(
     shift: Vector,
     choice: Choice,
 ) -> list[Grasp]:
-    """Return grasps of an object that is treated as upright; all grasps are moved by ``shift``."""
+    """Return grasps of an object that is treated as upright; ``shift`` in m moves all grasps."""
     beside = " off center" if any(shift) else ""
     dx, dy, _ = shift
     x, y, z = caster.center
@@ -225,7 +221,7 @@ def along(turn: Quaternion, lying: Sequence[float]) -> Iterator[Quaternion]:
 def _between_fingers(
     caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm, middle: Vector, bias: float
 ) -> Iterator[Grasp | Misfit]:
-    """Yield, for each option, the grasp with the object centered between the fingers, or why the object doesn't fit."""
+    """Yield a grasp for each option, with the object centered between the fingers, or why the object doesn't fit."""
     if not options:
         return
     gripper = arm.gripper
@@ -264,17 +260,15 @@ def _between_fingers(
 
 
 def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], arm: Arm) -> Iterator[Grasp | Uneven]:
-    """Yield, for each option, the grasp of a suction cup on a flat place, or why there is no flat place."""
+    """Yield a grasp of a suction cup on a flat place for each option, or why there is no flat place."""
     gripper = arm.gripper
     radius = gripper.suction
     for name, turn in options:
         x, y, z = caster.center
         if name != "top":
             z = max(z, caster.low[2] + gripper.underside)
-        frame = (
-            (x, y, z),
-            geometry.product(turn, geometry.from_rpy(0.0, 0.0, -math.pi / 2)),
-        )  # the y axis points into the object
+        # the y axis of the frame points into the object
+        frame = (x, y, z), geometry.product(turn, geometry.from_rpy(0.0, 0.0, -math.pi / 2))
         scan = Scan(frame, -radius, radius)
         points = [caster.extents([scan], 3, (across,))[0, :, 0] for across in (-radius, 0.0, radius)]
         uneven = float(np.ptp(points))

@@ -152,7 +152,7 @@ class Handle:
 
 @dataclass(frozen=True, slots=True)
 class HandlePath:
-    """Postures of an arm, one for each position of the handle's joint; they contain the torso if it must move."""
+    """Postures of an arm, and of the torso if the torso must move: one for each position of the handle's joint."""
 
     values: Sequence[float]
     postures: Sequence[Mapping[str, float]]
@@ -199,7 +199,7 @@ def plan_path(
     """Return the path of an arm that holds a handle while the handle's joint moves through positions.
 
     Args:
-        values: positions of the handle's joint, rad or m; the first is its present position.
+        values: positions of the handle's joint, rad or m; the first is the joint's present position.
         others: assumed positions of other joints, such as the torso, rad or m; joints without a value don't move.
     """
     moved = attachment.moved_links(handle.container.urdf, [handle.joint])
@@ -231,15 +231,12 @@ def plan_path_with_torso(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> HandlePath | None:
     """Return a path with the torso at another height: the nearest height that allows a path; see :func:`plan_path`."""
-    for height in _torso_heights(robot):
-        found = plan_path(robot, arm, handle, values, others=height, choice=choice)
-        if isinstance(found, HandlePath):
-            return found
-    return None
+    found = (plan_path(robot, arm, handle, values, others=height, choice=choice) for height in _torso_heights(robot))
+    return next((path for path in found if isinstance(path, HandlePath)), None)
 
 
 def _torso_heights(robot: Object) -> list[dict[str, float]]:
-    """Return other heights of the torso, in m by its joint, nearest first; nothing without a torso."""
+    """Return other heights of the torso, in m by the torso's joint, nearest first; empty without a torso."""
     torso = robot.description.torso if robot.description else None
     if torso is None:
         return []
@@ -250,7 +247,7 @@ def _torso_heights(robot: Object) -> list[dict[str, float]]:
 
 
 class _Search:
-    """The search for a path; see :func:`plan_path`. ``kept`` has positions of joints that don't belong to the arm."""
+    """The search for a path; see :func:`plan_path`. ``kept`` has the positions of joints outside the arm."""
 
     def __init__(
         self,
@@ -281,7 +278,7 @@ class _Search:
         self._hand = checker.links_beyond(arm.joints)
 
     def _base_lifted(self, torso: str, height: float) -> Pose:
-        """Return the pose of the base that moves the arm as a motion of the torso would."""
+        """Return the pose of the base at which the arm is where the torso at a height in m would bring the arm."""
         robot, joint = self._robot, self._robot.urdf.joint(torso)
         base = robot.get_position_and_orientation()
         below = geometry.multiply(geometry.invert(base), robot.get_link_position_and_orientation(joint.parent))
@@ -321,16 +318,13 @@ class _Search:
         return self._end(grip, layers, len(nodes), obstacles)
 
     def _alike(self, layer: _Layer, node: int, pairs: Sequence[CollisionPair]) -> Sequence[int]:
-        """Return the nodes with the same pose of the touching links: all for the body's links, many for the hand."""
+        """Return the nodes in which the touching links have the same pose: all nodes if no link belongs to the arm."""
         robot = self._robot.name
         own = ([pair.link, pair.body_link] if pair.body == robot else [pair.link] for pair in pairs)
         if any(self._links.isdisjoint(links) for links in own):
-            alike: Sequence[int] = range(len(layer.angles))
-        elif any(pair.link in self._hand for pair in pairs):
-            alike = np.flatnonzero(layer.angles == layer.angles[node]).tolist()
-        else:
-            alike = [node]
-        return alike
+            return range(len(layer.angles))
+        hand = any(pair.link in self._hand for pair in pairs)  # the gripper's angle determines the pose of the hand
+        return np.flatnonzero(layer.angles == layer.angles[node]).tolist() if hand else [node]
 
     def _rigid(self, grip: Grip) -> list[_Layer]:
         """Return layers of postures with the gripper from the front; each search starts at the layer before."""
@@ -424,7 +418,7 @@ class _Search:
         return pairs or self._checker.self_collisions(candidate)
 
     def _moving_along(self, value: float) -> Iterator[tuple[str, str, LoadedBody, Pose]]:
-        """Yield name, link, copy and pose of each link or carried object that the joint moves to a position."""
+        """Yield each link or object that the joint moves: name, link, copy, and pose at a position of the joint."""
         container = self._handle.container
         for link in self._handle.moved:
             yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
@@ -449,7 +443,7 @@ class Remedy:
     """An arm that could move the handle, perhaps from another place."""
 
     arm: str  # name of the arm
-    base: Vector | None = None  # position of the robot with its present heading, m; None if it needn't move
+    base: Vector | None = None  # place of the robot with its present heading, m; None if the robot needn't move
     distance: float = 0.0  # distance in m from the robot's present place
     parked: str = ""  # name of another arm that must be parked first; "" for none
 
@@ -481,7 +475,7 @@ class InTheWay:
 def arms_in_the_way(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
 ) -> list[Remedy | InTheWay]:
-    """Return, for each arm that blocks another arm's path, whether parking it helps; see :func:`plan_path`."""
+    """Return the arms that block an arm's path, and whether parking each of them helps; see :func:`plan_path`."""
     found: list[Remedy | InTheWay] = []
     for other in robot.description.arms.values() if robot.description else ():
         if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
@@ -534,9 +528,7 @@ def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[fl
     position, heading = robot.get_position_and_orientation()
     now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
     steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]
-    nearby = sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at))[
-        1:
-    ]  # the first offset is the present place
+    nearby = sorted(itertools.product(steps, steps), key=lambda at: math.hypot(*at))[1:]  # without the present place
     bases: list[Pose] = [(geometry.transform(now, (x, y, 0.0)), now[1]) for x, y in nearby]
     tried = 0
     for base in _promising(robot, arm, handle, values, bases):

@@ -91,8 +91,7 @@ def _resting_height(
 ) -> float:
     """Return the height at which an object on its way down first touches something; see :func:`resting_position`.
 
-    ``touched`` returns the overlaps at a height, and ``gap`` a distance in m by which the object can be lowered without
-    a contact.
+    ``touched`` returns the overlaps at a height in m; ``gap`` returns how far in m the object can sink from there.
     """
     z = target[2]
     high = z + _ABOVE
@@ -124,10 +123,7 @@ def _resting_height(
 
 
 def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | None:
-    """Return joint positions of an arm that draw its hand back from a released object; None if there are none.
-
-    ``choice`` receives the considered retreats, with the reasons against them.
-    """
+    """Return joint positions of an arm that draw its hand back from a released object; None if no retreat is free."""
     tool = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))
     for back in _BACK:
         name = f"{back:g} m back"
@@ -168,7 +164,7 @@ class Refusals:
     """The reasons against poses and postures for a placement."""
 
     no_room: list[PlaceFailed] = field(default_factory=list)  # failures at poses without room for the object
-    misses: list[OutOfReach] = field(default_factory=list)  # distances between the nearest postures and their goals
+    misses: list[OutOfReach] = field(default_factory=list)  # distances between nearest postures and goals
     pairs: dict[str, CollisionPair] = field(default_factory=dict)  # links that would touch, by the object in the way
     low: list[Pose] = field(default_factory=list)  # poses in which the hand would touch the support of the object
     no_path: list[NoPath] = field(default_factory=list)  # failed searches for a path to a good posture
@@ -239,7 +235,7 @@ def placements(
 
 
 def lying(robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> Quaternion | None:
-    """Return an orientation in which an arm can lay an object on a side, and in which it stays; None without one."""
+    """Return an orientation in which an arm can lay an object on a side where the object stays; None without one."""
     held = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
     tool_T_body = geometry.product(geometry.conjugate(held), body.get_orientation())
     for name in grasps.GRASPS:
@@ -252,7 +248,7 @@ def lying(robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> Qua
 
 
 def _stays(body: Object, pose: Pose) -> bool:
-    """Return whether an object stays for 1 s at the pose where a hand releases it; objects in hands are left out."""
+    """Return whether an object stays for 1 s where a hand releases the object; other held objects are left out."""
     world = body.world
     others = [other for other in world.objects if not (other.is_robot or other is body or other.carrier)]
     clone = clone_of(world, "physics")
@@ -267,10 +263,7 @@ def _stays(body: Object, pose: Pose) -> bool:
 
 
 def _pressed(checker: CollisionChecker, candidate: PostureCandidate, arm: Arm, body: Object) -> list[CollisionPair]:
-    """Return the links of the arm, without its hand, that would push the released object.
-
-    While the arm holds the object, they may overlap; a wrist, for example, may overlap the object.
-    """
+    """Return the overlaps of the arm's links, except the hand, with the object: these links would push the object."""
     robot = checker.robot
     points = checker.closest_points(candidate, clone_of(robot.world, "reach").body(body.name))
     hand = checker.links_beyond(arm.joints)
@@ -294,8 +287,7 @@ def _poses(
 ) -> Iterator[tuple[Pose, bool, float]]:
     """Yield poses in which an object may be put down: first for a quick search, then again for a thorough search.
 
-    In such a case the last poses are a little higher, and the object is dropped from them. An object may stick out on
-    both sides of a narrow support and hang lower than the fingers. Then the hand would touch the support.
+    If the hand would touch a narrow support, the last poses are a little higher, and the hand drops the object.
 
     Yields:
         The pose; whether the search is quick; the height in m of the pose above the resting position.
@@ -336,9 +328,9 @@ def _orientations(
     *,
     once: bool,
 ) -> Iterator[Sequence[Quaternion]]:
-    """Yield orientations in which an object may be put down: first the most natural, later the orientations between.
+    """Yield orientations in which an object may be put down, the most natural first, in one or two groups.
 
-    An object that was taken upside down stays upside down if the hand would otherwise have to come from below.
+    If the hand would be below the upright object, the object may also be put down upside down.
     """
     if orientation is not None:
         x, y, z, w = orientation

@@ -1,13 +1,10 @@
 """Inverse kinematics in closed form, for arms with seven joints and a spherical shoulder and wrist, as in the PR2.
 
-Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. For a pose of the tool and a sampled angle of
-joint 1, there are at most eight postures. Subproblems of Paden and Kahan give each posture (Murray, Li,
-Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). For targets without an orientation,
-joints 5 and 6 are sampled, too. If samples miss solutions, the nearest postures are returned.
-
-In the subproblems, points and vectors are columns of arrays (3, n) or (3, 1); axes are unit vectors (3,); angles are
-(n,) in rad. If a subproblem has no solution, it returns the nearest angle and a strain: roughly the missing angle in
-rad.
+Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. Joint 1 is sampled; for targets without an
+orientation, joints 5 and 6, too. Subproblems of Paden and Kahan give up to eight postures for each sample (Murray, Li,
+Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). In the subproblems, points and
+vectors are columns (3, n) or (3, 1), axes are unit vectors (3,), and angles are (n,) in rad. Without a solution, the
+result is the nearest angle, and a strain: roughly the missing angle in rad.
 """
 
 from __future__ import annotations
@@ -53,8 +50,7 @@ class ClosedForm:
     shoulders: Array  # (n, 3) positions of the shoulder for samples of joint 1
     swing: float  # largest distance in m between the shoulder and the nearest of these positions
     elbow: Hinge  # how joint 4 determines the distance between the shoulder and the wrist
-    # (7, 3, 3, 3) constant parts of each joint's rotation (:mod:`pycram.reasoning.kinematics.forward`)
-    rotations: Array
+    rotations: Array  # (7, 3, 3, 3) constant parts of each joint's rotation (:func:`forward.constant_parts`)
     hand: Array  # (2, 3) two perpendicular unit vectors, also perpendicular to the last axis with all joints at zero
 
     @classmethod
@@ -73,9 +69,7 @@ class ClosedForm:
         q4 = np.linspace(lower[3], upper[3], _SAMPLES)
         bent = turned(axes[3], q4, (wrist - origins[3])[:, None])
         spans = np.linalg.norm(bent + (origins[3] - shoulder)[:, None], axis=0)
-        slack = (
-            _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2
-        )  # change of the distance between two samples
+        slack = _radius(wrist, origins[3], axes[3]) * float(q4[1] - q4[0]) / 2  # change between two samples
         span = float(spans.min()) - slack, float(spans.max()) + slack
         q1 = np.linspace(lower[0], upper[0], _SAMPLES)
         shoulders = (turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
@@ -142,9 +136,10 @@ class ClosedForm:
         Args:
             position: (3,) position of the tool in the base link, m.
             turn: (3, 3) orientation of the tool.
-            misses: (k, 7) postures near a possible narrow range of solutions.
+            misses: (k, 7) postures that may be near solutions.
         """
-        values = (misses[:, :1] + np.linspace(-self._step, self._step, _SAMPLES_AROUND_A_MISS)).ravel()
+        step = float(self.upper[0] - self.lower[0]) / (_SAMPLES - 1)  # angle between samples of joint 1, rad
+        values = (misses[:, :1] + np.linspace(-step, step, _SAMPLES_AROUND_A_MISS)).ravel()
         samples = distinct(np.clip(values, self.lower[0], self.upper[0]))
         (found,), (strain,) = self._by_target(1, *self._at_poses(position[None], turn[None], samples))
         return found, strain
@@ -242,11 +237,6 @@ class ClosedForm:
         bent = turned(self.axes[3], q4, point - elbow) + elbow - self.shoulder[:, None]
         q2, q3, short = two_turns(self.axes[1], self.axes[2], bent, away)
         return q2.ravel(), q3.ravel(), np.concatenate([short, short])
-
-    @property
-    def _step(self) -> float:
-        """The angle between neighbouring samples of joint 1, rad."""
-        return float(self.upper[0] - self.lower[0]) / (_SAMPLES - 1)
 
     def _samples(self, joint: int, count: int, home: Array) -> Array:
         """Return samples of a joint's positions over its range, and its position at home."""
@@ -353,7 +343,7 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
         end: the vector after the turns; only its direction counts.
 
     Returns:
-        Both solutions: angles (2, n) about the first and the second axis within two turns, and their strain (n,).
+        Both solutions: angles (2, n) about the first axis, angles (2, n) about the second axis, and the strain (n,).
     """
     cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
     # components of both vectors: along the other axis, perpendicular to both axes, and along their own axis

@@ -73,8 +73,7 @@ class Chain:
         self.bounded = np.isfinite(lower)  # (joints,) whether each joint has limits
         self.lower = np.where(self.bounded, lower, -np.pi)  # (joints,) rad or m; -pi without a limit
         self.upper = np.where(self.bounded, upper, np.pi)  # (joints,) rad or m; pi without a limit
-        # position of the first joint in the base link, m
-        self.shoulder: Array = self._before[0, :3, 3] if moving else np.zeros(3)
+        self.shoulder: Array = self._before[0, :3, 3] if moving else np.zeros(3)  # first joint in the base link, m
         links = np.linalg.norm(self._before[1:, :3, 3], axis=1).sum() + np.linalg.norm(before[:3, 3])
         # greatest distance of the tool from the first joint, m
         self.length = float(links + np.maximum(np.abs(self.lower), np.abs(self.upper))[self.sliding].sum())
@@ -153,7 +152,7 @@ def rotation_error(now: Array, goal: Array) -> Array:
     sine = norms(vector)
     cosine = 0.5 * (difference[:, ::4].sum(axis=1) - 1)
     angle = np.arctan2(sine, cosine)
-    flipped = (sine < _OPPOSITE) & (cosine < 0)  # the sine vanishes at half a turn, so any axis is good
+    flipped = (sine < _OPPOSITE) & (cosine < 0)  # half a turn, for which any axis is good
     if flipped.any():
         vector[flipped] = np.array([1e-3, 2e-3, 3e-3])
         sine = norms(vector)
@@ -257,10 +256,9 @@ class Articulation:
         self._now = np.array([positions[name] for name in moved.joints])
 
     def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:
-        """Return the transforms (n, joints + 1, 4, 4) of links for each moving joint.
+        """Return the transforms (n, joints + 1, 4, 4) of each joint's links from their present pose to their new pose.
 
-        Each transform is from the present pose of a joint's links to their new pose; the last transform is for links
-        that don't move.
+        The last transform is for links that don't move.
 
         Args:
             postures: joint positions in rad or m by name; other joints don't move.

@@ -2,8 +2,8 @@
 
 :mod:`pycram.reasoning.kinematics.closed_form` solves arms with a closed form. For other arms, and for misses of the
 closed form, damped least squares search from near postures, named postures, and postures of a Halton sequence (Buss,
-Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares Methods, 2004). Many
-targets are solved together in about the time of one. Results are deterministic.
+Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares Methods, 2004).
+Solving many targets together takes hardly longer than solving one target. Results are deterministic.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _DAMPING: Final = 1e-2
 _ITERATIONS: Final = 40
 _MAX_STEP: Final = 0.5  # largest motion in rad or m of a joint in one iteration
 _MAX_ERROR: Final = 0.6  # largest error in m or rad that one iteration corrects
-_STALE: Final = (8, 0.9)  # a search ends if its least error is above this share of an earlier least error
+_STALE: Final = (8, 0.9)  # a search ends if 8 iterations leave more than this share of its least error
 _CLOSE: Final = 0.005  # a search with a smaller error in m or rad always continues
 THRESHOLD: Final = 1e-3  # largest distance in m between the tool and a reached target (thesis 4.4.5)
 _TURN_THRESHOLD: Final = math.radians(2)  # largest angle in rad between equal orientations
@@ -49,7 +49,7 @@ _DIFFERENT: Final = 0.35  # minimum difference in rad or m of a joint between di
 _MAX_POSTURES: Final = 16  # maximum number of returned postures
 _MAX_PAIRED: Final = 40  # maximum number of postures of which all pairs are compared together
 _MAX_STRAIN: Final = 1.0  # a posture with a larger strain in rad has no solution nearby
-_MAX_SEARCHED: Final = 0.6  # from a posture with a larger strain in rad, no search has succeeded
+_MAX_SEARCHED: Final = 0.6  # largest strain in rad of a posture from which a search may succeed
 _HOPELESS: Final = 0.02  # for a target that is farther out of reach, in m, a search is useless
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
 _MAX_KNOWN: Final = 8  # number of searches with cached results
@@ -191,17 +191,17 @@ class ArmKinematics:
         quick: bool = False,
         enough: float = POSITION_TOLERANCE,
     ) -> list[list[Posture]]:
-        """Return distinct postures for targets; postures that reach a target come in the order of nearness to the seed.
+        """Return distinct postures for targets. Postures that reach a target are ordered by their distance to the seed.
 
         Args:
             targets: xyz in m and orientations xyzw in the base link; all targets have an orientation, or none.
             seeds: the first starting postures.
             thorough: whether to use all starting postures, even if some reach the target.
             quick: whether to use only a few starting postures; if they fail, the target may still be reachable.
-            enough: maximum distance in m from the target of a posture that the caller can use.
+            enough: maximum distance in m between the target and a tool that is useful to the caller.
 
         Returns:
-            At least one posture for each target; if the first doesn't reach it, none does.
+            At least one posture for each target; if the first posture misses the target, no posture reaches it.
         """
         goals, turns = _arrays(targets)
         first = [np.array([seed.get(name, 0.0) for name in self.chain.joints]) for seed in seeds]
@@ -255,7 +255,7 @@ class ArmKinematics:
         known = self._known.get(key)
         if known is None:
             known = search_postures(self.chain, start, goals, turns, which, stop_early=stop_early)
-            if len(self._known) >= _MAX_KNOWN:  # the lock is necessary, because another thread may also add results
+            if len(self._known) >= _MAX_KNOWN:
                 self._known.clear()
             self._known[key] = known
         return known
@@ -279,7 +279,7 @@ class ArmKinematics:
             seed: a posture; near postures come first.
 
         Returns:
-            For each target, the postures that reach it; an empty list doesn't prove that there are none.
+            The postures that reach each target; if the list is empty, the target may still be reachable.
         """
         solved: list[list[Posture]] = [[] for _ in targets]
         if self._closed is None or not targets:
@@ -396,11 +396,9 @@ def postures(
     *,
     thorough: bool = False,
     quick: bool = False,
-    seed: Mapping[str, float] | None = None,
 ) -> list[Posture]:
     """Return postures that move a link of a robot to a pose in the world; see :meth:`Solver.search`."""
-    target = (position, orientation, None)
-    return Solver(robot, link).search([target], thorough=thorough, quick=quick, seed=seed)[0]
+    return Solver(robot, link).search([(position, orientation, None)], thorough=thorough, quick=quick)[0]
 
 
 class Solver:
@@ -448,7 +446,7 @@ class Solver:
             threshold: m, largest distance between the tool and a reached target.
 
         Returns:
-            At least one posture for each target; if the first doesn't reach it, none does.
+            At least one posture for each target; if the first posture misses the target, no posture reaches it.
         """
         if not self.joints:
             distances = (math.dist(geometry.transform(self._root_T_world, at), self._root_T_link) for at, *_ in targets)
@@ -469,7 +467,7 @@ class Solver:
     def closed_form(
         self, targets: Sequence[WorldTarget], seed: Mapping[str, float] | None = None
     ) -> list[list[Posture]]:
-        """Return the solutions of the closed form for targets, nearest first; an empty list proves nothing."""
+        """Return the solutions of the closed form for targets, nearest first; a target without any may be reachable."""
         if not self.joints:
             return [[] for _ in targets]
         goals = [self._in_root(*target) for target in targets]
