@@ -167,11 +167,7 @@ def _checks(parser: argparse.ArgumentParser, options: argparse.Namespace) -> tup
 
 
 def recording_path(template: str, plan: str, seed: int | None) -> Path:
-    """Return the path of a recording: the template with its placeholders filled in.
-
-    Raises:
-        ValueError: The template has an unknown placeholder, or unbalanced braces.
-    """
+    """Return a recording's path: the template with its placeholders filled in; raise ValueError for other braces."""
     started = time.strftime("%Y-%m-%d_%H-%M-%S")
     try:
         return Path(template.format(plan=plan, time=started, seed="" if seed is None else seed))
@@ -221,14 +217,12 @@ def options_parser() -> Parser:
     names = sorted(file.stem for file in demos().glob("*.py"))
 
     def add_command(name: str, help_text: str, description: str) -> Parser:
-        completers = {"PLAN.py": files_ending(".py"), "FILE.urdf": files_ending(".urdf")}
-        examples = EXAMPLES[name]
         return commands.add_parser(
             name,
             help=help_text,
             description=description,
-            examples=lambda: [(f"pycram {name} {arguments}".rstrip(), effect) for arguments, effect in examples],
-            completers=completers,
+            examples=lambda: [(f"pycram {name} {arguments}".rstrip(), effect) for arguments, effect in EXAMPLES[name]],
+            completers={"PLAN.py": files_ending(".py"), "FILE.urdf": files_ending(".urdf")},
         )
 
     demo = add_command("demo", "run a demo", "Runs a demo.")

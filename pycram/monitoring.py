@@ -46,10 +46,9 @@ def monitored(*properties: str, only_record: bool = False) -> Iterator[None]:
 
 @contextmanager
 def watched(properties: Sequence[str], *, by_run: bool = False, only_record: bool = False) -> Iterator[list[str]]:
-    """Watch properties in the ``with`` block; see :func:`monitored`. With ``by_run``, the block is the whole run.
+    """Watch properties in the block as :func:`monitored` does, and yield the growing list of messages of violations.
 
-    Yields:
-        The messages of the violations so far, also of violations that the plan handled.
+    With ``by_run``, the block is the whole run.
     """
     if not properties:
         yield []
@@ -139,15 +138,11 @@ class _MonitorSink(NullSink):
         record.callers.extend(stack.callers)
         self.log.append(record)
 
-    def _since(self, violation: Violation) -> str:
-        """Return the step and the line that last made a condition false."""
-        if violation.statement.kind != AT_END or violation.since is None or not self._recorded:
-            return ""
-        line = self._lines.get(violation.since.step)
-        return f", since step {violation.since.step}{f' in {line}' if line else ''}"
-
     def _violated(self, violation: Violation) -> PropertyViolated:
-        at, margin = violation.moment, violation.margin
+        at, margin, since = violation.moment, violation.margin, ""
+        if violation.statement.kind == AT_END and violation.since is not None and self._recorded:
+            line = self._lines.get(violation.since.step)
+            since = f", since step {violation.since.step}{f' in {line}' if line else ''}"
         record = Check(
             phase=Check.VIOLATED,
             property=violation.statement.text,
@@ -158,7 +153,7 @@ class _MonitorSink(NullSink):
             moment=at.sim_step,
             margin=margin if abs(margin) < float("inf") else None,
             values=arguments(violation.values),
-            reason=violation.cause + self._since(violation),
+            reason=violation.cause + since,
         )
         self.record(record)
         error = PropertyViolated(

@@ -21,6 +21,7 @@ from typing import Any, Final
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
 from recorder.errors import suggestion
+from recorder.plan_lines import called_name
 
 MAIN: Final = "main"  # this function's arguments are the parameters of the plan
 ANY: Final = object()  # represents a default that isn't known until the plan runs
@@ -93,19 +94,12 @@ def declared_in(plan: Path) -> dict[str, Any] | None:
     """Return the defaults of the parameters that a plan's file declares, by name, without running the plan.
 
     A default that isn't a literal is :data:`ANY`. The result is None if a call like ``parameters(**others)`` hides
-    names.
-
-    Raises:
-        SyntaxError: The file isn't Python.
+    names. SyntaxError is raised if the file isn't Python.
     """
     tree = ast.parse(plan.read_bytes(), str(plan))
     found = dict(_of_main(tree))
     for node in ast.walk(tree):
-        called = node.func if isinstance(node, ast.Call) else None
-        if isinstance(node, ast.Call) and parameters.__name__ in (
-            getattr(called, "attr", ""),
-            getattr(called, "id", ""),
-        ):
+        if isinstance(node, ast.Call) and called_name(node) == parameters.__name__:
             for keyword in node.keywords:
                 if keyword.arg is None:
                     return None
@@ -114,12 +108,7 @@ def declared_in(plan: Path) -> dict[str, Any] | None:
 
 
 def check(plan: Path, values: Mapping[str, Any]) -> None:
-    """Check values for a plan before it runs.
-
-    Raises:
-        UnknownParameter: The plan's file doesn't declare the parameter.
-        BadArgument: A value has another type than its default.
-    """
+    """Raise UnknownParameter or BadArgument if values don't fit the parameters that a plan's file declares."""
     if not values:
         return
     declared = declared_in(plan)
@@ -146,11 +135,7 @@ def value_of(text: str) -> tuple[str, Any]:
 
 
 def split(option: str, text: str, expected: str) -> tuple[str, str]:
-    """Return the name before ``=``, and the text after it; messages of errors contain ``option`` and ``expected``.
-
-    Raises:
-        BadArgument: The text has another form.
-    """
+    """Return the name before ``=`` and the text after it; raise BadArgument with ``option`` and ``expected``."""
     name, equals, rest = text.partition("=")
     if not (equals and name.isidentifier()):
         raise BadArgument(option, text, expected)
@@ -185,11 +170,7 @@ def _literal(node: ast.expr | None) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Variations:
-    """The parameters that vary between the runs of a sweep.
-
-    Raises:
-        BadArgument: A parameter has no values or is given twice, or a distribution is invalid.
-    """
+    """The parameters that vary between the runs of a sweep. Wrong values and distributions raise BadArgument."""
 
     #: Values by name. Runs take all combinations one after the other; the values of the last name change fastest.
     listed: Mapping[str, Sequence[Any]]
@@ -227,11 +208,7 @@ class Variations:
 
 
 def listed(text: str) -> tuple[str, list[Any]]:
-    """Parse ``name=1,2,3``; values are JSON or plain text. Values that contain commas are in brackets or quotes.
-
-    Raises:
-        BadArgument: The text has another form.
-    """
+    """Parse ``name=1,2,3``: JSON or plain texts, with quotes or brackets around commas; else raise BadArgument."""
     expected = "name=value or name=value,value,..."
     name, values = split("set", text, expected)
     if not values:

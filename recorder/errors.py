@@ -47,10 +47,7 @@ class RecordingError(PortableError, OSError):
 
 
 def nearest(name: object, known: Iterable[str]) -> list[str]:
-    """Return the up to 3 most similar known names, best first.
-
-    If no name is similar, return known names that contain the name.
-    """
+    """Return the up to 3 most similar known names, best first, or else up to 3 known names that contain the name."""
     import difflib  # noqa: PLC0415  imported here: most processes make no suggestion
 
     names, given = list(known), str(name)

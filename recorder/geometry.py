@@ -16,17 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Vector: TypeAlias = tuple[float, float, float]  # a vector xyz; a position is in m
-
 Quaternion: TypeAlias = tuple[float, float, float, float]  # a rotation, xyzw
-
 Pose: TypeAlias = tuple[Vector, Quaternion]  # position in m and orientation xyzw
-
 Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"  # the type of arguments that are a vector or a quaternion
-
 PoseLike: TypeAlias = "tuple[Numbers, Numbers]"  # the type of arguments that are a pose
-
 Point: TypeAlias = tuple[float, float]  # a point of the plane
-
 Polygon: TypeAlias = "Sequence[Point]"  # counterclockwise corners; fewer than three corners without area
 
 IDENTITY: Pose = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))  # the pose of a frame in itself
@@ -248,10 +242,7 @@ def polygon_intersection(polygon: Polygon, other: Polygon) -> Polygon:
 
 
 def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
-    """Return the distance in m from a point inside a convex polygon to the boundary.
-
-    The distance is negative for a point outside, and minus infinity for a polygon without area.
-    """
+    """Return the distance (m) from a point to a convex polygon's boundary; negative outside, -inf without an area."""
     if len(polygon) < 3:
         return -math.inf
     x, y = point

@@ -307,10 +307,7 @@ _WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of
 
 
 def free_path(path: Path) -> Path:
-    """Return the path, or RUN.2.mcap or a later number if the path has a recording. A new path is printed on stderr.
-
-    Paths of unsuitable files are returned, too: :func:`open_output` rejects unsuitable files.
-    """
+    """Return the path, or RUN.2.mcap or a later number if the path has a recording. A new path is printed on stderr."""
     try:
         if not path.is_file():  # opening a pipe here would block
             return path
@@ -327,11 +324,7 @@ def free_path(path: Path) -> Path:
 
 
 def open_output(path: Path) -> io.FileIO:
-    """Open and lock a file for writing: a new file, an older recording, which is emptied, or a pipe with a reader.
-
-    Raises:
-        RecordingError: the file can't be written, another recording is writing it, or it isn't a recording.
-    """
+    """Open and lock a new file, an older recording, which is emptied, or a pipe; raise RecordingError for others."""
     try:
         file = _open(path)
     except OSError as error:

@@ -255,10 +255,7 @@ def _packed(record: McapRecord) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class SharedModels:
-    """A file of models that several recordings of a folder share. Recordings contain only their other models.
-
-    The file's name contains the hash of its content, so equal models make the same file.
-    """
+    """A file of models that recordings of a folder share. Its name has its hash, so equal models make the same file."""
 
     file: str
     sha256: str  # hash of the file's content, hexadecimal

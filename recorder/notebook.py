@@ -68,10 +68,7 @@ def own_variables() -> Mapping[str, object]:
 
 
 def traceback_lines(error: BaseException) -> list[str]:
-    """Return the lines that IPython prints for an error and its causes, without the frames of PyCRAM and IPython.
-
-    An error that has only such frames keeps them.
-    """
+    """Return IPython's lines for an error and its causes; leave out frames of PyCRAM and IPython if others remain."""
     formatter = _shell().InteractiveTB
     related = [error]
     with ExitStack() as undoing:

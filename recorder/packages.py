@@ -85,11 +85,7 @@ def require(*modules: str) -> None:
 
 
 class LazyModule:
-    """A module that is imported when its first attribute is read. Some modules take longer to load than a plan to run.
-
-    Raises:
-        ModuleNotFoundError: The module isn't installed. The check doesn't import the module.
-    """
+    """A module that is imported when its first attribute is read; raises ModuleNotFoundError if it isn't installed."""
 
     def __init__(self, name: str) -> None:
         package = name.partition(".")[0]

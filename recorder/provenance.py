@@ -55,10 +55,7 @@ def main_program() -> Path | None:
 
 
 def look_up_revisions(plan: Path | None = None) -> None:
-    """Look up revisions once, before this process forks for many runs, because git takes as long as a small plan.
-
-    ``plan`` is the plan's file, by default the program.
-    """
+    """Look up the revisions of PyCRAM and of the plan, by default the program, before this process forks many runs."""
     pycram_revision()
     program = plan or main_program()
     if program is not None and program.is_file():

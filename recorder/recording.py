@@ -143,8 +143,7 @@ _started: list[tuple[AbstractContextManager[Recording], Recording]] = []  # a pr
 def start(path: str | Path, live: str | None = None, **options: Any) -> Recording:
     """Record until :func:`stop` or the end of the process, for notebooks.
 
-    :func:`record` describes arguments and errors. A ``with`` block can't span several cells of a notebook. A recording
-    that was started earlier stops first.
+    A recording that was started earlier stops first. :func:`record` describes arguments and errors.
     """
     stop()
     block = record(path, live, **options)

@@ -30,20 +30,14 @@ PERIOD: Final = 10.0  # time in s between lines of progress
 
 
 def has_colours(stream: IO[str]) -> bool:
-    """Return whether a stream gets colours.
-
-    The variable ``NO_COLOR`` switches colours off; ``FORCE_COLOR`` gives colours to streams that aren't terminals.
-    """
+    """Return whether a stream gets colours; ``NO_COLOR`` turns colours off, ``FORCE_COLOR`` on without a terminal."""
     if os.environ.get("NO_COLOR"):
         return False
     return bool(os.environ.get("FORCE_COLOR")) or (stream.isatty() and os.environ.get("TERM") != "dumb")
 
 
 def painted(text: str, pattern: re.Pattern[str], stream: IO[str]) -> str:
-    """Return a text with coloured matches if the stream gets colours.
-
-    Groups of the pattern have the names of their colours.
-    """
+    """Return a text. On a stream with colours, each match has the colour after which its group is named."""
     if not has_colours(stream):
         return text
     return pattern.sub(lambda match: coloured(match[0], match.lastgroup or "bold"), text)

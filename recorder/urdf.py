@@ -34,11 +34,7 @@ class Urdf:
 
     @classmethod
     def parse(cls, text: str | bytes, *, chains: bool = False) -> Urdf:
-        """Parse a URDF document.
-
-        Args:
-            chains: Accept planar and floating joints, which have no kinematics. Loading the model replaces these joints
-                by chains.
+        """Parse a URDF document. ``chains`` accepts planar and floating joints, which loading replaces by chains.
 
         Raises:
             UrdfError: The document isn't XML, or isn't a single tree of named links with joints of known types.
@@ -111,10 +107,8 @@ class Urdf:
     def mimics(self) -> Mapping[str, Mimic]:
         """The rules of mimicking joints by name; a joint that mimics a mimicking joint has the combined rule.
 
-        In some published models, a joint mimics a joint that doesn't exist. Such a joint moves independently.
-
-        Raises:
-            UrdfError: A joint mimics itself.
+        In some published models, a joint mimics a joint that doesn't exist. Such a joint moves independently. If a
+        joint mimics itself, UrdfError is raised.
         """
         found = {}
         for joint in self.joints.values():
@@ -260,11 +254,7 @@ class UrdfJoint:
 
 
 def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> UrdfJoint:
-    """Parse the element of a joint. With ``chains``, planar and floating joints are accepted.
-
-    Raises:
-        UrdfError: An element or attribute is missing, or isn't a number.
-    """
+    """Parse the element of a joint; raise UrdfError if it is invalid. ``chains`` accepts planar and floating joints."""
     name = element.get("name", "")
     kind = element.get("type", "")
     if kind not in _KINDS and not (chains and kind in _CHAINS):
@@ -338,11 +328,7 @@ def _number(robot: str, joint: str, what: str, text: str) -> float:
 
 
 def finite(text: str) -> float:
-    """Return a text as a number. Texts such as 1_0 and digits of other scripts, which Python accepts, are rejected.
-
-    Raises:
-        ValueError: The text isn't a finite number.
-    """
+    """Return a text as a finite number, or raise ValueError, also for texts that Python accepts, such as 1_0."""
     value = float(text)
     if not math.isfinite(value) or "_" in text or not text.isascii():
         raise ValueError(text)

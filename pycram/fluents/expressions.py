@@ -70,12 +70,7 @@ class Expression(ABC):
 
     @abstractmethod
     def value(self, state: State) -> Value:
-        """Return the value in a state.
-
-        Raises:
-            WorldClosed: An object or world that the expression follows is gone.
-            Exception: Any error of a function of the network.
-        """
+        """Return the value in a state. Raise WorldClosed if a followed object is gone, or the error of a function."""
 
     @abstractmethod
     def text(self, depth: int = 0) -> str:

@@ -293,18 +293,13 @@ class Fluent:
 
 
 class Derived(Fluent):
-    """A fluent whose value is computed from other fluents or from a world.
-
-    Args:
-        same: Truth value for ``in`` if the network compares two fluents: whether they are the same (for ``==``), or
-            different (for ``!=``).
-    """
+    """A fluent whose value is computed from other fluents or from a world."""
 
     __slots__ = ("_same",)
 
     def __init__(self, expression: Expression, *, same: bool | None = None) -> None:
         self.expression = expression
-        self._same = same
+        self._same = same  # truth value of ``==`` and ``!=`` between fluents, for ``in``; None for other networks
 
     def __bool__(self) -> bool:
         if self._same is None:
@@ -403,10 +398,7 @@ class StateStream:
 
 
 def first_value(expression: Expression, timeout: float | None = None) -> Value:
-    """Wait until the value of an expression is not None, at least for a moment; return that value.
-
-    Return None after the timeout in s. :meth:`Fluent.wait_for` describes the errors.
-    """
+    """Wait until an expression has a value that is not None, and return the value; None after the timeout in s."""
     with StateStream(expression) as stream, nullcontext() if timeout is None else Deadline(timeout) as limit:
         values = (expression.value(state) for state in stream.states(limit))
         return next((value for value in values if value is not None), None)

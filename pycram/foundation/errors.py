@@ -287,10 +287,7 @@ def raise_unchanged(error: BaseException) -> NoReturn:
 
 
 def _detached(error: BaseException, known: set[int]) -> bool:
-    """Cut an error's context chain before the first known error; return False if the error was raised ``from`` it.
-
-    Without the cut, the appended error would close a circle.
-    """
+    """Cut an error's context chain before the first known error; return False if ``raise ... from`` made the link."""
     seen: set[int] = set()
     later = error
     while id(later) not in seen:

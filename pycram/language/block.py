@@ -45,11 +45,6 @@ class Policy:
         """Whether a branch's failure propagates through the body, as an error does in plain Python."""
         return not self.concurrent and State.FAILED in self.decided_by
 
-    @property
-    def first_success(self) -> bool:
-        """Whether one success is enough."""
-        return State.SUCCEEDED in self.decided_by
-
 
 class Block:
     """A block: ``s`` in ``with par as s``. The list ``failures`` collects its failures; without a list, it raises."""
@@ -125,10 +120,7 @@ class Block:
         span: Span | None = None,
         label: Callable[[], str] | None = None,
     ) -> Future:
-        """Add a branch, with the arguments of :class:`Branch`; return a future of the result.
-
-        ``label`` returns the name for messages; by default, that name contains the parameters of the span.
-        """
+        """Add a branch, and return a future of its result; ``label`` returns the branch's name for messages."""
         self._refuse_in_timeout(name)
         host = current_block()
         if host is not None and host is not self:
@@ -298,10 +290,7 @@ class Block:
                 body.finish(failure)
 
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
-        """Wait for all branches; return the last error of a signal handler during the wait, or else ``interrupt``.
-
-        An error during the wait cancels the branches.
-        """
+        """Wait for all branches. After an error, cancel them; return the last error, or else ``interrupt``."""
         own = self._scheduler
         while True:
             joining, own.joining = own.joining, own.joining or interrupt is not None
@@ -494,7 +483,7 @@ class Kind(Opening):
     def _run(self, actions: list[Action]) -> Result:
         with self as block:
             futures = [block(action) for action in actions]
-        if self._policy.first_success:
+        if State.SUCCEEDED in self._policy.decided_by:
             return block.decider.result() if block.decider is not None else None
         return [future.result() for future in futures]
 

@@ -118,11 +118,7 @@ class Branch:
             self.settle(State.FAILED, error=error)
 
     def wait(self, timeout: float | None = None) -> bool:
-        """Wait for the end of the branch; return whether the branch has ended. The timeout is in s.
-
-        Raises:
-            Cancelled: The waiting branch is cancelled.
-        """
+        """Wait for the branch; return whether it ends within the timeout (s). Raise Cancelled in a cancelled branch."""
         return wait(self._changed, lambda: self.done, timeout, lambda: (f"the end of {self.name}", "", [self.runs_in]))
 
     def result(self, timeout: float | None = None) -> Result:
@@ -217,11 +213,7 @@ def current_block() -> Block | None:
 
 
 def run(action: Callable[..., Result], *args: object, **kwargs: object) -> Result:
-    """Call an action, and return its result.
-
-    Raises:
-        BadArgument: The action is a coroutine function or a generator function, whose call does nothing.
-    """
+    """Call an action, and return its result; raise BadArgument for a coroutine function or a generator function."""
     result = action(*args, **kwargs)
     kind = type(result)  # isinstance() would wait for a future
     if kind is CoroutineType or kind is AsyncGeneratorType:

@@ -159,11 +159,7 @@ def await_turn() -> None:
 
 @contextmanager
 def sequential() -> Iterator[Callable[[], None]]:
-    """Run the ``with`` block in order, in the branch of the body; failures propagate as in plain Python.
-
-    Yields:
-        A function to call at the end: it waits for branches that the body has added to a surrounding sequence.
-    """
+    """Run the ``with`` block in order. The yielded function waits for the body's branches in an outer sequence."""
     await_turn()
     raise_if_cancelled()
     host = body_context.get()

@@ -266,8 +266,7 @@ class ChildPool(Generic[Job]):
 def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
     """Return the index of the first question that is true; None without such a question, or without copies.
 
-    A copy of this process answers each question, so questions may change worlds. Nothing is recorded, and an error
-    counts as False.
+    A copy of this process answers each question. Nothing is recorded, and an error counts as False.
     """
     if obstacle() or is_held():
         return None

@@ -49,11 +49,7 @@ class Binding(Generic[Value]):
 
 
 class CancelScope(Condition):
-    """A part of the plan that any thread can cancel; it is also cancelled with its ``parent``, the scope around it.
-
-    Raises:
-        RecursionError: Scopes are nested deeper than Python's recursion limit.
-    """
+    """A part of the plan that any thread can cancel; a scope is also cancelled with its ``parent``, the outer scope."""
 
     def __init__(self, parent: CancelScope | None = None, deadline: Limit | None = None) -> None:
         super().__init__()
@@ -270,16 +266,12 @@ class Limit(Condition, ABC):
 
 
 class StrikeSource(Condition):
-    """A deadline or a worker that the scheduler polls during a ``with`` block.
-
-    Args:
-        end: Value of ``time.monotonic()`` at which the strike comes; infinity if unknown.
-    """
+    """A deadline or a worker that the scheduler polls during a ``with`` block."""
 
     def __init__(self, end: float = math.inf) -> None:
         super().__init__()
         self.struck = False  # whether the scheduler has polled the source after the strike
-        self.end = end
+        self.end = end  # value of ``time.monotonic()`` at which the strike comes; infinity if unknown
         self._scheduler = scheduler()
 
     def is_due(self) -> bool:
@@ -327,11 +319,8 @@ class Deadline(StrikeSource, Limit):
 def guide_strikes(recorded: RecordedStrikes, polls: int) -> None:
     """Make strikes come at the same polls of this thread as in a recorded run.
 
-    If the thread sleeps at a poll without a recorded strike, strikes come as in an unguided run.
-
-    Args:
-        recorded: The recorded strikes by the recorded run's poll numbers.
-        polls: Number of polls before this moment in the recorded run.
+    If the thread sleeps at a poll without a recorded strike, strikes come as in an unguided run. ``polls`` is the
+    number of polls before this moment in the recorded run.
     """
     thread = scheduler()
     difference = polls - thread.polls

@@ -39,10 +39,7 @@ class BlockedWait:
 
 
 class DeadlockedBranches(UsageError):
-    """All branches wait, and nothing can wake a branch.
-
-    The error isn't raised if a deadline, or a thread or signal handler of the plan, may end a wait.
-    """
+    """All branches wait, and no deadline, and no thread or signal handler of the plan, can end a wait."""
 
     def __init__(self, waits: Sequence[BlockedWait]) -> None:
         self.waits = tuple(waits)
@@ -159,11 +156,7 @@ class Pct:
 
 
 class Order:
-    """Decides which branch of a thread runs next.
-
-    Args:
-        draw: Draws branches at random; None to run the branch with the first rank.
-    """
+    """Decides which branch of a thread runs next: ``draw`` draws the branch; without ``draw``, the ranks decide."""
 
     def __init__(self, draw: Pct | None = None, precedences: Iterable[Precedence] = ()) -> None:
         self.outside = Ranked(OUTSIDE)  # the code outside of all branches
@@ -224,13 +217,7 @@ class Order:
 
 
 def order_of(text: str, seed: int | None) -> Order | None:
-    """Return a new order from a text (see the module); None for "", which is the scheduler's default order.
-
-    ``seed`` is the run's seed.
-
-    Raises:
-        BadArgument: The text isn't an order.
-    """
+    """Return a new order from a text (see the module) and the run's seed; None for ""; raise BadArgument if invalid."""
     if not text:
         return None
     if drawn := _PCT.fullmatch(text):

@@ -480,19 +480,13 @@ class Scheduler:
         return any(not each.struck for each in self.strike_sources)
 
     def can_be_woken(self) -> bool:
-        """Return whether a deadline, a thread or a signal handler of the plan may wake a wait of this thread.
-
-        A thread of native code isn't known until it runs Python code.
-        """
+        """Return whether a deadline, or a thread or signal handler of the plan, may wake a wait of this thread."""
         if self.awaits_strike() or threads_of_plan() or interrupts.has_handlers():
             return True
         return not self._bell.locked()  # this check comes last, because a thread may wake this one and end
 
     def _fail_deadlocked(self) -> None:
-        """Raise DeadlockedBranches outside of the branches; if the waits remain, raise the error in a branch.
-
-        The first error cancels the branches, so only their cleanup code can wait afterwards.
-        """
+        """Raise DeadlockedBranches outside of the branches; if their cleanup code still waits, raise it in a branch."""
         error = DeadlockedBranches(self._blocked())
         inside = next((each for each in self._parked if each.branch is not None), None)
         if not self._deadlocked or inside is None:
@@ -518,10 +512,7 @@ class Scheduler:
         return blocked
 
     def poll(self, *, again: bool = False) -> None:
-        """Poll the sources of strikes, and notify the waits of each source that strikes.
-
-        With ``again``, the thread has only slept since the last poll, and both polls have the same number.
-        """
+        """Notify the waits of each source that strikes. ``again``: the thread has only slept since the last poll."""
         waiting = [each for each in self.strike_sources if not each.struck]
         if not waiting:
             return

@@ -80,11 +80,7 @@ def parse(text: str, source: str = "") -> Property:
 
 
 def parse_file(path: str | Path) -> list[Property]:
-    """Parse the properties of a file: one property on each line. ``#`` begins a comment.
-
-    Raises:
-        BadProperty: A line isn't a property, or the file has no properties.
-    """
+    """Parse a file with one property on each line, and comments after ``#``; raise BadProperty for other content."""
     file = Path(path)
     try:
         lines = file.read_text(encoding="utf-8").splitlines()

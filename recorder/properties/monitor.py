@@ -152,11 +152,7 @@ class Monitor:
         return [violation for watch in self._watches for violation in watch.finish(self._last)]
 
     def verdicts(self) -> list[PropertyVerdict]:
-        """Return the results of all properties after the end of the run.
-
-        Raises:
-            BadProperty: A property never had a value, for example because a name is unknown.
-        """
+        """Return the results of all properties after the run; raise BadProperty if a property never had a value."""
         return [watch.verdict(self._known) for watch in self._watches]
 
     def _moment(self, record: Record, sim_step: int) -> CheckedMoment:

@@ -59,8 +59,7 @@ class TreeRow:
 def rows(tree: Tree, depth: int | None = None, *, whole: bool = False, output: bool = True) -> Iterator[TreeRow]:
     """Yield all tasks down to a depth; each task comes before its children.
 
-    Similar siblings are folded, unless ``whole`` is true. If ``output`` is set, printed and logged lines appear among
-    the children.
+    Similar siblings are folded, unless ``whole`` is true. With ``output``, printed lines appear among the children.
     """
     failing = {node.id for node in tree.failure_path()}
     said = tree.output if output else {}

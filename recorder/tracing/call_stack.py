@@ -53,11 +53,7 @@ class CallStack(NamedTuple):
 
 
 def walk(frame: FrameType | None, outer: CallStack | None = None) -> CallStack:
-    """Return the call stack of running code.
-
-    Args:
-        frame: The frame of the code, or of a function that the code has called.
-    """
+    """Return the call stack of running code. ``frame`` is its frame, or the frame of a function that it has called."""
     frame, line = _innermost(frame)
     thread = current_ident()
     inherited: tuple[CallSite, ...] = ()

@@ -117,10 +117,7 @@ _outside = 0  # maximum number of frames below a greenlet; Python counts them fo
 
 
 def require_stack_room(frames: int) -> None:
-    """Raise RecursionError if the stack has no room for this number of frames.
-
-    On a shallow stack, the check takes as long as 6 calls. On a deep stack, the check makes nested calls.
-    """
+    """Raise RecursionError if the stack has no room for this number of frames; fast on a shallow stack."""
     shallow = (sys.getrecursionlimit() - frames) // _COUNTED - _outside
     if shallow > 0:
         try:

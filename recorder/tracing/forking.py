@@ -52,8 +52,7 @@ def fork() -> int:
 def fork_continuation() -> int:
     """Fork a child that continues this process with its open journals. Return 0 in the child.
 
-    From then on, this process may only wait. Sinks of the journals must not have threads, nor files that both processes
-    would write.
+    From then on, this process may only wait. Sinks must not have threads, nor files that both processes would write.
     """
     state = random.getstate()  # in a child, Python would reseed random numbers
     child = _fork(_fork_continuing)

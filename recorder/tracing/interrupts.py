@@ -126,11 +126,8 @@ def leave() -> None:
 def terminable() -> Iterator[None]:
     """Treat SIGTERM and SIGHUP as Ctrl-C in the block, unless the program handles these signals.
 
-    The process ends after the block, even if the plan has caught the interrupt. Outside of the main thread, this
-    function has no effect.
-
-    Raises:
-        Terminated: SIGTERM or SIGHUP has arrived.
+    After such a signal, Terminated is raised at the end of the block, even if the plan has caught the interrupt.
+    Outside of the main thread, this function has no effect.
     """
     taken = _take()
     try:

@@ -111,10 +111,7 @@ class Journal:
             self._expected.update(worlds)
 
     def append(self, record: Record) -> None:
-        """Set the number and times of a record, and write the record.
-
-        The record of a signal handler or finalizer that interrupts the writing of another record is queued.
-        """
+        """Number a record, and write it. If this thread is already writing another record, the record is queued."""
         record.cause = _cause.get().get(self, 0)
         self._take(record)
 
@@ -207,14 +204,11 @@ def task_id() -> int:
 
 
 def announced_task_id() -> int:
-    """Record the request of this context's running task, and return the task's id; 0 if there is none.
-
-    The body of a block runs before the branch starts, and may already change a world.
-    """
+    """Record the request of this context's running task, and return the task's id; 0 if there is none."""
     task = current_task.get()
     if task is None:
         return 0
-    task.announce()
+    task.announce()  # a block's body runs before the block's branch starts, and may already change a world
     return task.id
 
 
@@ -408,11 +402,8 @@ def close_journal(journal: Journal) -> None:
 
 @contextmanager
 def still() -> Iterator[None]:
-    """Hold the locks of all open journals in a block, for a fork (:mod:`recorder.tracing.forking`).
-
-    This function writes little memory, because written pages are no longer shared between processes.
-    """
-    held: list[threading.RLock] = []
+    """Hold the locks of all open journals in a block, for a fork (:mod:`recorder.tracing.forking`)."""
+    held: list[threading.RLock] = []  # an ExitStack would write more memory, which processes then no longer share
     try:
         with _registry:
             for journal in _open:

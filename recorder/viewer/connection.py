@@ -103,10 +103,7 @@ def wait_for_answer(url: str, check: Callable[[], None] = lambda: None) -> None:
 
 
 def is_own(port: int) -> bool:
-    """Return whether a process of this user listens on a port of the loopback. Records must not be sent to other users.
-
-    On systems other than Linux, return True, because the owners of ports are unknown.
-    """
+    """Return whether this user listens on a port of the loopback; True if unknown. Other users must not get records."""
     if not _SOCKETS.exists():
         return True
     entries = [line.split() for line in _SOCKETS.read_text(encoding="ascii").splitlines()[1:]]
@@ -161,10 +158,7 @@ class ViewerWindow:
             raise ViewerGone(f"another user's program listens at {self.url}")
 
     def check(self, timeout: float = 0.0) -> None:
-        """Raise :class:`ViewerGone` if the viewer was closed or ended with an error, for example without a screen.
-
-        ``timeout`` (s) is the time to wait for the end of a viewer with a broken connection.
-        """
+        """Raise ViewerGone if the viewer was closed or failed. ``timeout`` (s) limits the wait for the viewer's end."""
         if self._process is None:
             return
         with suppress(subprocess.TimeoutExpired):

@@ -291,11 +291,9 @@ class Status(Enum):
 
 
 def main(arguments: list[str]) -> None:
-    """Translate a recording for a viewer until its end, in a separate process.
+    """Translate a recording for a viewer until the recording's end, in a separate process.
 
-    Args:
-        arguments: Descriptor of the socket; target; title of the recording; and time in s to wait for a late viewer
-            after the recording's end.
+    The arguments are the socket's descriptor, the target, the recording's title, and the time in s for a late viewer.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C must stop only the plan; a new session would undo nice()
     connection = Connection(int(arguments[0]))

@@ -369,7 +369,7 @@ class TrajectoryPaths:
     def _lines_of(
         self, world: str, following: Following
     ) -> Iterator[tuple[str, str, Callable[[], Vector], Sequence[Vector]]]:
-        """Yield the lines of a trajectory: of the body's base, or of the moved tools.
+        """Yield a line for the base, or for each moved tool.
 
         A line has a name, a frame, a function that returns the current position in the world, and points in the frame.
         """

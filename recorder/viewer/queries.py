@@ -199,11 +199,7 @@ _FARTHEST: Final = 1e6  # maximum distance in m from the world's origin
 
 
 def scores_of(grid: Grid) -> NDArray[np.float64]:
-    """Return the scores 0..1 of a map's cells (height, width). Rows are parallel to x; the first row has the lowest y.
-
-    Raises:
-        ValueError: The size, origin or content of the map is invalid.
-    """
+    """Return the scores 0..1 of a map's cells (height, width), lowest y first; raise ValueError for an invalid map."""
     width, height = grid.width, grid.height
     if width <= 0 or height <= 0 or width * height > MAX_CELLS:
         raise ValueError(f"invalid map: {width} x {height} cells")

@@ -48,10 +48,7 @@ def stream_to_viewer(connect: Callable[[rr.RecordingStream], None] | None = None
 
 @contextlib.contextmanager
 def stream_to_file(file: Path) -> Iterator[rr.RecordingStream]:
-    """Open a stream that replaces a file. The file is complete at the end of the block.
-
-    If writing fails, OSError is raised.
-    """
+    """Open a stream that replaces a file. The file is complete at the end of the block, or OSError is raised."""
     with stream_to_viewer(lambda stream: stream.save(file)) as stream:
         yield stream
         try:

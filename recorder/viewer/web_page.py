@@ -40,10 +40,7 @@ _FOREIGN_LINK: Final = re.compile(rb'<link[^>]*href="https?://[^>]*>')
 
 
 class WebPage:
-    """A page with the viewer and all rows of a stream, until this process ends.
-
-    If the page can't be served, ViewerGone is raised.
-    """
+    """A page with the viewer and a stream's rows, until this process ends; raises ViewerGone if it can't be served."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -227,6 +224,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 def read_viewer_files() -> dict[str, bytes]:
     """Return the content of the files ``NAMES``. Raise ViewerGone if the viewer's program doesn't serve the files."""
+    files: dict[str, bytes] = {}
     with subprocess.Popen(  # noqa: S603
         [sys.executable, "-c", _END_WITH_PARENT, str(_PROGRAM), *_OPTIONS],
         stdin=subprocess.DEVNULL,
@@ -239,7 +237,11 @@ def read_viewer_files() -> dict[str, bytes]:
         overdue.start()
         try:
             port = _port(process)
-            files = {name: _get(port, "" if name == INDEX else name) for name in NAMES}
+            opener = build_opener(ProxyHandler({}))
+            for name in NAMES:
+                url = f"http://{HOST}:{port}/{'' if name == INDEX else name}"
+                with opener.open(url, timeout=_TIMEOUT) as reply:
+                    files[name] = reply.read()
         except (OSError, HTTPException) as error:
             raise ViewerGone(f"the viewer's page can't be read ({error})") from error
         finally:
@@ -257,9 +259,3 @@ def _port(process: subprocess.Popen[bytes]) -> int:
         if address := _ADDRESS.search(line):
             return int(address[1])
     raise OSError(said.decode(errors="replace").strip() or "the program didn't start")
-
-
-def _get(port: int, name: str) -> bytes:
-    with build_opener(ProxyHandler({})).open(f"http://{HOST}:{port}/{name}", timeout=_TIMEOUT) as reply:
-        content: bytes = reply.read()
-        return content
