@@ -199,16 +199,18 @@ class Prover:
             return (UNTESTED, "the fork doesn't start the failed task") if same else (CONFIRMED, "the plan succeeds")
         said = phrases.failure(failure)
         if trial.compares:
-            return self._compared(failure, same=same)
+            return self._compared(failure, same=same, later=later)
         further = "gets further, and " * later
         text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
         return REFUTED if same else CONFIRMED if later else UNTESTED, text
 
-    def _compared(self, failure: Failure, *, same: bool) -> tuple[str, str]:
+    def _compared(self, failure: Failure, *, same: bool, later: bool) -> tuple[str, str]:
         """Return the verdict on a change that wrote a checked value. Its former value may fail the check as well."""
         said = phrases.failure(failure)
         if same and _values(failure) == _values(self._checked):
             return UNTESTED, f"the check fails with the former value as well: {said}"
+        if failure.type != self._checked.type and not later:
+            return UNTESTED, f"{phrases.failure(failure)} happens before the check"
         return (
             CONFIRMED,
             f"the check {'compares another value' if same else 'passes, and the plan fails later'}: {said}",

@@ -22,7 +22,6 @@ from replay.history.blame import Blame, blame, commanded
 from replay.history.source import Line
 from replay.report import phrases
 from replay.report.question import written
-from replay.state.fold import state_at
 
 if TYPE_CHECKING:
     from recorder.geometry import Pose
@@ -202,7 +201,7 @@ def answers(case: FailureCase) -> Iterator[Query | Task]:
 _AXES: Final = ("x", "y", "z")
 _READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("turn",) * 4}
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
-_ASIDE: Final = 0.01  # by so much a trial changes a compared coordinate, m
+_ASIDE: Final = (0.01, 1.0)  # by so much trials change a compared coordinate, m
 _DEPTH: Final = 3  # definitions of names that are followed
 _MUTATIONS: Final = 200  # maximum number of changes in which moves of other objects are searched
 _OBJECT: Final = re.compile(r"<Object ([^<>]+)>")
@@ -213,7 +212,7 @@ class Written(Cause):
     """A change wrote the value that a property or the plan compares."""
 
     kind = "written"
-    untestable = "a fork can only take back the last change, and no loading"
+    untestable = "a fork can't take back the loading of an object that the plan needs"
     body: str
     part: str  # "x", "y", "z", "turn" or the name of a joint; "" for the whole pose
     value: float | None  # compared value in m or rad; None for "turn" and ""
@@ -240,21 +239,26 @@ class Written(Cause):
         yield from sorted(found, key=lambda each: -each.change.step)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial without the last of the changes; a loading has none, because the plan needs the object."""
-        last = next(Written.find(case), self)
-        if self.change.how != "load" and last.change.step == self.change.step:
-            yield from (replace(trial, compares=True) for trial in self._without(case))
+        """Yield the trials without the change, with the former pose, and with another value.
 
-    def _without(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials without the change, with the former pose, and with another value."""
-        if self.change.how == "command" and self.change.task is None and not self.change.joint:
-            skip = f"set_position(object={written(self.body)})=skip"
-            yield Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,))
-        yield from trials.put_back(case, self.change)
-        if self.part in _AXES and case.world is not None and self.body in case.world.bodies:
-            now = state_at(case.log, self.change.step).worlds[case.world.name].bodies[self.body].position
-            near = [at + _ASIDE * (axis == self.part) for axis, at in zip(_AXES, now, strict=True)]
-            yield from trials.placed(case, self.body, near, self.change.step)
+        A loading only has the last of them, because the plan needs the object.
+        """
+        if self.change.how != "load":
+            if self.change.how == "command" and self.change.task is None and not self.change.joint:
+                skip = f"set_position(object={written(self.body)})=skip"
+                yield self._comparing(Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,)))
+            yield from map(self._comparing, trials.put_back(case, self.change))
+        body = None if case.world is None else case.world.bodies.get(self.body)
+        if self.part in ("", *_AXES) and body is not None:
+            for aside in _ASIDE:  # no other change wrote the value, so it may be changed just before the check
+                place = [
+                    at + aside * (axis == (self.part or "x")) for axis, at in zip(_AXES, body.position, strict=True)
+                ]
+                yield from map(self._comparing, trials.placed(case, self.body, place))
+
+    @staticmethod
+    def _comparing(trial: Trial) -> Trial:
+        return replace(trial, compares=True)
 
     def _words(self) -> Iterator[str]:
         if self.value is not None:
