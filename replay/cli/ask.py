@@ -1,11 +1,10 @@
-"""``ask``: the answer to a reasoning query at a past step, also with moved objects."""
+"""``ask``: the answer to a reasoning query at a past step; objects can be moved before the query."""
 
 from __future__ import annotations
 
 import argparse
 from typing import TYPE_CHECKING
 
-from recorder.records import Plain
 from replay.cli.console import native_output_to_stderr, numbers, print_message, print_moment, print_result
 from replay.errors import ReplayError
 from replay.history.steps import HINT
@@ -37,18 +36,15 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="world of the query (default: the last opened world)")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     with native_output_to_stderr():
-        answer = log.ask(
-            options.step, options.question, world=options.world, moves=[_move(text) for text in options.move]
-        )
+        answer = log.ask(options.step, options.question, world=options.world, moves=[*map(_move, options.move)])
     step = log.step(options.step)
     if answer.step != step:
         print_message(f"no world is open after step {step}; this is the answer after step {answer.step}")
     else:
         print_moment(log, options.step)
     print_result(lambda: _data(answer), answer.lines(), as_json=options.json)
-    return 0
 
 
 def _move(text: str) -> Move:
@@ -64,20 +60,13 @@ def _move(text: str) -> Move:
     return Move(body, (x, y, z), (turn[0], turn[1], turn[2], turn[3]) if turn else None)
 
 
-def _data(answer: QueryAnswer) -> Plain:
-    moves: list[Plain] = [
-        {
-            "object": move.body,
-            "position": list(move.position),
-            "orientation": list(move.orientation) if move.orientation else None,
-        }
-        for move in answer.moves
-    ]
+def _data(answer: QueryAnswer) -> dict[str, object]:
+    moves = [{"object": each.body, "position": each.position, "orientation": each.orientation} for each in answer.moves]
     return {
         "step": answer.step,
         "world": answer.world,
         "question": str(answer.question),
         "moves": moves,
-        "answer": list(answer.answer) if isinstance(answer.answer, list) else answer.answer,
+        "answer": answer.answer,
         "evidence": dict(answer.evidence),
     }

@@ -22,7 +22,6 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     change = log.blame(options.object, options.at, options.world)
     print_result(lambda: report.data(change), lines(change), as_json=options.json)
-    return 0

@@ -39,7 +39,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Print for each property the number of recordings in which it holds, and the first violations."""
     properties = _given(options)
     rows: list[tuple[str, list[CheckedProperty]]] = []
     for name in runs.folder.runs:
@@ -66,11 +65,7 @@ def _given(options: argparse.Namespace) -> list[Property]:
 
 
 def checked(log: Recording, texts: Sequence[str], files: Sequence[str]) -> list[CheckedProperty]:
-    """Check the properties in texts and files.
-
-    Raises:
-        ReplayError: a text isn't in the language, or a file can't be read.
-    """
+    """Check the properties in texts and files; raise ReplayError for texts and files that can't be read."""
     return _check(log, _parsed(texts, files, str(log.path)))
 
 

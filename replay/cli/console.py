@@ -38,12 +38,7 @@ _CONTROL: Final = re.compile("[\\x00-\\x08\\x0b-\\x1f\\x7f-\\x9f\\u202a-\\u202e\
 
 def visible(text: str) -> str:
     r"""Return a text with control characters as escapes, such as ``\x1b``; newlines and tabs aren't changed."""
-    return _CONTROL.sub(_escape, text)
-
-
-def _escape(match: re.Match[str]) -> str:
-    code = ord(match[0])
-    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
+    return _CONTROL.sub(lambda match: ("\\x%02x" if match[0] < "\u0100" else "\\u%04x") % ord(match[0]), text)
 
 
 def print_text(text: str, *, end: str = "\n", flush: bool = False) -> None:
@@ -125,7 +120,7 @@ def _is_descriptor_of_stdout(stream: object) -> bool:
 
 
 def print_moment(log: Recording, step: str, *, exact: bool = False) -> None:
-    """If the step is a time within a simulation, print how exact its state is."""
+    """If the step is a time within a simulation, print how exact the state at this time is."""
     from replay.report.phrases import sampled  # noqa: PLC0415  slow to import
 
     within = log.state_at(step).sampled

@@ -7,6 +7,7 @@ from a script on stdin.
 from __future__ import annotations
 
 import argparse
+import ast
 import cmd
 import contextlib
 import inspect
@@ -19,12 +20,11 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
 from recorder.plan_lines import deciding
-from recorder.records import STEPS_PER_SECOND, Output, Record, Run, format_failure
+from recorder.records import STEPS_PER_SECOND, Output, Run, format_failure
 from recorder.system import cache_folder
 from recorder.terminal import coloured, has_colours
 from replay.cli import main
 from replay.cli.console import print_message, visible
-from replay.cli.main import FINE
 from replay.cli.retrace import AGAIN, add_source_and_arguments
 from replay.errors import ReplayError
 from replay.history.steps import HINT
@@ -40,6 +40,16 @@ if TYPE_CHECKING:
 _HISTORY: Final = 1000  # maximum number of lines in the history of commands
 _MAIN_THREAD: Final = "MainThread"
 _AROUND: Final = 5  # number of lines before and after the current line that ``list`` shows, as in pdb
+#: Commands that move the plan (:data:`replay.debug.session.MOVES`), by names.
+_MOVES: Final = {
+    ("step", "s"): "to the next recorded step.",
+    ("rstep", "rs"): "back to the previous recorded step.",
+    ("next", "n"): "to the next step on this task level, over the steps inside a task.",
+    ("rnext", "rn"): "back to the previous step on this task level.",
+    ("return", "r"): "to the end of the current task.",
+    ("continue", "c", "cont"): "to the next breakpoint or watched change, or to the end.",
+    ("rcontinue", "rc"): "back to the previous breakpoint or watched change, or to the start.",
+}
 #: Verbs of ``pycram-replay`` that are commands: words before and after the words of the user. "STEP" is replaced by the
 #: current step.
 _VERBS: Final[dict[str, tuple[tuple[str, ...], tuple[str, ...]]]] = {
@@ -87,7 +97,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_source_and_arguments(parser)
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415  needs the executor
     from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415
 
@@ -105,11 +115,10 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         prompt = Prompt(session)
         prompt.begin(min(step, plan.last))
         prompt.run()
-    return FINE
 
 
 def first_step(log: Recording, step: int | str | None) -> int:
-    """Return the number of a step. By default, it is the step of the failure, or 0."""
+    """Return the number of a step; by default, of the failure's step, or 0 if the plan didn't fail."""
     from replay.retrace.plan_process import last_own_step  # noqa: PLC0415  needs the executor
 
     if step is not None:
@@ -118,7 +127,7 @@ def first_step(log: Recording, step: int | str | None) -> int:
 
 
 def new_session(log: Recording, plan: GuidedPlan) -> Session:
-    """Return a session. The source lines that run are shown, even if the files on the disk differ."""
+    """Return a session that shows the source lines that run, even if the files on the disk differ."""
     from replay.debug.session import Session  # noqa: PLC0415  needs the executor
 
     for file, source in plan.recorded_files.items():
@@ -210,11 +219,6 @@ class Prompt(cmd.Cmd):
         """Print a mistake of the user."""
         print(self.painted(f"*** {text}", "red"))
 
-    def print_lines(self, lines: Iterable[str]) -> None:
-        """Print results."""
-        for line in lines:
-            print(visible(line))
-
     def painted(self, text: str, colour: str) -> str:
         """Return a text in a colour, or the plain text if there is no terminal."""
         return coloured(visible(text), colour) if self._coloured else visible(text)
@@ -232,12 +236,12 @@ class Prompt(cmd.Cmd):
                 raise
             self.print_error(str(interrupted))
             halt = self.session.go(interrupted.step)
-        self.halted(halt, halt.arrival.step)
+        self.halted(halt)
 
-    def halted(self, halt: Halt, before: int) -> None:
-        """Print the current step, and the plan's output since the step ``before``."""
+    def halted(self, halt: Halt, before: int | None = None) -> None:
+        """Print the current step, and the plan's output since the step ``before``; with None, no output."""
         arrival, step = halt.arrival, halt.arrival.step
-        for output in self.log.records(Output, before + 1, step + 1):
+        for output in self.log.records(Output, before + 1, step + 1) if before is not None else ():
             print(visible(output.text))
         for each in halt.met:
             name = f"Breakpoint {each.number}, " if not each.text.startswith("watch") else ""
@@ -261,9 +265,8 @@ class Prompt(cmd.Cmd):
     def _change(change: Any) -> str:
         if change is None:
             return ""
-        before, after = change[-2:]
-        texts = [each if isinstance(each, str) else _short(each) for each in (before, after)]
-        return f": {texts[0]} -> {texts[1]}"
+        before, after = (each if isinstance(each, str) else _short(each) for each in change[-2:])
+        return f": {before} -> {after}"
 
     def _print_step(self, step: int) -> None:
         record = self.log[step]
@@ -276,7 +279,9 @@ class Prompt(cmd.Cmd):
         if self.stack:
             self._print_frame()
         if step == len(self.log) - 1:
-            print(visible(f"the recording {_ending(record)}"))
+            end = record if isinstance(record, Run) and record.phase == Run.FINISHED else None
+            failed = f"; the plan failed: {format_failure(end.failure)}" if end and not end.succeeded else ""
+            print(visible(f"the recording {'ends' if end else 'was cut'} here{failed}"))
 
     def _print_frame(self, number: int | None = None) -> None:
         at = self.frame if number is None else number
@@ -356,10 +361,11 @@ class Prompt(cmd.Cmd):
     def _print_variables(self, *, arguments: bool) -> None:
         self._selected()
         found = self.session.plan.ask("variables", frame=self.frame, arguments=arguments)
-        self.print_lines(f"{each['name']} = {each['value']}" for each in found)
+        for each in found:
+            print(visible(f"{each['name']} = {each['value']}"))
 
     def do_p(self, expression: str) -> None:
-        """``p`` EXPR: an expression's value in the frame; changes by its evaluation are undone."""
+        """``p`` EXPR: an expression's value in the frame; changes that the evaluation makes are undone."""
         self._evaluate(expression, pretty=False)
 
     def do_pp(self, expression: str) -> None:
@@ -404,33 +410,12 @@ class Prompt(cmd.Cmd):
 
     # --- from step to step ------------------------------------------------------------------------------------------
 
-    def _forward(self, target: int | None) -> None:
+    def move(self, name: str, _: str) -> None:
+        """Execute a command that moves the plan."""
+        from replay.debug.session import MOVES  # noqa: PLC0415  needs the executor
+
         before = self.session.step
-        self.halted(self.session.forward(target), before)
-
-    def _back(self, target: int) -> None:
-        halt = self.session.back(target)
-        self.halted(halt, halt.arrival.step)
-
-    def do_step(self, _: str) -> None:
-        """``step`` (s): to the next recorded step."""
-        self._forward(self.session.step + 1)
-
-    def do_rstep(self, _: str) -> None:
-        """``rstep`` (rs): back to the previous recorded step."""
-        self._back(self.session.step - 1)
-
-    def do_next(self, _: str) -> None:
-        """``next`` (n): to the next step on this task level, over the steps inside a task."""
-        self._forward(self.session.timeline.following(self.session.step))
-
-    def do_rnext(self, _: str) -> None:
-        """``rnext`` (rn): back to the previous step on this task level."""
-        self._back(self.session.timeline.preceding(self.session.step))
-
-    def do_return(self, _: str) -> None:
-        """``return`` (r): to the end of the current task."""
-        self._forward(self.session.timeline.end(self.session.step))
+        self.halted(MOVES[name](self.session), before)
 
     def do_until(self, step: str) -> None:
         """``until`` (unt) [STEP]: forwards to a step; without a step, to a later line, for example out of a loop."""
@@ -438,20 +423,11 @@ class Prompt(cmd.Cmd):
         target = self.log.step(step) if step else timeline.onwards(now)
         if target <= now:
             raise ReplayError(f"step {target} isn't after the current step; use goto")
-        self._forward(target)
-
-    def do_continue(self, _: str) -> None:
-        """``continue`` (c, cont): to the next breakpoint or watched change, or to the end."""
-        self._forward(None)
-
-    def do_rcontinue(self, _: str) -> None:
-        """``rcontinue`` (rc): back to the previous breakpoint or watched change, or to the start."""
-        self._back(0)
+        self.halted(self.session.forward(target), now)
 
     def do_goto(self, step: str) -> None:
         """``goto`` (g) STEP: to any step, forwards or back; breakpoints are ignored."""
-        halt = self.session.go(self.log.step(step))
-        self.halted(halt, halt.arrival.step)
+        self.halted(self.session.go(self.log.step(step)))
 
     # --- breakpoints ------------------------------------------------------------------------------------------------
 
@@ -461,29 +437,28 @@ class Prompt(cmd.Cmd):
         A task is a path of names, such as par/moving or pick-up. Kinds are motion, attempt, block and so on.
         """
         if place:
-            self._set_break(place, temporary=False)
+            self._set_break(place)
             return
         for each in self.session.breakpoints:
             state = f"{'' if each.enabled else ' (disabled)'}{' (once)' if each.temporary else ''}"
-            self.print_lines([f"{each.number:3}  {each.text}{state}: {each.counted}"])
+            print(visible(f"{each.number:3}  {each.text}{state}: {each.counted}"))
 
     def do_tbreak(self, place: str) -> None:
         """``tbreak`` PLACE: a breakpoint that is deleted when it has stopped the plan."""
         self._set_break(place, temporary=True)
 
-    def _set_break(self, place: str, *, temporary: bool) -> None:
+    def _set_break(self, place: str, *, temporary: bool = False) -> None:
         made = self.session.set_break(place, temporary=temporary)
-        self.print_lines([f"Breakpoint {made.number}: {made.text}: {made.counted}"])
+        print(visible(f"Breakpoint {made.number}: {made.text}: {made.counted}"))
 
     def do_watch(self, expression: str) -> None:
         """``watch`` EXPR: stop when milk.z, holding(left), distance(pr2, milk) < 1 or a variable changes."""
         made = self.session.set_watch(expression, self.frame)
-        self.print_lines([f"Watch {made.number}: {expression}: {made.counted}"])
+        print(visible(f"Watch {made.number}: {expression}: {made.counted}"))
 
     def do_rwatch(self, expression: str) -> None:
         """``rwatch`` EXPR: go back to the last change of an expression's value."""
-        halt = self.session.back_to_change(expression, self.frame)
-        self.halted(halt, halt.arrival.step)
+        self.halted(self.session.back_to_change(expression, self.frame))
 
     def do_clear(self, numbers: str) -> None:
         """``clear`` (cl) [NUMBER ...]: remove breakpoints and watches; without a number, all."""
@@ -506,7 +481,8 @@ class Prompt(cmd.Cmd):
 
     # --- the recording at this step -----------------------------------------------------------------------------------
 
-    def _verb(self, name: str, text: str) -> None:
+    def call_verb(self, name: str, text: str) -> None:
+        """Run a verb at the current step."""
         given = _words(text)
         if name == "ask" and text and not text.startswith("-"):
             question, option, rest = text.partition(" --")
@@ -585,25 +561,25 @@ class Prompt(cmd.Cmd):
     complete_rwatch = complete_watch
     complete_blame = complete_state
 
-    do_s, do_n, do_r, do_unt = do_step, do_next, do_return, do_until
-    do_c = do_cont = do_continue
-    do_rs, do_rn, do_rc, do_g = do_rstep, do_rnext, do_rcontinue, do_goto
-    do_b, do_cl, do_h = do_break, do_clear, do_help
+    do_unt, do_g, do_b, do_cl, do_h = do_until, do_goto, do_break, do_clear, do_help
     do_q = do_exit = do_quit
     complete_b = complete_break
 
 
-def _add_verb(name: str) -> None:
+def _add_command(names: tuple[str, ...], text: str, method: Callable[[Prompt, str, str], None]) -> None:
+    def do(self: Prompt, argument: str) -> None:
+        method(self, names[0], argument)
 
-    def do(self: Prompt, text: str) -> None:
-        self._verb(name, text)
-
-    do.__doc__ = f"``{name}``: {main.VERBS[name]}; by default, at this step. See pycram-replay {name} --help."
-    setattr(Prompt, f"do_{name}", do)
+    do.__doc__ = f"{', '.join(names)}: {text}"
+    for name in names:
+        setattr(Prompt, f"do_{name}", do)
 
 
+for _names, _text in _MOVES.items():
+    _add_command(_names, _text, Prompt.move)
 for _name in _VERBS:
-    _add_verb(_name)
+    _text = f"{main.VERBS[_name]}; by default, at this step. See pycram-replay {_name} --help."
+    _add_command((_name,), _text, Prompt.call_verb)
 
 
 def _words(text: str) -> list[str]:
@@ -617,12 +593,6 @@ def _beginning(text: str, names: Iterable[str]) -> list[str]:
     return sorted({name for name in names if name.startswith(text)})
 
 
-def _ending(last: Record) -> str:
-    if not isinstance(last, Run) or last.phase != Run.FINISHED:
-        return "was cut here"
-    return "ends here" if last.succeeded else f"ends here; the plan failed: {format_failure(last.failure)}"
-
-
 def _number(text: str) -> int:
     if text and not text.isdecimal():
         raise ReplayError(f"{text}: expected a number of frames")
@@ -630,19 +600,11 @@ def _number(text: str) -> int:
 
 
 def _is_statement(text: str) -> bool:
-    if not text:
-        return False
     try:
-        compile(text, "<prompt>", "eval")
-    except SyntaxError:
-        try:
-            compile(text, "<prompt>", "exec")
-        except SyntaxError:
-            return False  # evaluating the expression later reports the error
-        return True
-    except ValueError:
-        return False
-    return False
+        body = ast.parse(text).body
+    except (SyntaxError, ValueError):
+        return False  # evaluating the expression later reports the error
+    return list(map(type, body)) not in ([], [ast.Expr])
 
 
 def _short(value: object) -> str:

@@ -27,9 +27,8 @@ from recorder.records import Failure, Output, Query, Task, argument_values
 from replay.cli import main
 from replay.cli.console import print_message, visible
 from replay.cli.debug import Prompt, first_step, new_session
-from replay.cli.main import FINE
 from replay.debug.guided_plan import GuidedPlan, PlanEnded
-from replay.debug.session import Halt, Session, breakpoint_at
+from replay.debug.session import MOVES, Halt, Session, breakpoint_at
 from replay.errors import NoSuchName, ReplayError
 from replay.recording import Recording
 from replay.report import phrases
@@ -59,32 +58,29 @@ _CAPABILITIES: Final = {
 }  # fmt: skip
 #: The protocol's names for the reasons of stops.
 _LINE, _TASK, _DATA, _EXCEPTION = "breakpoint", "function breakpoint", "data breakpoint", "exception"
-#: Requests that move the plan, as functions of the session and the arguments of the request.
-_MOVES: Final[dict[str, Callable[[Session, Message], Halt]]] = {
-    "continue": lambda session, _: session.forward(),
-    "reverseContinue": lambda session, _: session.back(),
-    "next": lambda session, _: session.forward(session.timeline.following(session.step)),
-    "stepIn": lambda session, _: session.forward(session.step + 1),
-    "stepOut": lambda session, _: session.forward(session.timeline.end(session.step)),
-    "stepBack": lambda session, given: session.back(
-        session.step - 1 if given.get("granularity") == "instruction" else session.timeline.preceding(session.step)
-    ),
-    "goto": lambda session, given: session.go(given["targetId"]),
+#: Requests that move the plan, and the moves (:data:`replay.debug.session.MOVES`).
+_MOVES: Final = {
+    "continue": "continue",
+    "reverseContinue": "rcontinue",
+    "next": "next",
+    "stepIn": "step",
+    "stepOut": "return",
+    "stepBack": "rnext",
 }
 
 
-def serve(port: int | None, recording: str | None = None) -> int:
+def serve(port: int | None, recording: str | None = None) -> None:
     """Serve an editor on stdin and stdout, or on a port of this machine.
 
     With port 0, a free port is chosen, and printed on stderr. If the editor doesn't name a recording, ``recording`` is
     debugged.
     """
     if port is None:
-        # if a thread reads sys.stdin, it would hold its lock when Python ends
+        # a thread that reads sys.stdin would still hold the lock of sys.stdin when Python ends
         reading, writing = os.fdopen(os.dup(_STDIN), "rb"), os.fdopen(os.dup(_STDOUT), "wb")
         os.dup2(sys.stderr.fileno(), _STDOUT)  # native code and verbs print to this file descriptor
         Adapter(reading, writing, recording).run()
-        return FINE
+        return
     with socket.create_server((_LOOPBACK, port)) as listening:
         print_message(f"waiting for an editor on port {listening.getsockname()[1]}")
         connected, _ = listening.accept()
@@ -92,12 +88,11 @@ def serve(port: int | None, recording: str | None = None) -> int:
         Adapter(cast("BinaryIO", reading), cast("BinaryIO", writing), recording).run()
         with contextlib.suppress(OSError):  # the editor may have closed the connection
             connected.shutdown(socket.SHUT_RDWR)  # this ends the thread that reads the requests
-    return FINE
 
 
 @dataclass(slots=True)
 class _Variable:
-    """A variable in an editor, in one line; ``parts`` returns the lines below it."""
+    """A variable, which an editor shows in a line; ``parts`` returns the variables below this line."""
 
     name: str
     value: str
@@ -185,9 +180,8 @@ class Adapter:
             self._send("response", success=False, message=text, body=facts, **answered)
             return
         self._send("response", success=True, body=body or {}, **answered)
-        then = self._then
-        if then is not None:
-            then()
+        if self._then is not None:
+            self._then()
 
     @property
     def _session(self) -> Session:
@@ -279,7 +273,7 @@ class Adapter:
         return {"dataId": watched, "description": watched, "accessTypes": ["write"], "canPersist": True}
 
     def _set(self, kind: str, places: Sequence[str], file: str = "") -> Message:
-        """Replace the breakpoints of a kind, and of a file if it is given."""
+        """Replace the breakpoints of a kind; if a file is given, only the breakpoints in this file."""
         old = self._session.breakpoints
         kept = [each for each in old if self._numbers.get(each.number) != kind]
         old[:] = [each for each in old if each in kept or (file and (each.line is None or each.line[0] != file))]
@@ -302,9 +296,12 @@ class Adapter:
     def _on_other(self, command: str, arguments: Message) -> Message:
         if command not in _MOVES:
             raise ReplayError(f"the request {command} isn't supported")
-        move = partial(_MOVES[command], self._session, arguments)
-        self._then = partial(self._move, move, "goto" if command == "goto" else "step")
+        name = "rstep" if arguments.get("granularity") == "instruction" and command == "stepBack" else _MOVES[command]
+        self._then = partial(self._move, partial(MOVES[name], self._session), "step")
         return {"allThreadsContinued": True} if command == "continue" else {}
+
+    def _on_goto(self, arguments: Message) -> None:
+        self._then = partial(self._move, partial(self._session.go, arguments["targetId"]), "goto")
 
     def _on_gotoTargets(self, arguments: Message) -> Message:  # noqa: N802
         place = f"{_file(arguments)}:{arguments['line']}"
@@ -354,7 +351,7 @@ class Adapter:
 
     @contextlib.contextmanager
     def _progress(self, title: str) -> Iterator[None]:
-        """If an editor shows progress, report a long action to it."""
+        """Report a long action to an editor that shows progress."""
         with contextlib.ExitStack() as ending:
             if title and self._client.get("supportsProgressReporting"):
                 number = str(self._sent)

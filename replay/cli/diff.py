@@ -37,7 +37,6 @@ def _tolerance(text: str) -> float:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Print the difference; if two whole recordings differ, the exit code is 1."""
     if options.second is not None:
         delta = difference(log.state_at(options.first), log.state_at(options.second))
         print_result(lambda: report.data(delta), difference_lines(delta, whole=options.all), as_json=options.json)
@@ -46,7 +45,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{options.first}: no such recording; to compare two steps of this recording, give both")
     with Recording(options.first) as other:
         compared = compare_recordings(log, other, options.tolerance)
-        problems = other.problems  # only after reading the whole recording, its problems are known
+        problems = other.problems  # these problems are known only after reading the whole recording
     print_result(lambda: report.data(compared), comparison_lines(compared, whole=options.all), as_json=options.json)
     if problems:
         print_message(f"{other.path} is incomplete: {problems}")

@@ -1,8 +1,7 @@
 """``export``: a recording for Foxglove, its trajectories as a table, or a folder of recordings as a data set.
 
 The table contains planned and driven positions of joints over time. Driven positions are the samples of simulations, 30
-in a simulated second. Velocities of joints come from the engine. Bases have no velocities, because a base moves from
-pose to pose.
+per simulated second. Velocities of joints come from the engine. Bases have no velocities: they move from pose to pose.
 """
 
 from __future__ import annotations
@@ -38,9 +37,7 @@ _FORMATS: Final = ("csv", "parquet")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--trajectories", action="store_true", help="for a recording: write planned and driven positions over time"
-    )
+    parser.add_argument("--trajectories", action="store_true", help="write a recording's planned and driven positions")
     parser.add_argument(
         "--to",
         nargs=2,
@@ -48,9 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
         help="'foxglove' OUT.mcap: a recording for Foxglove, with a layout in OUT.layout.json; 'lerobot' OUT: a folder "
         "of recordings as a data set for training policies, in a new folder",
     )
-    parser.add_argument(
-        "--plan", metavar="NAME", help="for a folder: only runs of this plan (default: the most frequent plan)"
-    )
+    parser.add_argument("--plan", metavar="NAME", help="for a folder: the runs' plan (default: the most frequent plan)")
     parser.add_argument("--succeeded", action="store_true", help="for a folder: only successful runs")
     parser.add_argument(
         "--images",
@@ -64,14 +59,13 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--format", choices=_FORMATS, help="format of the file (default: its suffix, otherwise csv)")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     form, out = options.to or ("", "")
     if form == "foxglove" and not (options.trajectories or options.file or options.images):
-        return _to_foxglove(log, Path(out), options)
+        _to_foxglove(log, Path(out), options)
+        return
     if not options.trajectories or options.to or options.images is not None:
-        raise ReplayError(
-            "a recording needs --trajectories or --to foxglove OUT.mcap; a folder of recordings needs --to lerobot OUT"
-        )
+        raise ReplayError("a recording needs --trajectories or --to foxglove OUT.mcap; a folder needs --to lerobot OUT")
     suffix = Path(options.file or "").suffix.removeprefix(".")
     form = options.format or (suffix if suffix in _FORMATS else "csv")
     if form == "parquet" and options.file is None:
@@ -81,7 +75,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         print_message(f"{log.path}: nothing followed a trajectory")
     if options.file is None:
         print_result(lambda: [row._asdict() for row in table], _csv(table).splitlines(), as_json=options.json)
-        return 0
+        return
     try:
         if form == "parquet":
             _write_parquet(table, options.file)
@@ -91,10 +85,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         raise ReplayError(f"{options.file}: can't be written: {error}") from error
     data = {"file": options.file, "format": form, "rows": len(table)}
     print_result(lambda: data, [f"{options.file}: {len(table)} rows"], as_json=options.json)
-    return 0
 
 
-def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> int:
+def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> None:
     from replay.foxglove import FoxgloveTranslator  # noqa: PLC0415  loads numpy
 
     layout = out.with_suffix(".layout.json")
@@ -108,13 +101,10 @@ def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> int:
     content, messages = write_copy(log, out, write, overwrite=options.overwrite)
     layout.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     data = {"file": str(out), "format": "foxglove", "messages": messages, "layout": str(layout)}
-    print_result(
-        lambda: data, [f"{out}: {messages} messages", f"{layout}: a layout for Foxglove"], as_json=options.json
-    )
-    return 0
+    print_result(lambda: data, [f"{out}: {messages} messages", f"{layout}: layout for Foxglove"], as_json=options.json)
 
 
-def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     from replay.runs.lerobot import export  # noqa: PLC0415  needs an extra
     from replay.runs.statistics import names_of, plan_of  # noqa: PLC0415  as above
 
@@ -131,13 +121,10 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         print_message(f"left out: {len(done.left_out)} runs in which no robot moves, such as {done.left_out[0]}")
     data = {"folder": str(done.folder), "format": form, "episodes": list(done.episodes), "frames": done.frames}
     print_result(lambda: data, [f"{out}: {len(done.episodes)} episodes, {done.frames} frames"], as_json=options.json)
-    return 0
 
 
 def _camera(frame: str) -> Draw:
     """Return a function that draws the view from a frame of the robot; by default, from the camera's frame."""
-    import numpy as np  # noqa: PLC0415  slow to import
-
     from replay.restore.render import DrawnWorld  # noqa: PLC0415  needs an extra
 
     def draw(
@@ -176,7 +163,7 @@ class MotionRow(NamedTuple):
     body: str
     joint: str  # name of a joint, or "x", "y" or "yaw" of the base in the world
     source: str  # "planned" or "driven"
-    time: float  # time in s on the trajectory; it passes more slowly after a stop
+    time: float  # time in s on the trajectory; while a body slows down, this time passes more slowly
     seconds: float  # simulated time in s of the world; planned positions don't consider stops
     position: float  # rad or m
     velocity: float | None
@@ -237,7 +224,7 @@ def _names(begin: BeginTrajectory) -> Sequence[str]:
 
 
 def _values(state: Body | BodyState) -> dict[str, tuple[float, float | None]]:
-    """Return position and velocity of a body's joints and base coordinates, as far as the state has them, by name."""
+    """Return the position and velocity of each joint and base coordinate that the state of a body contains, by name."""
     found: dict[str, tuple[float, float | None]] = {}
     if isinstance(state, Body):
         found |= {name: (position, state.joint_velocities[name]) for name, position in state.joints.items()}

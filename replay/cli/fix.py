@@ -29,7 +29,6 @@ _MAX_OTHERS: Final = 3  # maximum number of candidates with other failures that 
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the options for properties, for limits of the search, and for written files."""
     parser.epilog = "Exit code 0: a repair was found. 1: none was found. To copy a damaged file, see repair."
     parser.add_argument(
         "--holds", metavar="PROPERTY", action="append", default=[], help="a repaired run must have this property"
@@ -40,7 +39,6 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Search for repairs, and print them; after Ctrl-C, print the repairs that were found."""
     from replay.fix.last_chance import LastChance, other_choice  # noqa: PLC0415  needs the executor
     from replay.fix.search import SearchResult, search  # noqa: PLC0415  as above
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
@@ -58,17 +56,9 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         if options.apply and found.repairs:
             _apply(trials, found)
         data = {"choice": chance.choice, "step": chance.step}
-        lines = [*_choice(log, chance), *_lines(trials, found)]
+        lines = _lines(log, trials, chance, found)
         print_result(lambda: _data(trials, found) | data, lines, as_json=options.json)
     return FINE if found.repairs or chance.choice else FAILED
-
-
-def _choice(log: Recording, chance: LastChance) -> Iterator[str]:
-    """Yield the command for a fork in which another choice succeeds."""
-    if chance.choice:
-        yield f"the plan also succeeds with another choice, {chance.choice}:"
-        yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}"
-        yield f"  its run: {chance.recording}"
 
 
 def existing_folder(name: str) -> Path:
@@ -105,7 +95,11 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
     return {"asked": found.asked, "repairs": repairs, "tried": found.tried, "runs": found.runs, "others": found.others}
 
 
-def _lines(trials: Trials, found: SearchResult) -> Iterator[str]:
+def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResult) -> Iterator[str]:
+    if chance.choice:
+        yield f"the plan also succeeds with another choice, {chance.choice}:"
+        yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}"
+        yield f"  its run: {chance.recording}"
     asked = f"asked: {found.asked}" if found.asked else "nothing was tried"
     count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"
     if not found.repairs:
@@ -116,9 +110,7 @@ def _lines(trials: Trials, found: SearchResult) -> Iterator[str]:
         return
     for number, each in enumerate(found.repairs):
         yield from ([""] if number else [])
-        yield f"{'possible repair' if each.mark else 'repair'}: {each.edit.what}" + (
-            f" ({each.mark})" if each.mark else ""
-        )
+        yield f"possible repair: {each.edit.what} ({each.mark})" if each.mark else f"repair: {each.edit.what}"
         yield from difference(trials, each.edit.text)
         yield f"  its run: {each.recording}"
         seeds, places = each.checks

@@ -29,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(next_steps=False)
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     info = summary(log)
     lines = (f"{name:12} {text}" for name, text in _rows(log, info) if text)
     print_result(lambda: _data(log, info), lines, as_json=options.json)
@@ -39,16 +39,14 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         if not info.failure:
             verbs = (f"tree {file}", f"log {file}", f"view {file}")
         print_text("\n".join(["", "Next", *(f"  pycram-replay {verb}" for verb in verbs), "  pycram-replay cheat"]))
-    return 0
 
 
-def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     from replay.cli.stats import data, summary_lines  # noqa: PLC0415  need an extra
     from replay.runs.statistics import statistics  # noqa: PLC0415
 
     stats = statistics(runs)
     print_result(lambda: data(stats), summary_lines(stats), as_json=options.json)
-    return 0
 
 
 def _data(log: Recording, info: Summary) -> dict[str, object]:

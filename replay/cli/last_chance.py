@@ -23,19 +23,15 @@ _MAX_OTHERS: Final = 3  # maximum number of choices that don't help and are list
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the options for properties, for limits of the search, and for the recording of the success."""
     parser.epilog = "Exit code 0: a last chance was found. 1: none was found. To repair the plan, see fix."
     parser.add_argument(
         "--holds", metavar="PROPERTY", action="append", default=[], help="a successful run must have this property"
     )
-    parser.add_argument(
-        "--keep", metavar="DIR", default=".", help="folder for the recording of the success (default: .)"
-    )
+    parser.add_argument("--keep", metavar="DIR", default=".", help="folder for the successful recording (default: .)")
     add_trials(parser, _BUDGET)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Search for the last chance, and print it; Ctrl-C ends the search and prints what was found."""
     from replay.fix.last_chance import LastChance, last_chance  # noqa: PLC0415  needs the executor
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
@@ -80,6 +76,6 @@ def _lines(trials: Trials, log: Recording, found: LastChance) -> Iterator[str]:
         where = f", at {found.line}: {found.line.text}" if found.line is not None else ""
         yield f"closed by step {found.closed}{where}"
     for step in found.exceptions:
-        yield f"not monotone: the plan also fails with the objects as before step {step}"
+        yield f"the plan also fails with the objects as they were before step {step}"
     yield from (f"  no help: {phrases.one_line(each)}" for each in found.others[:_MAX_OTHERS])
     yield f"{phrases.plural(found.runs, 'run')}"

@@ -7,11 +7,11 @@ import json
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
-from recorder.records import STEPS_PER_SECOND, Keyframe, LoadBody, Mutation, Plain, Record, Task
+from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Plain, Record, Task
 from replay.cli.console import print_json, print_json_list, print_message, print_result, print_text
 from replay.errors import NoSuchName
 from replay.file.chunks import KINDS
@@ -42,7 +42,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--follow", action="store_true", help="continue while the recording is being written")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     """Print the lines. With ``--json``, each line is a JSON object."""
     where = None if options.where is None else line_of(options.where)
     wanted = RecordFilter(options.kind or (), options.task, options.object, options.world, options.text, where)
@@ -61,7 +61,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             print_text(f"{record.seq:6} {clock:>10} {kind_of(record):8} {world}{line}{cause}", flush=options.follow)
     if not found and not options.follow:
         wanted.check(log)
-    return 0
 
 
 def line_of(text: str) -> tuple[str, int | None]:
@@ -70,11 +69,8 @@ def line_of(text: str) -> tuple[str, int | None]:
     return (file, int(number)) if colon and number.isdecimal() else (text, None)
 
 
-def follow(
-    log: Recording, wanted: RecordFilter, start: int, pause: Callable[[], object] | None = None
-) -> Iterator[tuple[Record, str]]:
-    """Yield matching records, also new ones, until the recording is closed or its process ends."""
-    wait = pause or (lambda: threading.Event().wait(_POLL_PERIOD))
+def follow(log: Recording, wanted: RecordFilter, start: int) -> Iterator[tuple[Record, str]]:
+    """Yield matching records, including new records, until the recording is closed or its process ends."""
     while True:
         live = log.live  # this is read before the last refresh, so that no record is missed
         log.refresh()
@@ -84,7 +80,7 @@ def follow(
             if not log.closed:
                 print_message("the process that wrote this recording ended without closing it")
             return
-        wait()
+        threading.Event().wait(_POLL_PERIOD)
 
 
 @dataclass(slots=True)
@@ -106,9 +102,8 @@ class RecordFilter:
         if self.task is not None or self.where is not None:
             for task in log.records(Task, self._known, stop):
                 if task.phase == Task.STARTED and self.task is not None:
-                    pattern = self.task.casefold()
-                    by_id = pattern.isdecimal()
-                    named = task.task == int(pattern) if by_id else pattern in task.name.casefold()
+                    by_id = self.task.isdecimal()
+                    named = task.task == int(self.task) if by_id else self.task.casefold() in task.name.casefold()
                     if named or task.parent in self._tasks:
                         self._tasks.add(task.task)
                 if task.parent in self._led_to or self._has_line(task):
@@ -129,17 +124,14 @@ class RecordFilter:
         return any(is_file(path, file) and number in (None, line) for path, line in stack)
 
     def check(self, log: Recording) -> None:
-        """Check that the names of the filter exist.
-
-        Raises:
-            NoSuchName: The recording has no such object, task, world or line.
-        """
+        """Raise NoSuchName if the recording doesn't have the object, task, world or line of the filter."""
         if self.world is not None and all(lifetime.world != self.world for lifetime in log.lifetimes):
             raise NoSuchName("world", self.world, (lifetime.world for lifetime in log.lifetimes))
         if self.task is not None and not self._tasks:
             raise NoSuchName("task", self.task, (task.name for task in log.records(Task)))
         if self.body is not None:
-            bodies = {loaded.body for record in log.records((Mutation, Keyframe)) for loaded in _loaded(record)}
+            bodies = {each.load_body.body for each in log.records(Mutation) if each.HasField("load_body")}
+            bodies |= {each.body for keyframe in log.records(Keyframe) for each in keyframe.loaded}
             if self.body not in bodies:
                 raise NoSuchName("object", self.body, bodies)
         if self.where is not None:
@@ -167,23 +159,16 @@ class RecordFilter:
         return line if self.text is None or self.text.casefold() in line.casefold() else None
 
 
-def _loaded(record: Record) -> list[LoadBody]:
-    if isinstance(record, Keyframe):
-        return list(record.loaded)
-    return [record.load_body] if isinstance(record, Mutation) and record.HasField("load_body") else []
-
-
 def add_show(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("step", metavar="STEP", help=HINT)
 
 
-def run_show(log: Recording, options: argparse.Namespace) -> int:
+def run_show(log: Recording, options: argparse.Namespace) -> None:
     record = log[log.step(options.step)]
     fields = record_data(record)
     further = {key: item for key, item in fields.items() if key not in ("step", "kind")}
     lines = [f"step {record.seq}: {kind_of(record)}: {phrases.record_line(record)}", *_field_lines(further, "  ")]
     print_result(lambda: fields, lines, as_json=options.json)
-    return 0
 
 
 def _field_lines(fields: dict[str, Plain], indent: str) -> Iterator[str]:
@@ -213,7 +198,7 @@ def _items(values: list[Plain], indent: str) -> Iterator[str]:
 
 
 def _numbers(texts: list[str]) -> Iterator[str]:
-    """Yield the rows of a list of numbers. Of a long list, such as a trajectory, only both ends are shown."""
+    """Yield the rows of a list of numbers. For a long list, such as a trajectory, only both ends are shown."""
     if len(texts) <= _MANY:
         yield from textwrap.wrap(", ".join(texts), _FIELD_WIDTH)
         return
@@ -231,7 +216,7 @@ def add_tree(parser: argparse.ArgumentParser) -> None:
     form.add_argument("--svg", action="store_true", help="print a picture (SVG) with a time line")
 
 
-def run_tree(log: Recording, options: argparse.Namespace) -> int:
+def run_tree(log: Recording, options: argparse.Namespace) -> None:
     tree = log.tree(options.at)
     if options.json:
         print_json_list(tree.facts(options.depth))
@@ -246,4 +231,3 @@ def run_tree(log: Recording, options: argparse.Namespace) -> int:
     else:
         for line in tree.lines(options.depth, whole=options.all):
             print_text(line)
-    return 0

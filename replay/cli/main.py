@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib
 import io
 import os
@@ -76,13 +75,13 @@ _MAX_SKIPPED: Final = 8  # maximum number of skipped files that are named
 
 
 class Verb(NamedTuple):
-    """The functions of a verb."""
+    """The functions of a verb. Functions that run the verb may return an exit code; None stands for 0."""
 
     add: Callable[[argparse.ArgumentParser], None]  # a function that adds the arguments of the verb
     #: A function that runs the verb on a recording; None if the verb only takes folders.
-    run: Callable[[Recording, argparse.Namespace], int] | None
+    run: Callable[[Recording, argparse.Namespace], int | None] | None
     #: A function that runs the verb on a folder of recordings; None if the verb takes no folders.
-    run_folder: Callable[[Runs, argparse.Namespace], int] | None
+    run_folder: Callable[[Runs, argparse.Namespace], int | None] | None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -146,9 +145,10 @@ def _serve_editor(options: argparse.Namespace) -> int:
         with needed():
             from replay.cli.debug_adapter import serve  # noqa: PLC0415  needs the executor
 
-            return serve(options.port, options.log)
+            serve(options.port, options.log)
     except NotInstalled as error:
         return _report(f"{options.verb}: {error}", USAGE)
+    return FINE
 
 
 def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
@@ -187,12 +187,6 @@ def _verb(name: str) -> Verb:
     return Verb(add or (lambda _: None), run, run_folder)
 
 
-def _examples(verb: str) -> Iterator[tuple[str, str]]:
-    from replay.cli.cheat import examples  # noqa: PLC0415  imported here: only help texts need the examples
-
-    return examples(verb)
-
-
 def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
     completers: Mapping[str, Callable[..., list[str]]] = {}
     if completing:
@@ -210,8 +204,13 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, text in VERBS.items():
         description = f"{text[0].upper()}{text[1:]}."
-        examples = functools.partial(_examples, name)
-        verb = verbs.add_parser(name, help=text, description=description, examples=examples, completers=completers)
+        verb = verbs.add_parser(
+            name,
+            help=text,
+            description=description,
+            examples=lambda name=name: importlib.import_module("replay.cli.cheat").examples(name),
+            completers=completers,
+        )
         count = "?" if name == _DEBUG else None  # an editor may name the recording in a later message
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
@@ -239,7 +238,7 @@ def _run(verb: Verb, options: argparse.Namespace) -> int:
                 print_message(f"{log.path}: {log.newer}")
             try:
                 with needed(), _paged(options):
-                    code = verb.run(log, options)
+                    code = verb.run(log, options) or FINE
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
                 code = _report(str(error), INCOMPLETE if lost else USAGE)

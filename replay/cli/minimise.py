@@ -1,4 +1,4 @@
-"""``minimise``: a smaller plan that fails like the recorded one."""
+"""``minimise``: write a smaller plan that fails like the recorded plan."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Final
 
 from replay.cli.console import print_message, print_result
-from replay.cli.main import FINE
 from replay.cli.retrace import AGAIN
 from replay.errors import ReplayError
 from replay.recording import Recording
@@ -18,7 +17,6 @@ _BUDGET: Final = 200
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the file of the smaller plan, and the limits of the search."""
     add_output(parser, "file of the smaller plan (default: PLAN_small.py)")
     add_trials(parser, _BUDGET)
 
@@ -30,11 +28,7 @@ def add_output(parser: argparse.ArgumentParser, words: str) -> None:
 
 
 def output(options: argparse.Namespace, default: str) -> Path:
-    """Return the path of a file that will be written.
-
-    Raises:
-        ReplayError: the file exists, and may not be replaced.
-    """
+    """Return the path of a file that will be written; raise ReplayError if the file exists, and may not be replaced."""
     file = Path(options.file or default)
     if file.exists() and not options.overwrite:
         raise ReplayError(f"{file} exists; name another file with -o, or add --overwrite")
@@ -53,8 +47,7 @@ def add_trials(parser: argparse.ArgumentParser, budget: int) -> None:
     )
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the smaller plan."""
+def run(log: Recording, options: argparse.Namespace) -> None:
     from replay.fix.minimise import minimise  # noqa: PLC0415  needs the executor
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
@@ -68,4 +61,3 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     if found.exhausted:
         lines.append("  the search ended at --budget; the plan may become smaller")
     print_result(lambda: asdict(found) | {"file": str(file)}, lines, as_json=options.json)
-    return FINE

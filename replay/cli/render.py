@@ -21,9 +21,7 @@ _NUMBERS: Final = re.compile(r"[-+.,\deE\s]*\d[-+.,\deE\s]*")
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "steps", metavar="STEP", nargs="+", help=f"{HINT}; pictures of several steps are from one viewpoint"
-    )
+    parser.add_argument("steps", metavar="STEP", nargs="+", help=f"{HINT}; several pictures have the same viewpoint")
     parser.add_argument(
         "-o", dest="file", metavar="FILE", help="file of the picture, or folder of several (default: LOG_STEP.png)"
     )
@@ -48,7 +46,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--world", metavar="NAME", help="world of the picture (default: the last opened world)")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     if options.camera and (options.eye or options.target):
         raise ReplayError("give either --camera, or --from and --to")
     steps = [log.step(step) for step in options.steps]
@@ -66,9 +64,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     for name, step, picture in zip(options.steps, steps, pictures, strict=True):
         shown, cut = picture.info["step"], picture.info["cut"]
         if shown != step:
-            print_message(
-                f"no world is open after step {step}; the picture shows step {shown}, the last step with an open world"
-            )
+            print_message(f"no world is open after step {step}; the picture shows the world after step {shown}")
         elif len(steps) == 1:
             print_moment(log, name)
         if cut and not rows:
@@ -76,7 +72,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         file = _saved(picture, options.file, f"{log.path.stem}_{shown}.png", several=len(steps) > 1)
         rows.append({"step": shown, "file": file, "width": picture.width, "height": picture.height, "cut": list(cut)})
     print_result(lambda: rows if len(rows) > 1 else rows[0], [str(row["file"]) for row in rows], as_json=options.json)
-    return 0
 
 
 def _saved(picture: Image.Image, given: str | None, name: str, *, several: bool) -> str:

@@ -24,7 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "sound")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     target: Path = options.output or log.path.with_name(f"{log.path.stem}.sound.mcap")
     losses = write_copy(log, target, log.write_sound, overwrite=options.overwrite)
     data = asdict(losses) | {
@@ -34,7 +34,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         "files": len(log.assets) - len(losses.files),
     }
     print_result(lambda: data, _lines(log, target, losses), as_json=options.json)
-    return 0
 
 
 def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
@@ -51,9 +50,7 @@ def _lines(log: Recording, target: Path, losses: Losses) -> Iterator[str]:
 
 
 def add_output(parser: argparse.ArgumentParser, kind: str) -> None:
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", type=Path, help=f"file of the copy (default: LOG.{kind}.mcap)"
-    )
+    parser.add_argument("-o", "--output", metavar="FILE", type=Path, help=f"the copy (default: LOG.{kind}.mcap)")
     parser.add_argument("--overwrite", action="store_true", help="replace an existing recording")
 
 
@@ -96,7 +93,7 @@ def add_pack(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "whole")
 
 
-def run_pack(log: Recording, options: argparse.Namespace) -> int:
+def run_pack(log: Recording, options: argparse.Namespace) -> None:
     target: Path = options.output or log.path.with_name(f"{log.path.stem}.whole.mcap")
     write_copy(log, target, log.write_packed, overwrite=options.overwrite)
     shared = log.assets.shared
@@ -107,4 +104,3 @@ def run_pack(log: Recording, options: argparse.Namespace) -> int:
         [f"{target}: {len(log.assets)} attached files{of}"],
         as_json=options.json,
     )
-    return 0

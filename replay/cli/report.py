@@ -37,13 +37,11 @@ _MAX_LED: Final = 3  # maximum number of steps that are listed at a line
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", dest="page", metavar="FILE", help="the page (default: LOG.html)")
-    parser.add_argument(
-        "--check", metavar="FILE", action="append", default=[], help="also check the properties in this file"
-    )
+    parser.add_argument("--check", metavar="FILE", action="append", default=[], help="a file of properties to check")
     parser.add_argument("--good", metavar="LOG", help="compare with the recording of a successful run")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     why, source = log.why(), PlanSource(log)
     headlines, found = sections(why_report.lines(why, str(log.path)))
     closer = dict(found).get("Look closer", [f"pycram-replay view {shlex.quote(str(log.path))}"])
@@ -55,7 +53,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     tree = log.tree()
     film, moments = _film(log, tree, drawn), _moments(log, why)
     nodes = [node for _, node in tree.walk()]
-    tasks = [*_timeline(tree.roots, len(log) - 1)]
     file = options.page or f"{log.path.stem}.html"
     content = page(
         "run.html",
@@ -67,7 +64,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         moments=moments,
         properties=[{"holds": bool(each), "lines": [*check.lines(each)]} for each in checked(log, [], options.check)],
         film=film,
-        tasks=tasks,
+        tasks=[*_timeline(tree.roots, len(log) - 1)],
         every=len(nodes),
         last=max(1, len(log) - 1),
         files=[*_files(source, nodes)],
@@ -77,14 +74,11 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     ).encode()
     write(file, content)
     print_result(lambda: {"page": file, "bytes": len(content)}, [file], as_json=options.json)
-    return 0
 
 
 def _film(log: Recording, tree: Tree, end: int) -> list[dict[str, object]]:
     """Return pictures of the run after changes of the scene; none if the scene can't be drawn."""
-    records = [
-        record for record in log.records(Mutation, stop=end + 1) if record.WhichOneof("command") not in _BUILDING
-    ]
+    records = [each for each in log.records(Mutation, stop=end + 1) if each.WhichOneof("command") not in _BUILDING]
     chosen = {round(at * (len(records) - 1) / (_FILM - 1)) for at in range(_FILM if records else 0)}
     shown = [records[at] for at in sorted(chosen)]
     try:
@@ -92,16 +86,13 @@ def _film(log: Recording, tree: Tree, end: int) -> list[dict[str, object]]:
     except (ReplayError, ModuleNotFoundError) as error:  # the rest of the page matters more than its pictures
         print_message(f"no film: {error}")
         return []
-    return [
-        {"step": record.seq, "picture": embedded(picture), "caption": _caption(record, tree)}
-        for record, picture in zip(shown, pictures, strict=True)
-    ]
-
-
-def _caption(record: Mutation, tree: Tree) -> str:
-    task = tree.nodes.get(record.task)
-    what = phrases.node(task.motion) if task is not None else phrases.record_line(record)
-    return f"step {record.seq}, {record.sim_step / STEPS_PER_SECOND:.3f} s: {what}"
+    film: list[dict[str, object]] = []
+    for record, picture in zip(shown, pictures, strict=True):
+        task = tree.nodes.get(record.task)
+        what = phrases.node(task.motion) if task is not None else phrases.record_line(record)
+        caption = f"step {record.seq}, {record.sim_step / STEPS_PER_SECOND:.3f} s: {what}"
+        film.append({"step": record.seq, "picture": embedded(picture), "caption": caption})
+    return film
 
 
 def _moments(log: Recording, why: Why) -> list[dict[str, object]]:
@@ -120,12 +111,8 @@ def _moments(log: Recording, why: Why) -> list[dict[str, object]]:
             views.append(("what the robot's camera saw", scene.picture(camera=scene.camera, size=_SIZE)))
         began = why.task.outermost_failed.started.seq if why.task is not None else why.step
         if began < why.step:
-            views.append(
-                (
-                    f"before the task that failed, step {began}",
-                    DrawnWorld(log, began, world).picture(target=about, size=_SIZE),
-                )
-            )
+            before = DrawnWorld(log, began, world).picture(target=about, size=_SIZE)
+            views.append((f"before the task that failed, step {began}", before))
         pictures = [{"caption": caption, "picture": embedded(picture)} for caption, picture in views]
     except ReplayError as error:
         print_message(f"no pictures of the failure: {error}")
@@ -157,7 +144,7 @@ def _timeline(roots: Sequence[Node], last: int) -> Iterator[dict[str, object]]:
 
 
 def _files(source: PlanSource, nodes: Sequence[Node]) -> Iterator[dict[str, object]]:
-    """Yield the files of the plan; each line has the outermost motions, actions and blocks that it requested."""
+    """Yield the files of the plan; each line of a file has the outermost tasks that the line requested."""
     led: dict[tuple[str, int], list[Node]] = defaultdict(list)
     paths: dict[str, str] = {}
     stacks: dict[int, Sequence[Line]] = {}  # call stacks of tasks by id
@@ -169,25 +156,22 @@ def _files(source: PlanSource, nodes: Sequence[Node]) -> Iterator[dict[str, obje
     for path, name in paths.items():
         lines = source.text(path).splitlines()[:_MAX_LINES]
         if lines:
-            yield {
-                "name": name,
-                "lines": [_row(number, text, led[path, number]) for number, text in enumerate(lines, 1)],
-            }
+            rows = [_row(number, text, led[path, number]) for number, text in enumerate(lines, 1)]
+            yield {"name": name, "lines": rows}
 
 
 def _row(number: int, text: str, nodes: Sequence[Node]) -> dict[str, object]:
     ended: dict[str, list[int]] = defaultdict(list)  # steps at which tasks started, by name and status
     for node in nodes:
         ended[f"{node.name} {node.status.word}"].append(node.started.seq)
+    led = []
+    for how, steps in ended.items():
+        more = f", ... ({len(steps)} times)" if len(steps) > _MAX_LED else ""
+        led.append(f"{how}, {'step' if len(steps) == 1 else 'steps'} {', '.join(map(str, steps[:_MAX_LED]))}{more}")
     return {
         "number": number,
         "text": text,
-        "led": "; ".join(f"{how}, {_steps(steps)}" for how, steps in ended.items()),
+        "led": "; ".join(led),
         "failing": any(node.failed for node in nodes),
         "steps": [node.last_step for node in nodes],
     }
-
-
-def _steps(steps: Sequence[int]) -> str:
-    more = f", ... ({len(steps)} times)" if len(steps) > _MAX_LED else ""
-    return f"{'step' if len(steps) == 1 else 'steps'} {', '.join(map(str, steps[:_MAX_LED]))}{more}"

@@ -13,9 +13,9 @@ import traceback
 from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from recorder.records import STEPS_PER_SECOND, Plain
+from recorder.records import STEPS_PER_SECOND
 from replay.cli.console import native_output_to_stderr, print_json, print_message, print_moment, visible
 from replay.cli.main import FAILED, FINE
 from replay.errors import ReplayError
@@ -30,9 +30,7 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("step", metavar="STEP", help=HINT)
     doing = parser.add_mutually_exclusive_group()
-    doing.add_argument(
-        "--script", metavar="FILE", help="run a Python file, with variables for the world and its objects"
-    )
+    doing.add_argument("--script", metavar="FILE", help="run a Python file, with variables for world and objects")
     doing.add_argument("--shell", action="store_true", help="open interactive Python (default)")
     parser.add_argument(
         "--gui",
@@ -61,9 +59,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     step = log.step(options.step)
     try:
         with native_output_to_stderr():
-            world = log.world_at(
-                options.step, options.world, exact=options.exact, mode="GUI" if options.gui else "DIRECT"
-            )
+            mode: Literal["GUI", "DIRECT"] = "GUI" if options.gui else "DIRECT"
+            world = log.world_at(options.step, options.world, exact=options.exact, mode=mode)
     except DisplayError as error:
         raise ReplayError(str(error)) from error
     print_moment(log, options.step, exact=options.exact)
@@ -75,13 +72,12 @@ def run(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
-
     variables = variables_of(world, log, step)
     if script is not None:
         with native_output_to_stderr():
             return run_script(script, variables)
     if options.json:
-        print_json(_plain(step, world, exact=options.exact))
+        print_json(_data(step, world, exact=options.exact))
     elif options.gui and not options.shell:
         from pycram.physics.window import watch  # noqa: PLC0415  see run
 
@@ -95,15 +91,12 @@ def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, opti
     return FINE
 
 
-def _plain(step: int, world: BulletWorld, *, exact: bool) -> Plain:
-    objects: dict[str, Plain] = {}
+def _data(step: int, world: BulletWorld, *, exact: bool) -> dict[str, object]:
+    objects = {}
     for body in world.objects:
         position, orientation = body.get_position_and_orientation()
-        objects[body.name] = {
-            "position": list(position),
-            "orientation": list(orientation),
-            "joints": dict(body.get_joint_positions()),
-        }
+        joints = body.get_joint_positions()
+        objects[body.name] = {"position": position, "orientation": orientation, "joints": joints}
     return {"step": step, "world": world.name, "exact": exact, "objects": objects}
 
 
@@ -125,7 +118,7 @@ def variables_of(world: BulletWorld, log: RecordReader, step: int) -> dict[str, 
 
 
 def run_script(script: Path, variables: Mapping[str, object]) -> int:
-    """Run a Python file as a program with variables. Return the exit code of the file, or 1 after an exception."""
+    """Run a Python file as a program with variables. Return the program's exit code, or 1 after an exception."""
     before = sys.argv, list(sys.path)
     sys.argv = [str(script)]
     sys.path.insert(0, str(script.parent.resolve()))
@@ -146,22 +139,13 @@ def run_script(script: Path, variables: Mapping[str, object]) -> int:
 def shell(variables: Mapping[str, object], banner: str) -> None:
     """Run an interactive Python shell until the end of the input, and print the banner on stderr."""
     local = dict(variables)
-    if sys.stdin.isatty():
-        with contextlib.suppress(ImportError):  # readline is imported so that lines can be edited
-            import readline  # noqa: PLC0415
-            import rlcompleter  # noqa: PLC0415
-
-            readline.set_completer(rlcompleter.Completer(local).complete)
-            readline.parse_and_bind("tab: complete")
-        code.interact(banner, local=local, exitmsg="")
+    if not sys.stdin.isatty():
+        code.interact(banner, lambda _: input(), local, exitmsg="")  # on stdout, prompts would mix with the results
         return
-    prompts = getattr(sys, "ps1", None), getattr(sys, "ps2", None)
-    sys.ps1 = sys.ps2 = ""  # on stdout, prompts would mix with the results
-    try:
-        code.interact(banner, local=local, exitmsg="")
-    finally:
-        for name, prompt in zip(("ps1", "ps2"), prompts, strict=True):
-            if prompt is None:
-                delattr(sys, name)
-            else:
-                setattr(sys, name, prompt)
+    with contextlib.suppress(ImportError):  # readline is imported so that lines can be edited
+        import readline  # noqa: PLC0415
+        import rlcompleter  # noqa: PLC0415
+
+        readline.set_completer(rlcompleter.Completer(local).complete)
+        readline.parse_and_bind("tab: complete")
+    code.interact(banner, local=local, exitmsg="")

@@ -27,9 +27,7 @@ _MAX_CALLERS: Final = 4
 
 def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the choice of the source, and the plan's arguments."""
-    parser.add_argument(
-        "--recorded-source", action="store_true", help="run the recorded source (default: the files on disk)"
-    )
+    parser.add_argument("--recorded-source", action="store_true", help="run the recorded source, not the files on disk")
     parser.add_argument(
         "--arguments",
         nargs=argparse.REMAINDER,
@@ -102,7 +100,7 @@ def _facts(result: Retracing) -> dict[str, object]:
 
 
 def _lines(result: Retracing, of: str) -> Iterator[str]:
-    """Yield the result as text. In the text, the name of the plan follows ``of``."""
+    """Yield the result as text. The text ``of`` comes before the name of the plan."""
     difference = result.difference
     of += phrases.path(str(result.plan))
     if difference is None:
@@ -135,9 +133,7 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--at", metavar="STEP", help=f"the last unchanged step (default: the last step before --plan differs): {HINT}"
     )
-    parser.add_argument(
-        "--plan", metavar="FILE", help="continue with this edited plan, which must act as recorded up to the step"
-    )
+    parser.add_argument("--plan", metavar="FILE", help="an edited plan, which must act as recorded up to the step")
     parser.add_argument(
         "--set",
         metavar="WHAT=VALUE",
@@ -158,9 +154,7 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         "'pick-up.arm(milk)=left', 'transporting(milk)=#2'; the order of branches, 'order(...)=[cook, serve]'; a "
         "limit, 'timeout(...)=30'; a call that isn't made, 'remove(milk)=skip'; repeatable",
     )
-    parser.add_argument(
-        "--seed", metavar="N", type=int, help="seed of random numbers and of the order of branches after the step"
-    )
+    parser.add_argument("--seed", metavar="N", type=int, help="seed of random numbers and branch orders after the step")
     parser.add_argument(
         "--control", action="store_true", help="also run without the changes, and compare this run with the recording"
     )
@@ -191,16 +185,15 @@ def run_fork(log: Recording, options: argparse.Namespace) -> int:
 
 
 def _last_equal(log: Recording, options: argparse.Namespace) -> int:
-    """Run an edited plan up to its first difference, and return the step before."""
+    """Run an edited plan up to its first difference, and return the step before the difference."""
     from replay.retrace.retrace import retrace  # noqa: PLC0415  needs the executor
 
     if options.plan is None:
         raise ReplayError("give the last unchanged step, --at STEP; only --plan FILE finds its step by itself")
     found = retrace(log, plan=options.plan, arguments=options.arguments, answers="recorded")
     if not found.difference or not found.difference.step:
-        raise ReplayError(
-            f"{options.plan} {'differs from the start' if found.difference else 'makes the same records'}"
-        )
+        what = "differs from the start" if found.difference else "makes the same records"
+        raise ReplayError(f"{options.plan} {what}")
     return found.difference.step - 1
 
 
@@ -235,9 +228,7 @@ def _fork_lines(log: Recording, forked: Fork) -> Iterator[str]:
 
 
 def add_resume(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = (
-        "Exit code 0: the plan succeeded. 1: the plan failed. 2: the plan can't be run, or differs from the recording."
-    )
+    parser.epilog = "Exit code 1: the plan failed. 2: the plan can't run, or differs from its recording."
     parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it was moved after the recording")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.resumed.mcap)")
     add_source_and_arguments(parser)
@@ -253,8 +244,6 @@ def run_resume(log: Recording, options: argparse.Namespace) -> int:
         plan=options.plan,
         arguments=options.arguments,
         recorded_source=options.recorded_source,
-        begun=lambda: print_message(
-            f"the plan runs again up to step {len(log) - 1}, the last step before it was killed; {AGAIN}"
-        ),
+        begun=lambda: print_message(f"the plan runs again up to step {len(log) - 1}, the last recorded step; {AGAIN}"),
     )
     return _print_fork(log, resumed, as_json=options.json)

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
 from replay.cli.console import print_message, print_result
-from replay.cli.main import FINE
 from replay.errors import ReplayError
 from replay.report.phrases import percent, plural
 from replay.runs.separation import LEVEL, Claim, Separation, separate
@@ -30,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all", action="store_true", help=f"print all claims (default: {_MAX_CLAIMS})")
 
 
-def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     plan, others = plan_of(runs, options.plan)
     for other, count in others:
         print_message(f"left out: {count} runs of another plan, {other}")
@@ -38,7 +37,6 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     found = separate(runs, names, _cause(runs, plan, options.cause))
     shown = found.claims if options.all else found.claims[:_MAX_CLAIMS]
     print_result(lambda: _data(found), _lines(runs, found, shown), as_json=options.json)
-    return FINE
 
 
 def _cause(runs: Runs, plan: str, number: int | None) -> str | None:

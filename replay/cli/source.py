@@ -23,7 +23,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("-o", dest="target", metavar="PATH", help="write the file to PATH, or all files to a folder")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     keys = sorted((key for key in log.assets if key.endswith(".py")), key=lambda key: (name_of(key), key))
     chosen = keys if options.file is None else [_find(keys, options.file)]
     if options.target is not None:
@@ -41,7 +41,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             print_json({"file": name_of(chosen[0]), "sha256": chosen[0].partition("/")[0], "text": text})
         else:
             print_text(text, end="")
-    return 0
 
 
 def _find(keys: list[str], name: str) -> str:

@@ -9,7 +9,6 @@ from decimal import Decimal
 from typing import TYPE_CHECKING, Any, Final
 
 from replay.cli.console import print_json_list, print_text, visible
-from replay.cli.main import FINE
 from replay.errors import ReplayError
 from replay.report.phrases import plural
 from replay.runs.schema import RUN, TABLES
@@ -18,6 +17,7 @@ if TYPE_CHECKING:
     from replay.runs.folder import Answer, Runs
 
 _WIDEST: Final = 60  # number of characters above which a cell is shortened
+_NUMBERS: Final = frozenset({int, float, Decimal, type(None)})  # types of the values in a column of numbers
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -27,12 +27,12 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--csv", action="store_true", help="print CSV with untruncated values")
 
 
-def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     if (options.statement is None) != options.schema:
         raise ReplayError('give a statement, such as "select * from runs", or --schema for the tables')
     if options.schema:
         _print_schema(as_json=options.json)
-        return FINE
+        return
     answer = runs.sql(options.statement)
     if options.json:
         print_json_list(dict(zip(answer.columns, map(_plain, row), strict=True)) for row in answer.rows())
@@ -42,7 +42,6 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         writer.writerows([_text(value) for value in row] for row in answer.rows())
     else:
         print_text("\n".join(_lines(answer)))
-    return FINE
 
 
 def _print_schema(*, as_json: bool) -> None:
@@ -64,7 +63,7 @@ def _lines(answer: Answer) -> list[str]:
     texts = ((_text(value).replace("\n", " ").replace("\t", " ") for value in row) for row in answer.rows())
     rows = [[visible(text if len(text) <= _WIDEST else f"{text[: _WIDEST - 3]}...") for text in row] for row in texts]
     widths = [max([len(name), *(len(row[at]) for row in rows)]) for at, name in enumerate(answer.columns)]
-    numbers = [all(_is_number(row[at]) for row in answer.rows()) and bool(rows) for at in range(len(widths))]
+    numbers = [bool(rows) and {type(row[at]) for row in answer.rows()} <= _NUMBERS for at in range(len(widths))]
     lines = []
     for cells in (answer.columns, ["-" * width for width in widths], *rows):
         aligned = (
@@ -96,7 +95,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Decimal):
         return float(value)
     return value if isinstance(value, bool | int | float | str | None) else str(value)
-
-
-def _is_number(value: Any) -> bool:
-    return value is None or (isinstance(value, int | float | Decimal) and not isinstance(value, bool))

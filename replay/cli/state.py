@@ -29,7 +29,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--links", action="store_true", help="also print the pose of each link in the world")
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     state = log.state_at(options.step)
     if not any(world.open for world in state.worlds.values()):
         shown = last_open_step(log, state.step, options.world)
@@ -47,7 +47,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     for world, bodies in _shown(state, options.object, options.world):
         lines += _world(state, world, bodies, details=details, links=links)
     print_result(lambda: _data(state, options.object, options.world, links=links), lines, as_json=options.json)
-    return 0
 
 
 def _data(state: State, only: str | None, name: str | None, *, links: bool) -> dict[str, Plain]:

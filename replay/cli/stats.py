@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
 
 from replay.cli.console import print_message, print_result
-from replay.cli.main import FINE
 from replay.errors import ReplayError
 from replay.recording import Recording
 from replay.report.phrases import one_line, percent, plural, short
@@ -46,7 +45,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--picture", metavar="FILE", help="write a picture for each cause of failures into a PNG file")
 
 
-def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     chosen, others = plan_of(runs, options.plan)
     if options.plan and options.plan not in {each for (each,) in runs.sql("SELECT DISTINCT plan FROM runs").rows()}:
         raise ReplayError(f"{runs.path} has no run of {options.plan!r}; it has {', '.join(each for each, _ in others)}")
@@ -65,11 +64,10 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
     for plan, count in others:
         print_message(f"left out: {count} runs of another plan, {plan}; see stats --plan {plan}")
     print_result(lambda: facts, text, as_json=options.json)
-    return FINE
 
 
 def data(stats: Statistics) -> dict[str, object]:
-    """Return statistics as JSON data; rates have their intervals."""
+    """Return statistics as JSON data, with the intervals of rates."""
     facts = dataclasses.asdict(stats)
     facts["success"] |= {"interval": stats.success.interval}
     facts["parameters"] = {
@@ -219,7 +217,7 @@ def _slow_rows(folder: Path, slow: Sequence[Slow]) -> Iterator[Sequence[object]]
 
 
 def _cell(text: object, value: float | None = None) -> dict[str, object]:
-    """Return a cell of a table's column that is sorted by numbers."""
+    """Return a table's cell; its column is sorted by the values of the cells, which are numbers."""
     return {"text": text, "value": text if value is None else value}
 
 
@@ -254,18 +252,13 @@ def contact_sheet(folder: Path, stats: Statistics) -> bytes:
         draw.text((left + 4, top + _SIZE[1] + 16), cause.cause[:_LETTERS], fill="black")
     if not chosen:
         draw.text((4, 4), "no run failed", fill="black")
-    return png(sheet)
-
-
-def png(image: Image.Image) -> bytes:
-    """Return a picture as PNG."""
     file = io.BytesIO()
-    image.save(file, "PNG", optimize=True)
+    sheet.save(file, "PNG", optimize=True)
     return file.getvalue()
 
 
 def _pictured(causes: tuple[FailureCause, ...]) -> Iterator[tuple[FailureCause, str, int | None]]:
-    """Yield the failures that get a picture: first one of each cause, then the second of each cause, and so on."""
+    """Yield the failures that get a picture: the first failure of each cause, then the second, and so on."""
     shown = 0
     for at in range(_MAX_PICTURES):
         for cause in causes:

@@ -17,7 +17,6 @@ from replay.report.report import write
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    """Add the step, the file and the properties."""
     parser.epilog = "Exit code 0: the test fails now, as it should. 1: the test passes, so it shows nothing."
     parser.add_argument(
         "step",
@@ -27,13 +26,10 @@ def add(parser: argparse.ArgumentParser) -> None:
         f"(default: a test that runs the plan): {HINT}",
     )
     add_output(parser, "file of the test (default: test_PLAN.py)")
-    parser.add_argument(
-        "--holds", metavar="PROPERTY", action="append", default=[], help="also assert this property; repeatable"
-    )
+    parser.add_argument("--holds", metavar="PROPERTY", action="append", default=[], help="also assert this property")
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    """Write the test, and run it once."""
     require("pytest")
     from replay.fix import written_test  # noqa: PLC0415  needs the executor
     from replay.retrace.guided_run import spec_of  # noqa: PLC0415  as above
@@ -42,7 +38,8 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     process = PlanProcess(log)
     file = output(options, f"test_{process.program.stem}.py")
     if options.step is None:
-        text = written_test.of_plan(log, spec_of(log, process.program, process.arguments), file, options.holds)
+        spec = spec_of(log, process.began, process.program, process.arguments)
+        text = written_test.of_plan(log, spec, file, options.holds)
     else:
         task = log.why(options.step).task
         if task is None:

@@ -21,9 +21,7 @@ _PERIOD: Final = 0.2  # time in s between two messages of progress
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = (
-        "Exit code 0: the recording is sound. 1: it is complete, but records differ. 3: it is damaged or incomplete."
-    )
+    parser.epilog = "Exit code 0: the recording is sound. 1: records differ. 3: the recording is damaged or incomplete."
     parser.add_argument("--static", action="store_true", help="check only the file and its records, without the engine")
 
 

@@ -26,12 +26,8 @@ _MAX_BESIDE: Final = 3  # with five or more recordings side by side, each would 
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "For a folder, the first failures of its most frequent causes are shown side by side."
-    parser.add_argument(
-        "others", metavar="LOG2", nargs="*", help=f"up to {_MAX_BESIDE} further recordings, shown side by side"
-    )
-    parser.add_argument(
-        "--imagined", action="store_true", help=f"also show the recording's last projections, up to {_MAX_BESIDE}"
-    )
+    parser.add_argument("others", metavar="LOG2", nargs="*", help=f"up to {_MAX_BESIDE} recordings to show beside LOG")
+    parser.add_argument("--imagined", action="store_true", help=f"also show the last {_MAX_BESIDE} projections")
     parser.add_argument("--at", metavar="STEP", help=f"first step: {HINT}")
     parser.add_argument("--save", metavar="FILE", help="write an .rrd file instead of opening the viewer")
     parser.add_argument("--open", action="store_true", help="open the viewer, also with --save")
@@ -40,26 +36,21 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def imagined(log: Recording) -> list[Path]:
-    """Return the recordings of a run's projections from the folder of its recording, in the order of the projections.
+    """Return the recordings of a run's projections in order. They are in the folder of the run's recording.
 
     Raises:
         ReplayError: There is no recording of a projection.
     """
-    found = []
-    for task in log.records(Task):
-        name = recording_name(task)
-        if name and (path := log.path.with_name(name)).exists():
-            found.append(path)
+    names = filter(None, map(recording_name, log.records(Task)))
+    found = [path for name in names if (path := log.path.with_name(name)).exists()]
     if not found:
         raise ReplayError(f"{log.path}: its folder has no recordings of its projections (NAME.projection-1.mcap)")
     return found
 
 
-def run(log: Recording, options: argparse.Namespace) -> int:
+def run(log: Recording, options: argparse.Namespace) -> None:
     if options.web and (options.save or options.at or options.connect):
-        raise ReplayError(
-            "--web shows the whole recording in the browser; it can't be combined with --save, --at or --connect"
-        )
+        raise ReplayError("--web shows the whole recording; it can't be combined with --save, --at or --connect")
     if len(options.others) > _MAX_BESIDE:
         raise ReplayError(f"{len(options.others) + 1} recordings are too many to show side by side; give at most four")
     step = log.step(options.at) if options.at is not None else None
@@ -68,14 +59,13 @@ def run(log: Recording, options: argparse.Namespace) -> int:
         beside += imagined(log)[-_MAX_BESIDE:] if options.imagined else []
         logs = [log, *(opened.enter_context(Recording(path)) for path in beside)]
         if options.web:
-            return _serve(logs, wants_json=options.json)
+            _serve(logs, wants_json=options.json)
+            return
         shown = _open(logs, step, options)
     print_result(lambda: shown, [str(shown["file"])], as_json=options.json)
-    return 0
 
 
-def run_folder(runs: Runs, options: argparse.Namespace) -> int:
-    """Show the first failures of the most frequent causes in a folder side by side, or else the first run."""
+def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     from replay.runs.statistics import statistics  # noqa: PLC0415  needs an extra
 
     if options.others:
@@ -86,7 +76,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         raise ReplayError(f"{runs.path}: there is no run to show")
     options.others = [str(runs.path / name) for name in chosen[1:]]
     with Recording(runs.path / chosen[0]) as log:
-        return run(log, options)
+        run(log, options)
 
 
 def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:
@@ -120,7 +110,7 @@ def _eye(log: Recording, step: int | None) -> tuple[Vector, Vector] | None:
     return None
 
 
-def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
+def _serve(logs: Sequence[Recording], *, wants_json: bool) -> None:
     from recorder.viewer.rerun_stream import stream_to_viewer  # noqa: PLC0415
     from recorder.viewer.web_page import WebPage, private_link  # noqa: PLC0415
     from replay.view import translate  # noqa: PLC0415
@@ -138,4 +128,3 @@ def _serve(logs: Sequence[Recording], *, wants_json: bool) -> int:
         with private_link(page.address) as link:
             webbrowser.open(link)
             threading.Event().wait()
-    return 0

@@ -44,7 +44,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--prove",
         action="store_true",
-        help="test each cause: run the plan again without it, in a fork beside a control run without changes; "
+        help="test each cause: run the plan again without the cause, in a fork beside a control run without changes; "
         f"confirmed causes come first; {AGAIN}",
     )
     parser.add_argument("--keep", metavar="DIR", help="with --prove: keep the recordings of the forks in this folder")
@@ -58,7 +58,11 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(log: Recording, options: argparse.Namespace) -> int:
     why = log.why(options.step)
     if options.prove:
-        why = _proven(log, why, options)
+        require("pybullet")
+        from replay.retrace.prove import prove  # noqa: PLC0415  needs the executor
+
+        keep = Path(options.keep) if options.keep else None
+        why, _ = prove(log, why, keep=keep, recorded_source=options.recorded_source)
     elif options.keep:
         raise ReplayError("--keep needs --prove")
     origins = _origins(log, why, options)
@@ -75,15 +79,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     return code
 
 
-def _proven(log: Recording, why: Why, options: argparse.Namespace) -> Why:
-    require("pybullet")
-    from replay.retrace.prove import prove  # noqa: PLC0415  needs the executor
-
-    keep = Path(options.keep) if options.keep else None
-    return prove(log, why, keep=keep, recorded_source=options.recorded_source)[0]
-
-
-def run_folder(runs: Runs, options: argparse.Namespace) -> int:
+def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     """Print the most frequent causes of failures in a folder; for each, explain its first run."""
     from replay.runs.statistics import statistics  # noqa: PLC0415  needs an extra
 
@@ -91,27 +87,22 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
         raise ReplayError("a step, --pictures, --origins and --prove need a single recording, not a folder")
     stats = statistics(runs)
     failed = sum(cause.count for cause in stats.causes)
-    explained, text = (
-        [],
-        [f"{failed} of {plural(stats.success.of, 'run')} failed, with {plural(len(stats.causes), 'cause')}"],
-    )
+    text = [f"{failed} of {plural(stats.success.of, 'run')} failed, with {plural(len(stats.causes), 'cause')}"]
+    explained = []
     for cause in stats.causes[:_COMMONEST]:
         with Recording(runs.path / cause.first) as log:
             why = log.why()
             good = good_run(log, why)
-            explained.append(
-                {"cause": cause.cause, "count": cause.count, "first": cause.first, "why": why_report.data(why, good)}
-            )
+            facts = {"cause": cause.cause, "count": cause.count, "first": cause.first}
+            explained.append(facts | {"why": why_report.data(why, good)})
             text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
             headline, *sections = "\n".join(why_report.lines(why, good=good)).split("\n\n")
             shown = [headline, *(part for part in sections if part.startswith(("Why", "Beside")))]
-            text += [f"first in {cause.first}:"]
-            text += [f"  {line}".rstrip() for line in "\n\n".join(shown).splitlines()]
+            text += [f"first in {cause.first}:", *(f"  {each}".rstrip() for each in "\n\n".join(shown).splitlines())]
     if options.json:
         print_json({"runs": stats.success.of, "failed": failed, "causes": explained})
     else:
         print_text("\n".join(text))
-    return FINE
 
 
 def _origins(log: Recording, why: Why, options: argparse.Namespace) -> Origins | None:

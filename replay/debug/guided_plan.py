@@ -1,8 +1,8 @@
 """A recorded plan that runs again, and stops at a step. The plan moves from step to step, forwards and back.
 
 At any moment, one process of the plan is stopped or runs. Other processes are copies that wait at earlier steps. The
-copy from which a process continues is the parent of this process. All processes are therefore descendants of the first
-process, and end with it. The first process ends with this process.
+parent of a process is the copy from which the process continues. All processes are therefore descendants of the first
+process, and end with the first process. The first process ends with the debugger's process.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SHOWN: Final = 2000  # number of last characters on stderr of an ended process 
 _POLL: Final = 0.2  # time in s between checks for Ctrl-C and for the end of the process
 _PARTS: Final = 40  # number of parts into which copies divide a run
 _SHORTEST: Final = 50_000_000  # minimum duration of a part in ns
-_FINEST: Final = 4  # minimum number of steps between a new copy and the target, on the way back
+_FINEST: Final = 4  # minimum number of steps between two new copies before the target of a step back
 
 
 class PlanEnded(ReplayError):
@@ -51,7 +51,7 @@ class PlanInterrupted(ReplayError):
     def __init__(self, step: int) -> None:
         where = f"it is at step {step} again" if step >= 0 else "it is at no step"
         super().__init__(f"the plan reached no other step; {where}")
-        self.step = step  # the plan's step; -1 if it is before its first step
+        self.step = step  # step of the plan; -1 before the first step
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ class GuidedPlan:
             self.last, self.parted = gap.start - 1, f"step {gap.start} is lost"
         if self.last < 0:
             raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
-        # the recorded clock counts, because the machine may now be slower
+        # durations are those of the recording, because the machine may now be slower
         spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
         self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
@@ -98,10 +98,6 @@ class GuidedPlan:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """End all processes."""
         self._copies.close()
 
     def pause(self, *, wanted: bool) -> None:
@@ -157,16 +153,13 @@ class GuidedPlan:
                 message = copies.start()
                 origin = copies.now
             if origin is not None and not origin.parted and (origin.step < step or watched):
-                expressions = [[each.expression, each.file, each.first] for each in watched]
-                message = copies.go_on(
-                    origin,
-                    {
-                        "until": step,
-                        "checkpoints": list(_halving(origin.step, step)) if step < left else [],
-                        "watched": expressions,
-                        "through": through,
-                    },
-                )
+                conditions = {
+                    "until": step,
+                    "checkpoints": list(_halving(origin.step, step)) if step < left else [],
+                    "watched": [[each.expression, each.file, each.first] for each in watched],
+                    "through": through,
+                }
+                message = copies.go_on(origin, conditions)
         except EndedByInterrupt:
             if step > 0 or left >= 0:
                 self.go(max(left, 0))
@@ -190,9 +183,9 @@ class GuidedPlan:
         """Send a question to the stopped plan (:class:`replay.debug.stopped_plan.StoppingSink`).
 
         Raises:
-            PlanEnded: the plan's process has ended.
+            PlanEnded: The plan's process has ended.
             ReplayError: The question has no answer.
-            KeyboardInterrupt: the user pressed Ctrl-C; nothing has changed.
+            KeyboardInterrupt: The user pressed Ctrl-C; nothing has changed.
         """
         answer = self._copies.ask({"do": what, **arguments})
         if "error" in answer:
@@ -201,7 +194,7 @@ class GuidedPlan:
 
 
 def _halving(start: int, step: int) -> Iterator[int]:
-    """Yield steps between two steps. Each of them halves the remaining distance."""
+    """Yield steps between two steps. Each yielded step halves the distance that remains."""
     while step - start >= _FINEST:
         start += (step - start) // 2
         yield start
@@ -238,9 +231,8 @@ class PlanCopies:
         self.pause_wanted = False  # whether another thread wants the plan to stop
         self.killed = False  # whether another thread wants the plan to end
         with ExitStack() as undoing:
-            self._folder = undoing.enter_context(
-                tempfile.TemporaryDirectory(prefix="pycram-debug-", ignore_cleanup_errors=True)
-            )
+            folder = tempfile.TemporaryDirectory(prefix="pycram-debug-", ignore_cleanup_errors=True)
+            self._folder = undoing.enter_context(folder)
             self._errors = undoing.enter_context(tempfile.TemporaryFile())
             self._listener = undoing.enter_context(socket.socket(socket.AF_UNIX))
             self._address = str(Path(self._folder) / "prompt")
@@ -290,12 +282,7 @@ class PlanCopies:
             return self._stopped(None if stay else origin)
 
     def ask(self, question: Message) -> Message:
-        """Send a question to the stopped process, and return its answer.
-
-        Raises:
-            PlanEnded: The process has ended.
-            KeyboardInterrupt: the user pressed Ctrl-C; nothing has changed.
-        """
+        """Send a question to the stopped process, and return its answer (:meth:`GuidedPlan.ask`)."""
         now, passed_on = self.now, False
         if now is None:
             raise PlanEnded(self._printed())
@@ -358,13 +345,13 @@ class PlanCopies:
                 if not passed_on:
                     passed_on = True
                     running.channel.send({"do": "interrupt"})
-                # a process that makes no records reads no messages, so it gets signals; it ignores early signals
+                # a process that makes no records reads no messages, but handles signals after its first record
                 with suppress(ProcessLookupError):
                     os.kill(running.pid, PAUSE)
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
         """Accept the child that continues from a copy."""
-        if running is not None:  # the parent process then sends the message that it waits
+        if running is not None:  # this process sends the message that it waits, because it is the child's parent
             message = _received(running.channel)
             if message is None:
                 self._lost(running)

@@ -1,9 +1,8 @@
 """A session of the debugger: a guided plan, its breakpoints, and the steps to which commands lead.
 
-The steps of a breakpoint are read from the recording when it is set. But a watch on the plan's own variables has no
-steps: recordings don't contain variables, so the plan must run. The level of a step is the innermost task around it;
-    the start and the end of a task itself are on the level outside. Therefore ``next`` goes from the start of a task to
-    its end.
+The steps of a breakpoint are read from the recording when the breakpoint is set. A watch on the plan's own variables
+has no steps: recordings don't contain variables, so the plan must run. The level of a step is the innermost task around
+the step. A task's start and end are on the level outside, so ``next`` goes from the start of a task to its end.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
@@ -46,10 +45,10 @@ class NoFurther(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Halt:
-    """The step at which the plan has stopped, and the breakpoints that stopped it there."""
+    """The step at which the plan has stopped, and the breakpoints that stopped the plan."""
 
     arrival: Arrival
-    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints at that step
+    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints
     #: Values of watched variables before and after the step, by the watch's number.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
@@ -80,7 +79,11 @@ class Session:
         return self._kept(made)
 
     def set_watch(self, expression: str, frame: int) -> Breakpoint:
-        """Watch an expression about recorded states, or else about the variables of a frame."""
+        """Watch an expression about recorded states, or else about the variables of a frame's function.
+
+        Raises:
+            NoQuantity: The expression has no value in recorded states and in the frame.
+        """
         return self._kept(self._watch(expression, frame))
 
     def _kept(self, made: Breakpoint) -> Breakpoint:
@@ -89,11 +92,6 @@ class Session:
         return made
 
     def _watch(self, expression: str, frame: int) -> Breakpoint:
-        """Return a watch on an expression about recorded states, or else about the variables of a frame's function.
-
-        Raises:
-            NoQuantity: The expression has no value in recorded states and frames.
-        """
         number, text = self._numbers + 1, f"watch {expression}"
         try:
             found = {change.step: change for change in value_changes(self.log, expression)}
@@ -117,11 +115,7 @@ class Session:
     # --- from step to step ------------------------------------------------------------------------------------------
 
     def forward(self, target: int | None = None) -> Halt:
-        """Continue to a step (by default the last), or to the first breakpoint before it.
-
-        Raises:
-            NoFurther: The plan is at the last step that it can reach.
-        """
+        """Continue to a step (by default the last), or to an earlier breakpoint; raise NoFurther at the last step."""
         if self.step >= self.plan.last:
             raise self._no_further()
         goal = self.plan.last if target is None else min(target, self.plan.last)
@@ -131,11 +125,7 @@ class Session:
         return self._halted(self.plan.go(min([goal, *hits]), watched), enabled)
 
     def back(self, target: int = 0) -> Halt:
-        """Go back to a step (by default the first), or to the last breakpoint after it.
-
-        Raises:
-            NoFurther: The plan is at the first step.
-        """
+        """Go back to a step (by default the first), or to a later breakpoint; raise NoFurther at the first step."""
         if self.step <= 0:
             raise NoFurther(self.step, "the recording begins here")
         enabled = [each for each in self.breakpoints if each.enabled]
@@ -149,11 +139,7 @@ class Session:
         return self._halted(self.plan.go(goal), enabled, changes)
 
     def back_to_change(self, expression: str, frame: int) -> Halt:
-        """Go back to the last change of an expression (:meth:`set_watch`).
-
-        Raises:
-            NoFurther: The value didn't change before this step.
-        """
+        """Go back to the last change of an expression (:meth:`set_watch`); raise NoFurther if there is no change."""
         watch = self._watch(expression, frame)
         step = last_before(watch.steps, self.step)
         changes: dict[int, tuple[str, str]] = {}
@@ -174,17 +160,15 @@ class Session:
 
     def _no_further(self) -> NoFurther:
         last, parted = self.plan.last, self.plan.parted
-        return NoFurther(
-            self.step, f"the plan reaches only step {last}: {parted}" if parted else "the recording ends here"
-        )
+        cause = f"the plan reaches only step {last}: {parted}" if parted else "the recording ends here"
+        return NoFurther(self.step, cause)
 
     def _last_change(
         self, watched: list[WatchedExpression], after: int, before: int
     ) -> tuple[int, dict[int, tuple[str, str]]]:
-        """Return the last step between two steps at which a watched value changed, and the changes there by index.
+        """Return the last step between two steps at which a watched value changed, and the changes by index.
 
-        If no value changed, return the step ``after``. The plan runs from the nearest waiting copy, then from earlier
-        copies.
+        If no value changed, return ``after``. The plan runs from the nearest waiting copy, then from earlier copies.
         """
         end = before - 1
         while end > max(after, 0):
@@ -212,6 +196,18 @@ class Session:
         return Halt(arrival, met, {on_plan[place].number: change for place, change in found.items()})
 
 
+#: Moves of the plan to another step, by the name of the prompt's command.
+MOVES: Final[dict[str, Callable[[Session], Halt]]] = {
+    "step": lambda session: session.forward(session.step + 1),
+    "rstep": lambda session: session.back(session.step - 1),
+    "next": lambda session: session.forward(session.timeline.following(session.step)),
+    "rnext": lambda session: session.back(session.timeline.preceding(session.step)),
+    "return": lambda session: session.forward(session.timeline.end(session.step)),
+    "continue": Session.forward,
+    "rcontinue": Session.back,
+}
+
+
 class Timeline:
     """The steps of a recording."""
 
@@ -226,7 +222,7 @@ class Timeline:
         self._parents: dict[int, int] = {}
         self._names: dict[int, tuple[str, ...]] = {0: ()}
         self._ends: dict[int, int] = {}
-        self._stacks: list[tuple[Site, ...]] = [()] * self.steps
+        self._stacks: list[tuple[Site, ...]] = [()] * self.steps  # the plan's lines that led to a step, outermost first
         self._lines: dict[Site, list[int]] = defaultdict(list)
         task_stacks: dict[int, tuple[Site, ...]] = {}
         latest: dict[str, tuple[Site, ...]] = {}  # call stacks of the latest records, by thread or branch
@@ -267,12 +263,12 @@ class Timeline:
 
     def following(self, step: int) -> int:
         """Return the next step on the same level or an outer level, or else the last step."""
-        around = {self._levels[step], *self._around(self._levels[step])}
+        around = {*self._around(step)}
         return next((at for at in range(step + 1, self.steps) if self._levels[at] in around), self.steps - 1)
 
     def preceding(self, step: int) -> int:
         """Return the previous step on the same level or an outer level, or else the first step."""
-        around = {self._levels[step], *self._around(self._levels[step])}
+        around = {*self._around(step)}
         return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
 
     def end(self, step: int) -> int:
@@ -281,8 +277,7 @@ class Timeline:
 
     def onwards(self, step: int) -> int:
         """Return the next step that is on this level at a later line of the same file, or on an outer level."""
-        site, level = self.site(step), self._levels[step]
-        around = {level, *self._around(level)}
+        site, level, around = self.site(step), self._levels[step], {*self._around(step)}
         for at in range(step + 1, self.steps):
             if self._levels[at] in around:
                 file, line = self.site(at)
@@ -292,10 +287,12 @@ class Timeline:
 
     def around(self, step: int) -> list[int]:
         """Return the starts of the tasks around a step, innermost first."""
-        level = self._levels[step]
-        return [self._starts[task] for task in (level, *self._around(level)) if task in self._starts]
+        return [self._starts[task] for task in self._around(step) if task in self._starts]
 
-    def _around(self, task: int) -> Iterator[int]:
+    def _around(self, step: int) -> Iterator[int]:
+        """Yield the level of a step, and then the outer levels."""
+        task = self._levels[step]
+        yield task
         while task:
             task = self._parents.get(task, 0)
             yield task
@@ -306,20 +303,16 @@ class Timeline:
         """Return the plan's line that led to a step; ("", 0) if no line is known."""
         return self._stacks[step][-1] if self._stacks[step] else ("", 0)
 
-    def stack(self, step: int) -> Sequence[Site]:
-        """Return the plan's lines that led to a step, outermost first."""
-        return self._stacks[step]
-
     @property
     def files(self) -> set[str]:
         """The plan's files."""
         return {file for file, _ in self._lines}
 
     def line(self, file: str, number: int) -> tuple[int, list[int]]:
-        """Return the first line, from a given line on, that made a record, and the steps at which the plan reached it.
+        """Return the first line, from a given line on, that made a record; and the steps at which the plan reached it.
 
-        Each execution of the line counts once: its first record is used. Repeated calls in one line count once if no
-        other line made a record between them.
+        Each execution of the line counts once, at its first record. Repeated calls in one line count once if no other
+        line made a record between them.
         """
         numbers = sorted(line for named, line in self._lines if named == file)
         at = bisect_left(numbers, number)
@@ -358,7 +351,7 @@ class NoSuchPlace(ReplayError, LookupError):
 class Breakpoint:
     """A breakpoint, or a watch."""
 
-    number: int  # number of the breakpoint, which commands use; it starts at 1
+    number: int  # number by which commands name the breakpoint; the first number is 1
     text: str  # description of the breakpoint for the user
     steps: list[int] = field(default_factory=list)  # sorted steps at which the breakpoint stops the plan
     temporary: bool = False  # whether the breakpoint is removed when it has stopped the plan
@@ -381,8 +374,8 @@ def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -
     """Return a breakpoint at a step, ``failure``, ``event [NAME]``, FILE:LINE, or tasks by path or kind.
 
     Raises:
-        NoSuchPlace: the recording doesn't have this place.
-        NoSuchStep: there is no such step.
+        NoSuchPlace: The recording doesn't have this place.
+        NoSuchStep: There is no such step.
     """
     word, _, rest = place.partition(" ")
     if place == "failure":

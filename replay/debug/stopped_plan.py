@@ -44,7 +44,7 @@ from replay.retrace.plan_process import FirstDifference, Guidance
 Message: TypeAlias = "dict[str, Any]"
 
 PAUSE: Final = getattr(signal, "SIGURG", signal.SIGINT)  # systems that can fork have SIGURG
-"""This signal stops a plan without records, which reads no messages. Without a handler, the signal is ignored."""
+"""This signal stops a plan that makes no records, and so reads no messages. Without a handler, it is ignored."""
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)  # types of a module's imports and definitions
 _MAX_NAMES: Final = 200  # maximum number of completions of a text
 _CLOCKS: Final = ("time", "monotonic", "perf_counter")
@@ -80,7 +80,10 @@ class PlanFrame(NamedTuple):
     line: int
 
     def facts(self, moved: tuple[str, str] | None) -> dict[str, object]:
-        """Return file, line, function and its first line. The path of the file is in the plan's own folder."""
+        """Return the file, the line, the function, and the first line of the function.
+
+        Files of a ``moved`` plan (:class:`replay.retrace.plan_process.Guidance`) are in the plan's own folder.
+        """
         code = self.frame.f_code
         return {
             "file": code.co_filename.replace(*moved or ("", "")),
@@ -269,9 +272,9 @@ class StopConditions:
 class StoppingSink(NullSink):
     """A sink that stops a guided run, after :attr:`guided` has compared the record.
 
-    The prompt listens at the socket with the ``address``. While the plan is stopped, the clock stands still. The plan
-    stops for the first time at the step ``until``. ``spacing`` is the time between checkpoints, in ns of the recording;
-    None without checkpoints.
+    The prompt listens at the socket ``address``. While the plan is stopped, the clock stands still. The plan stops for
+    the first time at the step ``until``. Checkpoints are ``spacing`` ns of the recording apart; with None, there are no
+    checkpoints.
     """
 
     def __init__(
@@ -331,10 +334,16 @@ class StoppingSink(NullSink):
     def _pass(self) -> None:
         stopping = self._step >= self._conditions.until
         changed = self._noted_changes() if self._conditions.watched else False
+        now_ns = self.guided.guide.recorded_ns
         if stopping or (changed and not self._conditions.through) or self._channel.poll():
             self._stop("step" if stopping else "watch" if changed else "interrupted")
-        elif self._due():
-            self._check_point()
+        elif self._spacing is not None and (
+            self._step in self._conditions.checkpoints or now_ns - self._last_checkpoint >= self._spacing
+        ):
+            self._last_checkpoint = now_ns
+            if _can_be_copied() and not self._went_on_in_child():
+                self._channel.send({"step": self._step, "reason": "waits"})
+                self._serve()
 
     def _pause(self, _: int, frame: FrameType | None) -> None:
         """Stop between two records, where the plan may hang. During a record, :meth:`_pass` stops the plan."""
@@ -344,42 +353,23 @@ class StoppingSink(NullSink):
             self._frame = None
 
     def _noted_changes(self) -> bool:
-        values = self._watched_values()
-        changes = [
-            (self._step, number, before, value)
-            for number, (before, value) in enumerate(zip(self._values, values, strict=True))
-            if before is not None and value is not None and before != value
-        ]
-        self._values = [
-            value if value is not None else before for before, value in zip(self._values, values, strict=True)
-        ]
-        self._conditions.changes += changes
-        return bool(changes)
+        changed = False
+        for number, (before, value) in enumerate(zip(self._values, self._watched_values(), strict=True)):
+            if value is not None:
+                self._values[number] = value
+            if before is not None and value is not None and before != value:
+                self._conditions.changes.append((self._step, number, before, value))
+                changed = True
+        return changed
 
     def _watched_values(self) -> list[str | None]:
-        """Return the watched values; this makes no records, and uses no random numbers of the plan."""
+        """Return the watched values, without making records or using random numbers of the plan."""
         stack = self._stack()
         dice = random.getstate()
         with journal.unrecorded():
             values = [each.value(stack) for each in self._conditions.watched]
         random.setstate(dice)
         return values
-
-    def _due(self) -> bool:
-        if self._spacing is None:
-            return False
-        return (
-            self._step in self._conditions.checkpoints
-            or self.guided.guide.recorded_ns - self._last_checkpoint >= self._spacing
-        )
-
-    def _check_point(self) -> None:
-        self._last_checkpoint = self.guided.guide.recorded_ns
-        if not _can_be_copied():
-            return
-        if not self._went_on_in_child():
-            self._channel.send({"step": self._step, "reason": "waits"})
-            self._serve()
 
     def _went_on_in_child(self) -> bool:
         """Fork, and return True in the child process, which continues."""
@@ -402,19 +392,16 @@ class StoppingSink(NullSink):
     # --- stopped ----------------------------------------------------------------------------------------------------
 
     def _stop(self, reason: str, *, between: bool = False) -> None:
-        found = None if self._difference is None else asdict(self._difference)
-        can_wait = reason != "parted" and not between and self._spacing is not None and _can_be_copied()
-        self._channel.send(
-            {
-                "step": self._step,
-                "reason": reason,
-                "difference": found,
-                "notes": self.guided.guide.notes(),
-                "changes": self._conditions.changes,
-                "can_wait": can_wait,
-                "between": between,
-            }
-        )
+        facts = {
+            "step": self._step,
+            "reason": reason,
+            "difference": None if self._difference is None else asdict(self._difference),
+            "notes": self.guided.guide.notes(),
+            "changes": self._conditions.changes,
+            "can_wait": reason != "parted" and not between and self._spacing is not None and _can_be_copied(),
+            "between": between,
+        }
+        self._channel.send(facts)
         self._serve()
 
     def _serve(self) -> None:

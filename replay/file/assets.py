@@ -1,4 +1,4 @@
-"""The files of a recording: models, meshes, the plan's source. Files are attached to it, or in a shared file.
+"""The files of a recording: models, meshes, the plan's source. They are attached to the recording, or in a shared file.
 
 The recordings of a sweep share a file of models (:mod:`recorder.mcap_writer`). Recordings may come from strangers. A
 shared file must therefore be a regular file in the recording's folder, and have the recorded hash.
@@ -38,8 +38,9 @@ class Assets(Mapping[str, bytes]):
         self._index = index
         self._models: dict[str, Urdf] = {}
         self.damaged: dict[str, str] = {}  # causes of known damage, by name of the file
+        stated = index.metadata.get(MODELS_METADATA)
         # the file of models that the recording names; None if the recording itself has all models
-        self.shared = shared_by(path, index)
+        self.shared = None if stated is None else SharedFile(path, stated)
         self._looked = False  # whether a call has needed the shared file
 
     def __getitem__(self, name: str) -> bytes:
@@ -86,12 +87,12 @@ class Assets(Mapping[str, bytes]):
                 self.attachment(name)
 
     def missing(self, *, look: bool = False) -> str:
-        """Return why shared files are missing; "" if none are, and before a call has needed the shared file."""
+        """Return why shared files are missing; "" if they aren't missing, or if no call has needed them yet."""
         self._looked = self._looked or look
         return self.shared.cause if self.shared is not None and self._looked else ""
 
     def close(self) -> None:
-        """Close the shared file. The next use opens it again, so forked children have their own file."""
+        """Close the shared file. The next use opens the file again, so forked children have their own file."""
         if self.shared is not None:
             self.shared.close()
 
@@ -113,7 +114,7 @@ class Assets(Mapping[str, bytes]):
 
         Raises:
             NoSuchName: The recording doesn't contain the model.
-            Damaged: the model's content is damaged.
+            Damaged: The model's content is damaged.
         """
         if name not in self._models:
             from recorder.urdf import Urdf  # noqa: PLC0415  loads numpy
@@ -186,9 +187,3 @@ class SharedFile:
             file.seek(0)
             undoing.pop_all()
         return file
-
-
-def shared_by(recording: Path, index: Index) -> SharedFile | None:
-    """Return the file of models that a recording names; None if the recording itself has all models."""
-    stated = index.metadata.get(MODELS_METADATA)
-    return None if stated is None else SharedFile(recording, stated)

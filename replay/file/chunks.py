@@ -1,9 +1,6 @@
 """The records in a recording's chunks: they are decompressed on demand, and found by binary search.
 
-Damaged parts are noted and left out. Files of other programs may have other chunks, or none, and messages in any order.
-Such a file is read once, to find the position of each record. Its records are then yielded in the order of steps, in
-chunks of the same size as the recorder's. Inflated contents are in a temporary file, because inflating a large chunk
-again for each record could take hours.
+Damaged parts are noted and left out.
 """
 
 from __future__ import annotations
@@ -41,7 +38,7 @@ _FIELDS: Final = 22  # size in bytes of the fields of an MCAP message
 _PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before the payload of an MCAP message
 _MESSAGES: Final = 100  # number of messages in each chunk of sorted messages
 _IN_MEMORY: Final = 16 << 20  # number of bytes up to which an inflated chunk stays in memory
-_OFFSET: Final = 40  # number of low bits of a sort key: the message's offset; the high bits: the step
+_OFFSET: Final = 40  # number of low bits of a sort key for the message's offset in the temporary file; then the step
 
 
 @dataclass(slots=True)
@@ -88,7 +85,7 @@ class Chunks:
         return self._sorted.contents(number), "", None
 
     def grow(self) -> bool:
-        """Read new chunks of a growing file; return whether there were any."""
+        """Read new chunks of a growing file; return whether there were new chunks."""
         last = len(self) - 1
         if self._sorted is not None or not self._index.refresh():
             return False
@@ -106,9 +103,14 @@ class Chunks:
                 del cache[key]
         self._cached = sum(entries.size for entries in self._cache.values())
         self._kinds = kinds_of(self._index)
-        metadata = {channel: self._index.channels[channel].metadata for channel in self._kinds}
-        self._worlds = {channel: values.get("world") for channel, values in metadata.items()}
-        self._owners = {channel: _owner(values) for channel, values in metadata.items()}
+        self._worlds: dict[int, str | None] = {}  # name of the channel's world
+        self._owners: dict[int, Owner | None] = {}  # lifetime of the channel's world; None for shared channels
+        for channel in self._kinds:
+            metadata = self._index.channels[channel].metadata
+            self._worlds[channel] = world = metadata.get("world")
+            lifetime = metadata.get("life", "")
+            known = lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
+            self._owners[channel] = (world, int(lifetime)) if world is not None and known else None
 
     # --- contents of a chunk ----------------------------------------------------------------------------------------
 
@@ -157,7 +159,7 @@ class Chunks:
         self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
 
     def share_worlds(self) -> bool:
-        """Return whether worlds share channels. Then only the records themselves name their world."""
+        """Return whether worlds share channels, so that only records name their worlds."""
         return any(self._owners[at] is None for at, kind in self._kinds.items() if kind in (Mutation, Keyframe))
 
     def changes(self, number: int) -> Iterator[tuple[Record, Owner | None]]:
@@ -265,18 +267,15 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
     return kinds
 
 
-def _owner(metadata: Mapping[str, str]) -> Owner | None:
-    """Return the world and lifetime of a channel; None if several lifetimes share it."""
-    lifetime = metadata.get("life", "")
-    known = "world" in metadata and lifetime.isdecimal() and len(lifetime) <= _MAX_DIGITS
-    return (metadata["world"], int(lifetime)) if known else None
-
-
 # --- files of other programs ------------------------------------------------------------------------------------------
 
 
 class SortedMessages:
-    """The messages of a file in the order of steps, in chunks like those of the recorder."""
+    """The messages of a file in the order of steps, in chunks of the same size as the recorder's.
+
+    Files of other programs may have other chunks, or no chunks, and messages in any order. Such a file is read once;
+    its messages are in a temporary file; inflating a large chunk again for each record could take hours.
+    """
 
     def __init__(self, index: Index, kinds: Mapping[int, type[Record]]) -> None:
         from tempfile import SpooledTemporaryFile  # noqa: PLC0415  slow to import
@@ -284,15 +283,13 @@ class SortedMessages:
         self._file = SpooledTemporaryFile(max_size=_IN_MEMORY)  # noqa: SIM115
         self.damage: list[str] = []
         self.in_order = not index.loose  # whether the file already has all records in chunks and in order
-        # offsets of messages in the temporary file, in the low bits; the high bits contain the step. A file may have
-        # millions of messages.
-        self._keys: list[int] = []
+        self._keys: list[int] = []  # a key of each message (:data:`_OFFSET`); a file may have millions of messages
         last = at = 0
         for where, message in _messages(index, self.damage):
             try:
-                # messages for other tools have the same number as their record
+                # a message for other tools has the step of its record as its number
                 channel, step = _CHANNEL.unpack_from(message, HEADER)
-                if channel in kinds:  # some programs change the numbers of messages; numbers in records stay
+                if channel in kinds:  # some programs change the numbers of messages, but not the steps in records
                     step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq
                     self.in_order = self.in_order and last <= step
                     last = step

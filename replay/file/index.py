@@ -1,8 +1,7 @@
 """The index of a recording's file: its chunks, channels, attached files and metadata.
 
-A closed file has its index at the end. Other files (damaged, still growing, or left by a killed process) are scanned:
-only headers of records are read. After a damaged part, the scan continues at the next intact chunk. No record is
-decoded.
+A closed file has its index at the end. Other files (damaged, still growing, or left by a killed process) are scanned
+without decoding records. After a damaged part, the scan continues at the next intact chunk.
 """
 
 from __future__ import annotations
@@ -95,8 +94,7 @@ class Index:
             self._read_summary()
         except DAMAGE:
             self.chunks.clear()
-            tables = (self.channels, self.schemas, self.definitions, self.attachments, self.metadata, self.counts)
-            for table in tables:
+            for table in (self.channels, self.schemas, self.definitions, self.attachments, self.metadata, self.counts):
                 table.clear()
             self._stored, self._inflated = _Budget(), _Budget()
             del self.damage[damaged:]
@@ -118,7 +116,7 @@ class Index:
             raise LogClosed(self._file.name)
 
     def read(self, extent: Extent | ChunkExtent) -> bytes:
-        """Return the content of a record. The content is shorter than stated if the file ends within the record.
+        """Return the content of a record. If the file ends within the record, the content is cut off.
 
         Raises:
             LogClosed: The file was closed.
@@ -132,9 +130,10 @@ class Index:
         return self._file.read(min(length, self.size - offset))
 
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
-        """Return a chunk's decompressed messages, its difference from the index, and their number in the index.
+        """Return a chunk's decompressed messages, its difference from the index, and the number of messages.
 
-        If the chunk's head has an error, the index corrects it. The number is None if the index doesn't contain it.
+        If the chunk's head differs from the index, the head in the index is used. The number is the number in the
+        index; None if the index doesn't contain this number.
 
         Raises:
             CHUNK_DAMAGE: The chunk is damaged.
@@ -180,7 +179,7 @@ class Index:
             self.damage = [*self.damage, "its checksum differs from the stored checksum"]
 
     def refresh(self) -> bool:
-        """Scan the new part of a growing file; return whether there was one. Closed files never have a new part."""
+        """Scan the new part of a growing file; return whether the file has grown. Closed files don't grow."""
         return not self.closed and self._scan.resume()
 
     def _read_library(self) -> str:
@@ -238,7 +237,7 @@ class Index:
             self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
-        """Reject a summary that repeats files or metadata, so that their bytes exceed the bytes of the file."""
+        """Reject a summary whose files and metadata have more bytes than the file, because the summary repeats them."""
         self._claimed += length
         if self._claimed > self.size:
             raise EOFError
@@ -279,7 +278,7 @@ class FileScan:
         self._next = len(MAGIC)
 
     def resume(self) -> bool:
-        """Continue the scan; return whether there was a new part."""
+        """Continue the scan; return whether the file has grown."""
         index = self._index
         before = self._next
         size = index.size = self._file.seek(0, io.SEEK_END)
@@ -325,7 +324,7 @@ class FileScan:
         return intact and footer.summary_start == behind
 
     def _define_from_summary(self, at: int, size: int) -> None:
-        """Read definitions of channels that the data has lost from the summary. Offsets in the summary may be wrong."""
+        """Read definitions of channels from the summary if the data has lost them."""
         while at + HEADER <= size:
             opcode, extent = self._head(at)
             at = extent.stop
@@ -369,7 +368,9 @@ class FileScan:
                 self._file.seek(extent.offset)
                 self._index.counts[int.from_bytes(self._file.read(2), "little")] += 1
             elif opcode == Opcode.MESSAGE_INDEX:
-                return self._is_message_index(extent)
+                self._file.seek(extent.offset + 2)
+                length = int.from_bytes(self._file.read(4), "little")
+                return extent.length == 6 + length and length % 16 == 0
             elif opcode == Opcode.ATTACHMENT:
                 return self._read_attachment(extent)
             elif opcode == Opcode.METADATA:
@@ -379,11 +380,6 @@ class FileScan:
         except DAMAGE:
             return False
         return Opcode.HEADER <= opcode <= Opcode.DATA_END
-
-    def _is_message_index(self, extent: Extent) -> bool:
-        self._file.seek(extent.offset + 2)
-        length = int.from_bytes(self._file.read(4), "little")
-        return extent.length == 6 + length and length % 16 == 0
 
     def _read_attachment(self, extent: Extent) -> bool:
         self._file.seek(extent.offset + 16)

@@ -1,6 +1,6 @@
 """The lifetimes of worlds: after a world has ended, another world can have the same name.
 
-Each lifetime has its own channels, so the index shows which chunks belong to it. If worlds share channels, or if an
+Each lifetime has its own channels, so the index shows the chunks of a lifetime. If worlds share channels, or if an
 early release wrote the file, the changes themselves are read.
 """
 
@@ -45,7 +45,7 @@ class Lifetime:
 
 
 def title(world: str, number: int) -> str:
-    """Return the title of a world: the name, and the number if it isn't the first world with the name."""
+    """Return the title of a world: the name; for later worlds with the same name, also the number."""
     if number == 1:
         return world
     ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
@@ -56,12 +56,11 @@ def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
     """Return the lifetimes of all worlds in the order of their opening."""
     chunks_of = _chunks_by_lifetime(chunks)
     starts = _starts(chunks, chunks_of)
-    lifetimes = []
-    for owner, lists in sorted(chunks_of.items(), key=lambda item: (item[1][0][0], starts[item[0]])):
-        world, number = owner
-        stop = starts.get((world, number + 1))
-        lifetimes.append(Lifetime(world, number, starts[owner] if number > 1 else 0, stop, *lists))
-    return tuple(lifetimes)
+    ordered = sorted(chunks_of.items(), key=lambda item: (item[1][0][0], starts[item[0]]))
+    return tuple(
+        Lifetime(world, number, starts[world, number] if number > 1 else 0, starts.get((world, number + 1)), *lists)
+        for (world, number), lists in ordered
+    )
 
 
 def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
@@ -90,7 +89,7 @@ def _chunks_by_lifetime(chunks: Chunks) -> dict[Owner, _Lists]:
 
 
 def _owner(record: Record, channel_owner: Owner | None, last_number: dict[str, int]) -> Owner:
-    """Return the lifetime of a record: that of the channel, or else the number of openings so far."""
+    """Return the lifetime of a record: the lifetime of the channel, or else the number of openings so far."""
     lifetime = channel_owner[1] if channel_owner is not None else last_number.get(record.world, 0)
     if not lifetime or (channel_owner is None and _opens(record)):
         lifetime += 1

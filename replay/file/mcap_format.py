@@ -1,8 +1,4 @@
-"""The MCAP format: framing, positions of chunks, decompression, and decoding of payloads.
-
-A payload with very many parts is rejected: an empty part takes two bytes in a file, and a hundred bytes in memory. The
-parts of small payloads aren't counted.
-"""
+"""The MCAP format: framing, positions of chunks, decompression, and decoding of payloads."""
 
 from __future__ import annotations
 
@@ -19,7 +15,7 @@ from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 from recorder.records import Record
 
-MAGIC: Final = b"\x89MCAP0\r\n"  # the first bytes of a file, which are also its last
+MAGIC: Final = b"\x89MCAP0\r\n"  # the first and the last bytes of a file
 HEADER: Final = 9  # bytes of opcode and length before each MCAP record
 LENGTH: Final = struct.Struct("<BQ")  # the fields opcode and length
 DATA_END: Final = HEADER + 4  # size in bytes of the record that ends the data
@@ -54,16 +50,15 @@ class Extent(NamedTuple):
 class StatedHead(NamedTuple):
     """A chunk as the index at the end of a file describes it."""
 
-    head: bytes  # number of bytes from the opcode to the CRC
-    tail: bytes  # number of bytes from the CRC to the data
+    head: bytes  # the bytes before the CRC, from the opcode on
+    tail: bytes  # the bytes between the CRC and the data
     messages: int | None
 
 
 class ChunkExtent(NamedTuple):
     """The position of a chunk's content, and the channels of its messages.
 
-    ``channels`` contains 10 bytes for each channel, as MCAP's chunk index does. The field ``channels`` is None if the
-    channels aren't known.
+    ``channels`` contains 10 bytes for each channel, as MCAP's chunk index does; None if the channels aren't known.
     """
 
     offset: int
@@ -72,7 +67,7 @@ class ChunkExtent(NamedTuple):
     stated: StatedHead | None = None  # None if there is no index
 
     def ids(self) -> Iterator[int]:
-        """Return the ids of the channels that a chunk's messages have."""
+        """Return the ids of the channels; nothing if the channels aren't known."""
         channels = self.channels or b""
         whole = channels[: len(channels) - len(channels) % CHANNEL_OFFSET.size]
         return (channel for channel, _ in CHANNEL_OFFSET.iter_unpack(whole))
@@ -149,7 +144,9 @@ class Decompressor:
         raise ValueError(f"its compression {compression[:16]!r} is unknown")
 
 
-MAX_PARTS: Final = 1 << 19  # maximum number of messages within a record. Eight texts count as a message.
+#: Maximum number of messages within a record; eight texts count as a message. An empty message takes two bytes in a
+#: file, and a hundred bytes in memory.
+MAX_PARTS: Final = 1 << 19
 UNCOUNTED: Final = 2 * MAX_PARTS  # payloads of at most this size in bytes can't have too many parts
 _TEXTS: Final = 8  # this many texts take as much memory as an empty message
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5  # protobuf's wire types
@@ -167,7 +164,7 @@ def decode(kind: type[Record], payload: bytes) -> Record:
 
 @cache
 def _within(descriptor: Any) -> dict[int, Any]:  # both runtimes of protobuf have their own type of descriptors
-    """Return the types of those fields of a message that are messages, by field number."""
+    """Return the types of a message's fields by field number, without fields that aren't messages themselves."""
     return {field.number: field.message_type for field in descriptor.fields if field.message_type is not None}
 
 

@@ -1,7 +1,7 @@
 """A recording: its records by step. The process that recorded may have been killed, or may still be writing the file.
 
-A call needs only a few chunks, even of a long recording. Unknown fields of newer releases are ignored. Of unknown kinds
-of records, only the envelope is read.
+A call needs only a few chunks, even of a long recording. Unknown fields of newer releases are ignored. For unknown
+kinds of records, only the envelope is read.
 """
 
 from __future__ import annotations
@@ -75,9 +75,8 @@ class RecordReader:
             undoing.pop_all()
         self.assets = Assets(self.path, self._index)  # the attached files, by ``<sha256>/<file name>``
         self.lost_before = lost_before(self._index)  # steps that were already lost before a repair
-        # the lost steps; the number of damaged chunks and of steps when they were searched
-        self._gaps: list[range] = []
-        self._gaps_of = (-1, -1)
+        self._gaps: list[range] = []  # ranges of lost steps
+        self._gaps_of = (-1, -1)  # number of damaged chunks and number of steps when the gaps were searched
 
     def __enter__(self) -> Self:
         return self
@@ -118,7 +117,7 @@ class RecordReader:
 
     @property
     def closed(self) -> bool:
-        """Whether the recorder has closed the file; it then no longer grows."""
+        """Whether the recorder has closed the file; a closed file no longer grows."""
         return self._index.closed
 
     @property
@@ -140,10 +139,7 @@ class RecordReader:
 
     @property
     def incomplete(self) -> str:
-        """Why the recording is incomplete: it wasn't closed, or has lost records before a repair.
-
-        "" for a complete recording.
-        """
+        """Why the recording is incomplete: it wasn't closed, or lost records before a repair. "" if it is complete."""
         if self.closed:
             lost = ", ".join(map(range_text, self.lost_before))
             return f"steps {lost} were lost before it was repaired" if lost else ""
@@ -258,7 +254,7 @@ class RecordReader:
                     yield record
 
     def lifetime_at(self, world: str, step: int) -> Lifetime | None:
-        """Return the world with a name at a step; None if there is none."""
+        """Return the world with a name at a step; None if no world had this name."""
         return next((lifetime for lifetime in self.lifetimes if lifetime.world == world and lifetime.has(step)), None)
 
     @overload
@@ -310,7 +306,7 @@ class RecordReader:
         return self.problems
 
     def lost(self) -> list[range]:
-        """Return the ranges of missing steps before the last step. Other recordings than damaged ones aren't read."""
+        """Return the ranges of missing steps before the last step. Only damaged recordings are read for this."""
         intact = self._index.whole or (not self._index.closed and not self._index.damage)
         if intact and not self._chunks.damaged and not self._lost:
             return []
@@ -339,9 +335,7 @@ class RecordReader:
         if cause := self.assets.missing(look=True):
             raise MissingModels(self.path, cause)
         if problems := self.check_file():
-            raise ReplayError(
-                f"{self.path}: the recording isn't sound ({problems}); use repair to copy the readable part"
-            )
+            raise ReplayError(f"{self.path}: it isn't sound ({problems}); use repair to copy the readable part")
         write_sound(file, self._index, self._chunks, self.assets, None, [])
 
     def missing(self) -> list[range]:
@@ -352,7 +346,7 @@ class RecordReader:
         return list(dict.fromkeys([*gaps, *self.lost_before]))
 
     def refresh(self) -> bool:
-        """Read the new records of a growing file; return whether there were any."""
+        """Read the new records of a growing file; return whether the file has grown."""
         if not self._chunks.grow():
             return False
         self.__dict__.pop("lifetimes", None)
@@ -461,7 +455,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def format_of(index: Index) -> int:
-    """Return the format number of a recording; 0 for old recordings without a number."""
+    """Return the format number of a recording (:mod:`recorder.records`); 0 for old recordings without a number."""
     text = index.metadata.get("pycram", {}).get("format", "")
     return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else 0
 

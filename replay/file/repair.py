@@ -48,8 +48,7 @@ def write_sound(
 ) -> Losses:
     """Write a sound copy of the readable part into an empty file, with shared models.
 
-    The copy lists the problems and missing steps of the original. If ``problems`` is None, the recording is only
-    packed.
+    The copy lists the problems and missing steps of the original, unless ``problems`` is None.
     """
     from recorder.packages import versions  # noqa: PLC0415
 
@@ -107,7 +106,7 @@ def _define(writer: McapWriter, index: Index) -> dict[int, int]:
 
 
 def _messages(contents: bytes) -> Iterator[tuple[int, int, int, bytes]]:
-    """Yield channel, sequence, log time and payload of each message in a chunk."""
+    """Yield the channel, sequence, log time and payload of each message in a chunk."""
     for opcode, start, stop in framed(contents):
         if opcode == Opcode.MESSAGE:
             channel, sequence, time_ns, _ = _MESSAGE.unpack_from(contents, start)

@@ -31,7 +31,7 @@ from replay.errors import ReplayError
 from replay.file.record_reader import RecordReader
 from replay.history.source import PlanSource
 from replay.retrace.guided_run import run_plan, spec_of
-from replay.retrace.plan_process import CantRetrace, PlanProcess, lay
+from replay.retrace.plan_process import PlanProcess, lay
 
 _DISPLACED: Final = 0.01  # m
 LIMIT: Final = 10.0  # maximum duration of a trial: a multiple of the control run's duration,
@@ -88,19 +88,19 @@ class Trials:
     """
 
     def __init__(self, log: RecordReader, *, allow_effects: bool = False) -> None:
-        process, began = PlanProcess(log, recorded_source=True), log[0]
-        if not isinstance(began, Run):
-            raise CantRetrace(f"{log.path}: its start is lost")
+        process = PlanProcess(log, recorded_source=True)
         self.log = log
         self.program = process.program  # the main file of the plan
         self.text = PlanSource(log).text(str(process.program))  # its recorded source
         self.runs = 0  # number of started runs
         self.failed: set[str] = set()  # versions that a search has already rejected
         self.reference = Ending("")  # the ending of the run of the unchanged plan
-        self._spec = spec_of(log, process.program, process.arguments)  # children must not read the recording's file
-        self._began = began
+        self._spec = spec_of(
+            log, process.began, process.program, process.arguments
+        )  # children must not read the recording's file
+        self._began = process.began
         self._allow_effects = allow_effects
-        self._limit = max(LEAST, LIMIT * (log[-1].monotonic_ns - began.monotonic_ns) / 1e9)
+        self._limit = max(LEAST, LIMIT * (log[-1].monotonic_ns - process.began.monotonic_ns) / 1e9)
         self._undoing = ExitStack()
         self._folder = Path(self._undoing.enter_context(tempfile.TemporaryDirectory(prefix="pycram-trials-")))
 

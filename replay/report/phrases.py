@@ -150,7 +150,7 @@ def place(line: Line) -> str:
 
 
 def at(line: Line | None) -> str:
-    """Return ", at file:line" for the end of a clause; "" if it is unknown."""
+    """Return ", at file:line" for the end of a clause; "" if the line is unknown."""
     return f", at {place(line)}" if line is not None else ""
 
 
@@ -180,7 +180,7 @@ def call(name: str, parameters: Mapping[str, Plain]) -> str:
 
 
 def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
-    """Return a task with its parameters; its kind is added if the name doesn't imply it."""
+    """Return a task with its parameters, and with its kind if the name doesn't imply the kind."""
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
     if kind == "timeout":

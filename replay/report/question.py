@@ -22,7 +22,7 @@ from replay.errors import ReplayError
 
 @dataclass(frozen=True, slots=True)
 class Name:
-    """A name without quotes. Of a dotted name only the last part counts: ``BulletWorld.robot`` is the robot."""
+    """A name without quotes. Only the last part of a dotted name counts: ``BulletWorld.robot`` is the robot."""
 
     text: str
 
@@ -80,9 +80,7 @@ def parse(text: str) -> QueryCall:
             call = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError) as error:
         cause = error.msg.partition(". ")[0] if isinstance(error, SyntaxError) else str(error)
-        quotes = (
-            "; put a name with spaces into quotes, such as stable('milk carton')" if re.search(r"\w \w", text) else ""
-        )
+        quotes = "; put names with spaces into quotes: stable('milk carton')" if re.search(r"\w \w", text) else ""
         raise BadQuestion(text, f"it can't be parsed: {cause}{quotes}") from None
     if not isinstance(call, ast.Call):
         raise BadQuestion(text, "a question is the call of a query, such as stable(milk)")

@@ -1,11 +1,7 @@
 """Changes of a forked run after a step: new values of objects and fluents, answers of queries, or the seed.
 
 Each change is a text, on the command line and in the fork's recording: ``milk.position=1,2,0.9``,
-``reachable_object(milk)=false``. A fork can therefore run again like any other run. A recorded answer is used only if
-the next recorded query is the same, at the same moment, without other records in between. Three kinds of queries are
-always
-asked: failed queries, queries about many targets (evidence of their single answers isn't recorded), and queries that
-    the plan defines.
+``reachable_object(milk)=false``. A fork can therefore run again like any other run.
 """
 
 from __future__ import annotations
@@ -109,7 +105,7 @@ class Setting:
             body.set_joint_position(self.quantity, *self.value)
 
     def _fluent(self) -> Fluent:
-        """Return the fluent with a name; all Python objects are searched, because only the plan refers to it."""
+        """Return the fluent with this name. Only the plan refers to its fluents, so all Python objects are searched."""
         named: dict[Variable, Fluent] = {}
         for each in gc.get_objects():
             if issubclass(type(each), Fluent):  # isinstance() would call proxies
@@ -229,7 +225,7 @@ def change_text(change: Change) -> str:
 
 
 def object_of(world: BulletWorld, name: str) -> Object:
-    """Return an object of a world by name. By default, ``robot`` means the world's robot."""
+    """Return an object of a world by name. If no object has the name ``robot``, it means the world's robot."""
     if name == "robot" and world.robot is not None and not world.get_objects_by_name(name):
         return world.robot
     return world.get_object(name)
@@ -249,16 +245,11 @@ class GivenAnswer:
 
     def fits(self, name: str, arguments: Mapping[str, object]) -> bool:
         """Return whether the answer is for this query."""
-        return name == self.query and all(
-            key in arguments and is_same(term, arguments[key]) for key, term in self.arguments.items()
-        )
+        wanted = self.arguments.items()
+        return name == self.query and all(key in arguments and is_same(term, arguments[key]) for key, term in wanted)
 
     def replace(self, own: Any, world: BulletWorld) -> Any:
-        """Return the answer, with the evidence of the query's own answer.
-
-        Raises:
-            BadChange: The query needs another number of answers.
-        """
+        """Return the answer with the evidence of the query's own answer; raise BadChange if the lengths differ."""
 
         def with_evidence(kind: Callable[..., Any], value: Any, of: Any) -> Any:
             return kind(value, of.evidence, of.picture, of.considered)
@@ -290,10 +281,12 @@ def parse_answer(text: str) -> GivenAnswer | ForcedDecision:
         given = parse(f"answer({right})").arguments if equals and right.strip() else ()
     except BadQuestion as error:
         raise BadChange(text, f"expected QUERY(ARGUMENTS)=ANSWER, such as stable(milk)=false: {error.cause}") from None
-    kind = _kind(asked.query)
-    if len(given) != 1 or not _can_be(given[0], kind):
+    kind, answer = _kind(asked.query), given[0] if len(given) == 1 else None
+    wanted: Any = bool if kind == _OF_MANY else (Name, str)
+    listed = isinstance(answer, list) and all(isinstance(each, wanted) for each in answer)
+    if answer is None or not (isinstance(answer, bool) if kind == "Verdict" else listed):
         raise BadChange(text, f"its answer is {_ANSWERS[kind]}")
-    return GivenAnswer(text, asked.query, _bound(asked, text), given[0])
+    return GivenAnswer(text, asked.query, _bound(asked, text), answer)
 
 
 def checked_answer(log: RecordReader, step: int, text: str) -> str:
@@ -342,13 +335,6 @@ def _kind(query: str) -> str:
     return str(inspect.signature(getattr(btr, query)).return_annotation)
 
 
-def _can_be(term: Term, kind: str) -> bool:
-    if kind == "Verdict":
-        return isinstance(term, bool)
-    wanted: Any = bool if kind == _OF_MANY else (Name, str)
-    return isinstance(term, list) and all(isinstance(each, wanted) for each in term)
-
-
 # --- while the plan runs ----------------------------------------------------------------------------------------------
 
 
@@ -361,7 +347,7 @@ class PendingChanges:
     fork.
 
     ``answers`` receives those changes that are answers. ``make`` makes other changes. For an impossible change,
-    ``refuse`` is called with the error; it doesn't return.
+    ``refuse`` is called with the error, and doesn't return.
     """
 
     def __init__(
@@ -428,7 +414,10 @@ class PendingChanges:
 class AnswerOracle:
     """Answers queries with the fork's own answers, or with the recorded answers (``taken``).
 
-    For an impossible answer, ``refuse`` is called with the error; it doesn't return.
+    A recorded answer is used only if the next recorded query is the same, at the same moment, without other records in
+    between. Three kinds of queries are always asked: failed queries, queries about many targets (evidence of their
+    single answers isn't recorded), and queries that the plan defines. For an impossible answer, ``refuse`` is called
+    with the error, and doesn't return.
     """
 
     def __init__(self, guide: Guide, *, taken: bool, refuse: Callable[[Exception], NoReturn]) -> None:
@@ -479,9 +468,8 @@ class AnswerOracle:
 
     def missing(self, decision: str, candidate: str, candidates: Sequence[str]) -> None:
         """End the run, because a choice doesn't have the candidate that the fork forces."""
-        self._refuse(
-            BadChange(f"{decision}={candidate}", f"there is no such candidate; there are {', '.join(candidates)}")
-        )
+        cause = f"there is no such candidate; there are {', '.join(candidates)}"
+        self._refuse(BadChange(f"{decision}={candidate}", cause))
 
     @property
     def unused(self) -> list[str]:

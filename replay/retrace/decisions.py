@@ -75,7 +75,7 @@ class ForcedDecision:
         return enough and all(key in given and is_same(term, given[key]) for key, term in wanted.items())
 
     def decide(self, kind: str, arguments: Mapping[str, Any]) -> Any:
-        """Return the forced value; None for other branches of the plan."""
+        """Return the forced value. For the order of branches, None means that the next branch isn't forced."""
         if kind == "order":
             return self._first(arguments["ready"])
         if kind == "solution":
@@ -94,9 +94,9 @@ class ForcedDecision:
         return there[0]
 
     def _admitting(self, given: Mapping[str, Any]) -> Callable[[int, dict[str, Any]], dict[str, Any] | None]:
-        """Return a function that returns a solution if the fork admits it, else None.
+        """Return a function that returns a solution if the solution has the forced value, else None.
 
-        The forced value replaces a slot that the plan gives.
+        If the plan gives the slot, the forced value replaces its value.
         """
 
         def admit(number: int, solution: dict[str, Any]) -> dict[str, Any] | None:
@@ -116,7 +116,7 @@ def parse_decision(text: str) -> ForcedDecision:
     """Parse ``grasp(object=milk, ...)=top``, ``transporting(milk)=#2`` or ``order(...)=[cook, serve]``.
 
     Raises:
-        BadChange: the text has a wrong form.
+        BadChange: The text has a wrong form.
     """
     form = _FORM.fullmatch(text)
     wrong = "expected DECISION(ARGUMENTS)=VALUE, such as grasp(milk)=top or pick-up.arm(milk)=left"
@@ -141,7 +141,7 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
 
     Raises:
         NoSuchName: The recording has no such choice, motion or action, or there is no such function.
-        BadChange: No matching choice with so many candidates is recorded after the step.
+        BadChange: No matching choice is recorded after the step, or the choice has too few candidates.
     """
     skipped = given.value == Name(SKIPPED)
     choices = {record.name for record in log.records(Query) if record.HasField("chosen")}
@@ -180,9 +180,8 @@ def candidate_names(record: Query) -> Iterator[str]:
 def is_same(term: Term, value: object) -> bool:
     """Return whether an argument in the running plan has a given value."""
     if isinstance(value, Object | BulletWorld):
-        return text_of(term) == value.name or (
-            text_of(term) == "robot" and isinstance(value, Object) and value.is_robot
-        )
+        robot = isinstance(value, Object) and value.is_robot
+        return text_of(term) == value.name or (robot and text_of(term) == "robot")
     if isinstance(term, list):
         same = isinstance(value, list | tuple) and len(term) == len(value)
         return same and all(is_same(*each) for each in zip(term, value, strict=True))  # type: ignore[call-overload]

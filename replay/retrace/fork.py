@@ -31,7 +31,7 @@ class NotForked(ReplayError):
         what = f"at step {difference.step} {difference.text}"
         super().__init__(f"the plan differs before step {step}: {what}{earlier}{reads}")
         self.step = step  # step of the fork
-        self.difference = difference
+        self.difference = difference  # the first difference before that step
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +68,6 @@ def fork(
     after the step goes to stderr. The plan gets no input.
 
     Args:
-        log: the recording.
         step: The last step that both runs have in common.
         file: The new recording, which replaces an existing file.
         plan: An edited plan instead of the recorded plan.
@@ -85,9 +84,8 @@ def fork(
     Raises:
         CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.
         BadChange, NoSuchName: A setting or an answer is impossible.
-        NotForked: The plan differs before the step. A control run has no new recording. If another error is raised, the
-            plan has not run.
-        Damaged: Steps up to the step are lost.
+        NotForked: The plan differs before the step.
+        Damaged: An earlier step, or the step itself, is lost.
         ReplayError: The folder of the new recording doesn't exist.
     """
     log.check_file()  # after this check, all losses are known
@@ -100,8 +98,7 @@ def fork(
     changes = changes_of(log, step, settings, world, answers, seed)
     unchanged = None
     if control:
-        began = log[0]
-        secret = isinstance(began, Run) and any(LEFT_OUT in text for text in began.arguments)
+        secret = any(LEFT_OUT in text for text in process.began.arguments)
         unchanged = PlanProcess(log, None, arguments if secret else None, recorded_source=recorded_source)
     notes = tuple(process.notes())
     begun()
@@ -130,8 +127,7 @@ def changes_of(
 ) -> list[Change]:
     """Return settings, answers and a seed of :func:`fork` as changes after a step."""
     changes = settings_of(log, step, given, world)
-    for text in answers:
-        changes.append(Change(step=step, answer=checked_answer(log, step, text)))
+    changes += [Change(step=step, answer=checked_answer(log, step, text)) for text in answers]
     if seed is not None:
         changes.insert(0, seed_change(step, seed))
     if changes and step == len(log) - 1 and log.closed:

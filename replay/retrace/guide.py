@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Final, TypeAlias
 
@@ -31,8 +32,8 @@ _Stack: TypeAlias = "tuple[str, ...]"  # the lines of a call stack, outermost fi
 class Guide(NullSink):
     """A sink that compares the records of a run with a recording, up to the first difference or the step ``until``.
 
-    At the end, ``report`` is called with the number of equal records, and the first difference or None. ``report`` need
-    not return. Recordings of the run's projections are written into the folder of ``path``.
+    At the end, ``report`` is called with the number of equal records, and the first difference or None. ``report`` may
+    end the process. Recordings of the run's projections are written into the folder of ``path``.
     """
 
     def __init__(
@@ -86,7 +87,7 @@ class Guide(NullSink):
         return (f"other files than recorded: {files}",) if files else ()
 
     def upcoming(self) -> Record | None:
-        """Return the next recorded record; None at the end, or if it is lost."""
+        """Return the next recorded record; None at the end, or if the next record is lost."""
         if self._ended:
             return None
         with self._reading:
@@ -189,51 +190,41 @@ def _at(stack: _Stack) -> str:
     return f" at {stack[-1]}" if stack else ""
 
 
+@dataclass(eq=False)
 class GuidedSink(NullSink):
-    """A sink that completes each record of a guided run, passes the record to several sinks, and reports its step.
+    """A sink that completes each record of a guided run, passes the record to several sinks, and reports its step."""
 
-    Sinks are closed in reverse order. Records of a ``moved`` plan (:class:`Guidance`) contain the plan's own folder.
-    """
-
-    def __init__(
-        self,
-        path: Path,
-        sinks: Sequence[Sink],
-        complete: Callable[[Record], None],
-        passed: Callable[[int], None],
-        moved: tuple[str, str] | None,
-        lock: threading.Lock | None = None,
-    ) -> None:
-        self.path = path
-        self.lock = lock
-        self._sinks = sinks
-        self._complete = complete
-        self._passed = passed
-        self._moved = moved
+    path: Path
+    sinks: Sequence[Sink]  # these sinks are closed in reverse order
+    complete: Callable[[Record], None]  # a function that completes a record
+    passed: Callable[[int], None]  # a function that is called with the step
+    #: Folder of a moved plan, and the plan's own folder, which records contain (:class:`.plan_process.Guidance`).
+    moved: tuple[str, str] | None
+    lock: threading.Lock | None
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002  first, the record is completed
         """Complete a record, and pass it on."""
-        self._complete(record)
-        if self._moved is not None:
-            _rename(record, *self._moved)
+        self.complete(record)
+        if self.moved is not None:
+            _rename(record, *self.moved)
         completed = record.SerializeToString()
-        for sink in self._sinks:
+        for sink in self.sinks:
             sink.write(topic, record, completed)
-        self._passed(record.seq)
+        self.passed(record.seq)
 
     def attach(self, asset: AssetFile) -> None:
         """Forward a file."""
-        for sink in self._sinks:
+        for sink in self.sinks:
             sink.attach(asset)
 
     def flush(self) -> None:
         """Flush all sinks."""
-        for sink in self._sinks:
+        for sink in self.sinks:
             sink.flush()
 
     def close(self) -> None:
         """Close all sinks."""
-        for sink in reversed(self._sinks):
+        for sink in reversed(self.sinks):
             sink.close()
 
 

@@ -1,7 +1,5 @@
 """Run a plan again in this process, guided by its recording. :mod:`.plan_process` starts the process.
 
-A run without a file ends when the comparison has ended. With a file, a fork continues, and writes a recording of its
-own. The result is written as a line of JSON to another file descriptor, because stdout and stderr belong to the plan.
 The plan's call stacks end at the first frame of this module. The plan calls the sinks of records, so the sinks are in
 :mod:`.guide`.
 """
@@ -54,8 +52,8 @@ def make_change(change: Change) -> None:
 class GuidedRun:
     """A run of a plan in this process: records are compared, queries answered, and changes made after their steps.
 
-    The folder is for recordings of projections. :class:`replay.retrace.guide.Guide` explains ``report``, and
-    :class:`replay.retrace.changes.PendingChanges` ``refuse``.
+    The folder is for recordings of projections. ``report`` is explained in :class:`replay.retrace.guide.Guide`, and
+    ``refuse`` in :class:`replay.retrace.changes.PendingChanges`.
     """
 
     def __init__(
@@ -114,14 +112,11 @@ class GuidedRun:
         decided = any(change.answer for change in self.guidance.changes)
         forcing = decided_by(self.answers) if decided else contextlib.nullcontext()
         with answered_by(self.answers), forcing, redirected(redirect):
-            run_plan(began, spec_of(self.recorded, plan, arguments), file)
+            run_plan(began, spec_of(self.recorded, began, plan, arguments), file)
 
 
-def spec_of(recorded: RecordReader, plan: str | Path, arguments: Sequence[str]) -> running.RunSpec:
-    """Return the settings of a recorded run, for the plan and its arguments."""
-    began = recorded[0]
-    if not isinstance(began, Run):
-        raise TypeError("the recording doesn't begin with a run")  # the caller has checked that
+def spec_of(recorded: RecordReader, began: Run, plan: str | Path, arguments: Sequence[str]) -> running.RunSpec:
+    """Return the settings of a recorded run, for the plan and its arguments. ``began`` is the first record."""
     watched = [each for each in recorded.records(Check) if each.by_run and each.phase == Check.WATCHED]
     return running.RunSpec(
         Path(plan),
@@ -143,16 +138,11 @@ def run_plan(began: Run, spec: running.RunSpec, file: Path, *, overwrite: bool =
     plan = str(spec.plan)
     sys.argv = [began.called_as or plan, *spec.arguments]
     sys.path.insert(0, str(spec.plan.parent.resolve()))
-    with contextlib.suppress(BaseException):  # the recording contains the exception
-        _run_program(plan)
-
-
-def _run_program(plan: str) -> None:
-    """Run a file in the way Python does. :mod:`runpy` would name the module by its path."""
-    module = ModuleType("__main__")
+    module = ModuleType("__main__")  # as Python names it; runpy would name the module by its path
     module.__file__ = plan
     sys.modules["__main__"] = module
-    exec(compile(Path(plan).read_bytes(), plan, "exec"), module.__dict__)  # noqa: S102  the plan
+    with contextlib.suppress(BaseException):  # the recording contains the exception
+        exec(compile(Path(plan).read_bytes(), plan, "exec"), module.__dict__)  # noqa: S102  the plan
 
 
 def main() -> None:
@@ -165,10 +155,10 @@ def main() -> None:
 
 
 class _ReportedRun:
-    """A guided run whose result another process reads from the file descriptor ``result``.
+    """A guided run whose result, a line of JSON, another process reads from the file descriptor ``result``.
 
-    A fork records into a file, and prints to the file descriptor ``output``; without a file, the run ends with the
-    comparison.
+    A fork continues after the comparison, records into a ``file``, and prints to the file descriptor ``output``.
+    Without a file, the run ends when the comparison has ended.
     """
 
     def __init__(self, guidance: Guidance, *, result: int, output: int, file: str | None, folder: str) -> None:
@@ -185,13 +175,10 @@ class _ReportedRun:
         self._guided.guide.close()
         if self._file is not None and self._sent:
             self._send(difference=None)
-        if self._guided.changes.due:
-            change = self._guided.changes.due[0]
-            self._refuse(
-                BadChange(
-                    change_text(change), f"the plan ended before this change, which comes after step {change.step}"
-                )
-            )
+        due = self._guided.changes.due
+        if due:
+            why = f"the plan ended before this change, which comes after step {due[0].step}"
+            self._refuse(BadChange(change_text(due[0]), why))
 
     def _sink_of(self, run: Run) -> Sink:
         recorded, began, guidance = self._guided.recorded, self._guided.began, self._guided.guidance

@@ -1,8 +1,8 @@
 """Runs a recorded plan again in a process of its own, under the recorded conditions and guided by the recording.
 
-With ``recorded_source``, the source that is attached to the recording runs instead of the files on the disk. The
-recording contains the plan, and the modules whose lines are in call stacks. They are written to a folder that also
-has links to the other files next to the plan.
+With ``recorded_source``, the source in the recording runs instead of the files on the disk. The recording contains the
+plan, and the modules whose lines are in call stacks. This source is written to a folder that also has links to the
+other files of the plan's folder.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import IO, TYPE_CHECKING, Any, Final
 
 from recorder.packages import other_versions
 from recorder.provenance import pycram_revision
-from recorder.records import Change, Mutation, Output, Plain, Record, Run, Task
+from recorder.records import Change, Mutation, Output, Plain, Run, Task
 from recorder.records.values import LEFT_OUT
 from replay.errors import ReplayError
 from replay.history.source import name_of
@@ -46,7 +46,7 @@ class CantRetrace(ReplayError):
 class Guidance:
     """How a recording guides a run. The moments of deadlines and of workers' results come from the recording itself."""
 
-    log: str  # the recording's file
+    log: str  # path of the recording
     by_program: bool  # whether the plan itself starts the recording
     until: int | None = None  # the last step that is compared; None to compare all steps
     take_answers: bool = False  # whether queries get their recorded answers, and aren't asked
@@ -72,7 +72,7 @@ class FirstDifference:
     step: int  # step of the recorded record; the number of steps if the plan continues after the recording's end
     text: str  # text of the difference
     line: str = ""  # FILE:LINE of the plan that made the new record; if the plan ended, of the recorded record
-    callers: tuple[str, ...] = ()  # lines of the plan that led there, innermost first
+    callers: tuple[str, ...] = ()  # lines of the plan that led to this line, innermost first
     #: Recorded and new values that differ, by the path of the field; empty if the records have different kinds.
     fields: dict[str, tuple[Plain, Plain]] = field(default_factory=dict)
 
@@ -82,7 +82,7 @@ class GuidedResult:
     """The result of a plan that ran again."""
 
     equal: int  # number of equal records before the first difference
-    difference: FirstDifference | None  # The first difference; None if all compared records are equal
+    difference: FirstDifference | None  # the first difference; None if all compared records are equal
     taken: int  # number of answers that came from the recording
     notes: tuple[str, ...] = ()  # differences from the recorded conditions that were found during the run
     unused: tuple[str, ...] = ()  # answers for decisions that the plan never had to make
@@ -92,7 +92,7 @@ class PlanProcess:
     """A recorded plan, ready to run again.
 
     Args:
-        log: the recording.
+        log: The recording.
         plan: A file that runs instead of the recorded plan.
         arguments: Arguments of the plan instead of the recorded arguments.
         until: The last step that is compared; by default, the last step of the recording.
@@ -119,27 +119,23 @@ class PlanProcess:
         if recorded_source and plan is not None:
             raise CantRetrace("give either a plan or --recorded-source, not both")
         self.log = log
-        self._began = began
+        self.began = began  # the record of the run's start
         self._until = until
         self._edited = plan is not None
         self._source: _RecordedSource | None = None
         if recorded_source:
             self.program = _recorded_program(log, began)  # file of the plan
-            self._source = _RecordedSource(log, self.program)
+            self._source = _RecordedSource(log, began, self.program)
         else:
             program = _recorded_program(log, began) if plan is None else Path(plan)
             if not program.is_file():
-                raise CantRetrace(
-                    f"{program}: there is no such plan; give its file with --plan, or use --recorded-source"
-                )
+                raise CantRetrace(f"{program}: there is no such plan; name it with --plan, or use --recorded-source")
             self.program = program.absolute()
         self.arguments = list(began.arguments) if arguments is None else list(arguments)
         if any(LEFT_OUT in each.value_json for each in began.parameters):
             raise CantRetrace(f"{log.path}: secret parameters weren't recorded, so the plan can't run again")
         if any(LEFT_OUT in text for text in self.arguments):
-            raise CantRetrace(
-                f"{log.path}: secret arguments weren't recorded; give all of them as the last option, --arguments"
-            )
+            raise CantRetrace(f"{log.path}: secret arguments weren't recorded; give all arguments after --arguments")
         self._folder = Path(began.directory) if Path(began.directory).is_dir() else Path.cwd()
         _refuse_unrepeatable(log, until)
         own = last_own_step(log)
@@ -149,7 +145,7 @@ class PlanProcess:
 
     def notes(self) -> Iterator[str]:
         """Yield the differences from the recorded conditions, as text."""
-        began = self._began
+        began = self.began
         if self._source is not None:
             yield str(self._source)
         elif began.plan.sha256 and sha256(self.program.read_bytes()).hexdigest() != began.plan.sha256:
@@ -177,9 +173,8 @@ class PlanProcess:
     ) -> GuidedResult:
         """Run the plan until the first difference; a fork runs until the end of the plan.
 
-        With a ``file``, the plan continues into this new recording, and prints to stderr, unless ``quiet`` is true. If
-        the recorded run is a fork, its changes are made again. With ``changes``, only changes up to the last compared
-        step are made again.
+        With a ``file``, the plan continues into this new recording, and prints to stderr, unless ``quiet`` is true.
+        ``changes`` are made in addition to the recorded changes (:meth:`guidance`).
 
         Raises:
             CantRetrace: The process ended without a result.
@@ -222,9 +217,8 @@ class PlanProcess:
             raise ReplayError(answer["error"])
         found = answer["difference"]
         difference = None if found is None else FirstDifference(**found)
-        return GuidedResult(
-            answer["equal"], difference, answer["taken"], tuple(answer["notes"]), tuple(answer.get("unused", ()))
-        )
+        notes, unused = tuple(answer["notes"]), tuple(answer.get("unused", ()))
+        return GuidedResult(answer["equal"], difference, answer["taken"], notes, unused)
 
     def stop(self) -> None:
         """Stop the run from another thread. Then :meth:`run` raises `CantRetrace`."""
@@ -240,15 +234,15 @@ class PlanProcess:
     def guidance(
         self, until: int | None = None, changes: Sequence[Change] = (), *, take_answers: bool = False
     ) -> Guidance:
-        """Return the guidance of the run: recorded and further changes.
+        """Return the guidance of the run. If the recorded run is a fork, its changes are made again.
 
-        With further changes or an edited plan, only recorded changes up to the last compared step are made again.
+        With further ``changes`` or an edited plan, only recorded changes up to the last compared step are made again.
         """
-        recorded = list(self._began.origin.changes)
+        recorded = list(self.began.origin.changes)
         if (changes or self._edited) and self._until is not None:
             recorded = [change for change in recorded if change.step <= self._until]
         log = str(self.log.path.resolve())
-        return Guidance(log, self._began.by_program, until, take_answers, (*recorded, *changes))
+        return Guidance(log, self.began.by_program, until, take_answers, (*recorded, *changes))
 
     def start(
         self,
@@ -267,7 +261,7 @@ class PlanProcess:
             errors: A file for the stderr of the process.
             descriptors: Open files that the process inherits.
         """
-        began = self._began
+        began = self.began
         program = self.program
         if self._source is not None:
             program = self._source.write(Path(folder).resolve())
@@ -298,17 +292,14 @@ class PlanProcess:
 
 def last_own_step(log: RecordReader) -> int:
     """Return the last step that a plan reaches by itself: before a Ctrl-C and its effects."""
-    step = len(log) - 1
-    end = log[step]
-    if isinstance(end, Run) and end.interrupted_by:
-        while step and _is_end(log[step]):
-            step -= 1
-    return step
-
-
-def _is_end(record: Record) -> bool:
-    failed = isinstance(record, Task) and record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
-    return failed or isinstance(record, Run | Output)
+    end = log[-1]
+    if not isinstance(end, Run) or not end.interrupted_by:
+        return end.seq
+    for record in log.backwards():
+        failed = isinstance(record, Task) and record.phase == Task.FINISHED and record.status != Task.SUCCEEDED
+        if not (failed or isinstance(record, Run | Output)):
+            return record.seq
+    return 0
 
 
 def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
@@ -323,31 +314,27 @@ def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
 
 def _recorded_program(log: RecordReader, began: Run) -> Path:
     if not began.program:
-        raise CantRetrace(
-            f"{log.path}: the recording names no file of a plan, because it was made at a prompt; use --plan"
-        )
+        raise CantRetrace(f"{log.path}: the recording names no plan, because it was made at a prompt; use --plan")
     return Path(began.program)
 
 
 class _RecordedSource:
     """The recorded source of the plan ``program``; raise CantRetrace if the plan's source isn't attached."""
 
-    def __init__(self, log: RecordReader, program: Path) -> None:
+    def __init__(self, log: RecordReader, began: Run, program: Path) -> None:
         self.program = program
-        began = log[0]
-        digest = began.plan.sha256 if isinstance(began, Run) else ""
         keys = [key for key in log.assets if key.endswith(".py")]
-        main = [key for key in keys if name_of(key) == program.name and key.startswith(digest)]
+        main = [key for key in keys if name_of(key) == program.name and key.startswith(began.plan.sha256)]
         if len(main) != 1:
             raise CantRetrace(f"{log.path}: it lacks the source of {program.name}")
         places = _places(log) - {program}
         self.files = {Path(program.name): log.assets[main[0]]}  # attached files, by their path in the plan's folder
         self.left_out: list[str] = []  # attached files whose paths are unknown or outside of the plan's folder
         for key in keys:
-            fitting = [place for place in places if place.name == name_of(key)]
-            shared = sum(name_of(other) == name_of(key) for other in keys) > 1
             if key == main[0]:
                 continue
+            fitting = [place for place in places if place.name == name_of(key)]
+            shared = sum(name_of(other) == name_of(key) for other in keys) > 1
             if len(fitting) == 1 and not shared and fitting[0].is_relative_to(program.parent):
                 self.files[fitting[0].relative_to(program.parent)] = log.assets[key]
             else:
@@ -359,10 +346,7 @@ class _RecordedSource:
         return {self.program.parent / place: text for place, text in self.files.items()}
 
     def write(self, folder: Path) -> Path:
-        """Write the source into a folder, with links to the other files next to it.
-
-        Return the plan's file in the folder.
-        """
+        """Write the source into a folder, with links to the plan's other files. Return the plan's file there."""
         name = self.program.parent.name
         target = folder / (name if name not in ("", "..") else "plan")  # the plan's path may begin with ../
         lay(self.files, self.program.parent, target)
@@ -375,7 +359,7 @@ class _RecordedSource:
 
 
 def lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
-    """Write files below a folder, and links to all other files that the original folder has."""
+    """Write files into a folder, and add links to all other files of the original folder."""
     target.mkdir(parents=True)
     within: dict[str, dict[Path, bytes]] = {}
     for place, text in texts.items():

@@ -1,8 +1,7 @@
 """Test the causes of a failure: each fork takes a cause away, and a control run has no changes.
 
-A fork without the cause that fails in the same way refutes the cause. A fork without the cause confirms the cause if
-the failure doesn't occur. A fork with another failure that comes later also confirms the cause. The verdicts hold
-only if the control run repeats the whole recording.
+If a fork without the cause fails in the same way, the fork refutes the cause. If the fork succeeds, or fails later in
+another way, the fork confirms the cause. The verdicts hold only if the control run repeats the whole recording.
 """
 
 from __future__ import annotations
@@ -48,7 +47,6 @@ def prove(
     Effects outside of the plan's worlds (files, network) happen again in each run.
 
     Args:
-        log: The recording.
         why: The explanation of a failure in the recording.
         keep: A folder for the recordings of the forks. By default, these recordings are deleted.
         recorded_source: Whether to run the source that is attached to the recording, instead of the files on the disk.
@@ -94,7 +92,7 @@ def prove(
 
 
 def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Proof:
-    """Return the verdict of a cause's forks. If any fork confirms the cause, it decides."""
+    """Return the verdict of a cause's forks. If any fork confirms the cause, the cause is confirmed."""
     if not control.identical:
         difference = control.difference.text if control.difference is not None else ""
         untested = f"without changes, the plan doesn't repeat its recording: {difference}"
@@ -205,16 +203,14 @@ class Prover:
         return REFUTED if same else CONFIRMED if later else UNTESTED, text
 
     def _compared(self, failure: Failure, *, same: bool, later: bool) -> tuple[str, str]:
-        """Return the verdict on a change that wrote a checked value. Its former value may fail the check as well."""
+        """Return the verdict on a change that wrote a checked value. The former value may fail the check as well."""
         said = phrases.failure(failure)
         if same and _values(failure) == _values(self._checked):
             return UNTESTED, f"the check fails with the former value as well: {said}"
         if failure.type != self._checked.type and not later:
-            return UNTESTED, f"{phrases.failure(failure)} happens before the check"
-        return (
-            CONFIRMED,
-            f"the check {'compares another value' if same else 'passes, and the plan fails later'}: {said}",
-        )
+            return UNTESTED, f"{said} happens before the check"
+        what = "compares another value" if same else "passes, and the plan fails later"
+        return CONFIRMED, f"the check {what}: {said}"
 
     def succeeds(self, tried: TriedTrial) -> bool:
         """Return whether the failed task succeeds in a fork; without a task, whether the fork confirms the cause."""

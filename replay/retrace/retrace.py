@@ -1,9 +1,9 @@
 """Retrace a recording: run the plan again, and compare it with the recording, record by record.
 
 The same plan, seed, arguments and working directory give the same records in the same order. The first difference is
-therefore due to a later change of the plan, of PyCRAM or of the engine, or to data from the outside world, such as
-clocks, files or the network. Lines that may read such data are shown by the names of common functions, but plans may
-also read data in other ways.
+therefore due to a later change of the plan, of PyCRAM or of the engine, or to outside data, such as clocks, files or
+the network. Lines that may read outside data are recognised by the names of common functions; plans may also read such
+data in other ways.
 """
 
 from __future__ import annotations
@@ -76,12 +76,11 @@ def retrace(
     shown.
 
     Args:
-        log: the recording.
-        plan: a file to run instead of the recorded plan.
-        arguments: the plan's arguments, instead of the recorded arguments.
+        plan: A file to run instead of the recorded plan.
+        arguments: The plan's arguments, instead of the recorded arguments.
         answers: "asked" repeats reasoning queries, and compares their answers. "recorded" takes the answers from the
             recording, which is faster. In this case only the queries and their moments are compared.
-        recorded_source: whether to run the source that is attached to the recording, instead of the files on the disk.
+        recorded_source: Whether to run the source that is attached to the recording, instead of the files on the disk.
 
     Raises:
         CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.
@@ -122,9 +121,9 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
 
 
 def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield as text the tasks around a step of an old recording that the clock or a worker thread ended.
+    """Yield the tasks around a step that the clock or a worker thread ended, as text.
 
-    Newer recordings contain the moments of such ends.
+    Newer recordings contain the moments of these ends, so nothing is yielded.
     """
     began = log[0]
     if isinstance(began, Run) and began.HasField("looks"):  # these moments are recorded, and guide the run
@@ -153,7 +152,9 @@ def _reads(file: Path) -> Iterator[tuple[int, str, str]]:
         elif isinstance(node, ast.Call):
             called = ast.unparse(node.func)
             first, dot, rest = called.partition(".")
-            what = _kind(names.get(first, first) + dot + rest) or _METHODS.get(called.rpartition(".")[2])
+            parts = f"{names.get(first, first)}{dot}{rest}".split(".")
+            outer = (".".join(parts[:end]) for end in range(len(parts), 0, -1))
+            what = next((_READS[name] for name in outer if name in _READS), _METHODS.get(called.rpartition(".")[2]))
             if what == _RANDOM and "default_rng" in called and (node.args or node.keywords):
                 continue
             if what is not None:
@@ -166,8 +167,3 @@ def _imported(nodes: tuple[ast.AST, ...]) -> Iterator[tuple[str, str]]:
             yield from ((each.asname, each.name) for each in node.names if each.asname)
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             yield from ((each.asname or each.name, f"{node.module}.{each.name}") for each in node.names)
-
-
-def _kind(name: str) -> str | None:
-    parts = name.split(".")
-    return next((_READS[key] for end in range(len(parts), 0, -1) if (key := ".".join(parts[:end])) in _READS), None)

@@ -1,9 +1,9 @@
 """A folder of recordings as tables, for read-only SQL statements.
 
-An update reads only new and changed recordings. In the folder, ``tables/`` has ``contents.json``, the list of
-recordings, and parts: subfolders with Parquet files of some recordings. An update adds one part, and merges small
-parts. The contents are replaced by a single rename, so after a killed update they are either old or new. Readers hold a
-shared lock on their parts, so obsolete parts stay until the last reader closes.
+The tables are in the subfolder ``tables``: ``contents.json`` lists the recordings, and each *part* is a subfolder with
+Parquet files about some recordings. An update reads only new and changed recordings, adds one part, and merges small
+parts. A single rename replaces the contents, so a killed update leaves either the old or the new contents. Readers hold
+a shared lock on their parts, so obsolete parts stay until the last reader closes.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class NotRead(ReplayError):
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A file in the folder whose rows the tables don't contain."""
+    """A file in the folder that has no rows in the tables."""
 
     name: str
     reason: str
@@ -89,7 +89,7 @@ class Folder:
 
     @property
     def skipped(self) -> tuple[Skipped, ...]:
-        """The files without rows, each with the reason."""
+        """The files that have no rows in the tables, with reasons."""
         files = sorted(self._contents.files.items())
         return tuple(Skipped(name, facts["reason"]) for name, facts in files if "reason" in facts)
 
@@ -143,7 +143,7 @@ class Folder:
             self._hold()
 
     def _changed(self, present: Mapping[str, os.stat_result]) -> tuple[list[str], list[str]]:
-        """Return the recordings in the tables that have changed or are gone, and those that must be read."""
+        """Return the recordings in the tables that have changed or are gone, and the recordings that must be read."""
         known = self._contents.files
         stale = [
             name
@@ -245,7 +245,7 @@ class Folder:
         try:
             for name, table in tables.items():
                 parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
-            shutil.rmtree(self.tables / part, ignore_errors=True)  # a killed update has left this
+            shutil.rmtree(self.tables / part, ignore_errors=True)  # a killed update may have left this part
             mask = os.umask(0)
             os.umask(mask)
             partial.chmod(0o777 & ~mask)
@@ -277,16 +277,11 @@ def _state(state: os.stat_result | None) -> dict[str, Any]:
     return {} if state is None else {"size": state.st_size, "mtime_ns": state.st_mtime_ns}
 
 
-def empty_tables() -> dict[str, pa.Table]:
-    """Return the tables of a folder without recordings."""
-    return {table.name: pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table() for table in TABLES}
-
-
 @dataclass
 class Contents:
     """The contents of the tables."""
 
-    #: Facts about each recording: size and time, and its part, or why it can't be read.
+    #: Facts about each recording by name: its size, its time, and its part or the reason why it can't be read.
     files: dict[str, dict[str, Any]] = field(default_factory=dict)
     next: int = 1  # number that the next part will get
 
@@ -309,9 +304,8 @@ class Contents:
             contents = cls(dict(content["files"]), int(content["next"]))
             decimal = all(part.isdecimal() for part in contents.parts)  # no name may lead out of the folder
             ours = content["version"] == VERSION and decimal
-            intact = ours and all(
-                (tables / part / f"{table.name}.parquet").is_file() for part in contents.parts for table in TABLES
-            )
+            files = (tables / part / f"{table.name}.parquet" for part in contents.parts for table in TABLES)
+            intact = ours and all(map(Path.is_file, files))
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return nothing
         return contents if intact else nothing
@@ -360,7 +354,7 @@ def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
 
 
 class Refused(ReplayError):
-    """A statement is not only a selection, or can't be executed."""
+    """A statement isn't a single SELECT, or can't be executed."""
 
     def __init__(self, sql: str, cause: str) -> None:
         super().__init__(cause)
@@ -373,7 +367,7 @@ class Answer:
 
     def __init__(self, table: pa.Table) -> None:
         names: list[str] = []
-        for name in table.column_names:  # Names of columns must be unique in JSON objects and data frames
+        for name in table.column_names:  # names of columns must be unique in JSON objects and data frames
             others = (f"{name}_{number}" for number in range(1, len(table.column_names)))
             names.append(name if name not in names else next(each for each in others if each not in names))
         self._table = table.rename_columns(names)
@@ -456,7 +450,7 @@ class Runs:
 
     @property
     def skipped(self) -> tuple[Skipped, ...]:
-        """The files without rows, each with the reason."""
+        """The files that have no rows in the tables, with reasons."""
         return self.folder.skipped
 
     def close(self) -> None:
@@ -485,25 +479,24 @@ class Runs:
                 self._database.interrupt()
                 raise
             except duckdb.Error as error:
-                raise self._error(statement, error) from error
-
-    def _error(self, statement: str, error: duckdb.Error) -> ReplayError:
-        if not all(Path(file).exists() for file in self._files):
-            return NotRead(self.path, "its tables were removed; open the folder again")
-        if isinstance(error, duckdb.PermissionException):
-            return Refused(statement, f"only the folder's own tables are read: {_first_line(error)}")
-        return Refused(statement, str(error))
+                if not all(Path(file).exists() for file in self._files):
+                    raise NotRead(self.path, "its tables were removed; open the folder again") from error
+                foreign = isinstance(error, duckdb.PermissionException)
+                cause = f"only the folder's own tables are read: {_first_line(error)}" if foreign else str(error)
+                raise Refused(statement, cause) from error
 
     def _open(self) -> None:
         database = self._database
         files = {table.name: self.folder.files(table.name) for table in TABLES}
         self._files = [file for each in files.values() for file in each]
         try:
-            for name, empty in empty_tables().items():
+            for table in TABLES:
+                name = table.name
                 if files[name]:
                     listed = ", ".join(_quoted(escape(file)) for file in files[name])
                     database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
                 else:
+                    empty = pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table()
                     database.register(f"{name}_rows", empty)
                     database.execute(f"CREATE TABLE {name} AS SELECT * FROM {name}_rows")  # noqa: S608
             allowed = ", ".join(_quoted(name) for file in self._files for name in {file, escape(file)})

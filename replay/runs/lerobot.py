@@ -2,8 +2,8 @@
 
 ``observation.state`` of a frame is the robot's base pose and joints, ``action`` is the state of the next frame, and
 ``observation.environment_state`` has the poses of all bodies that move in a run. Only runs with ``--motion continuous``
-have trajectories; in others, nothing moves between two changes. Every second frame of a video is a key frame, because
-training reads single frames at random.
+have trajectories; in other runs, nothing moves between two changes. Every second frame of a video is a key frame,
+because training reads single frames at random.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Self, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import numpy as np
 import pyarrow as pa
@@ -51,8 +51,8 @@ _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.9
 _STATE, _ACTION, _ENVIRONMENT = "observation.state", "action", "observation.environment_state"
 
 #: A function that draws a camera's picture, from: recording, step, world, moment within the next step or None, size.
-#: The moment is simulated time in s; the size is in pixels. It is an argument, because this package doesn't import
-#: rendering.
+#: The moment is simulated time in s; the size is in pixels. Callers pass this function, because this package doesn't
+#: import rendering.
 Draw: TypeAlias = "Callable[[RecordReader, int, str, float | None, tuple[int, int]], NDArray[np.uint8]]"
 
 
@@ -90,7 +90,7 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
             with ExitStack() as files:
                 videos = None
                 if draw is not None:
-                    videos = files.enter_context(_Videos(partial, runs, kinds[0], draw))
+                    videos = files.enter_context(closing(_Videos(partial, runs, kinds[0], draw)))
                 frames = _Writer(partial, runs, list(robots), kinds[0], videos).write()
             partial.chmod(0o755)
             partial.rename(folder)
@@ -195,9 +195,8 @@ class _Writer:
         times = [time for moments, _ in [*poses.values(), *joints.values()] for time in (moments[0], moments[-1])]
         start, end = min(times), max(times)
         moments = np.arange(math.floor((end - start) * FPS + 1e-6) + 1) / FPS + start
-        state = np.concatenate(
-            [_at(poses[self.robot], moments), *(_at(joints[name], moments) for name in self.joints)], 1
-        )
+        own = [_at(poses[self.robot], moments), *(_at(joints[name], moments) for name in self.joints)]
+        state = np.concatenate(own, 1)
         around = [_at(poses[body], moments) for body in self.bodies]
         last = np.arange(len(moments)) == len(moments) - 1
         (succeeded,) = self.runs.sql("SELECT succeeded FROM runs WHERE run = ?", [run]).rows()[0]
@@ -243,9 +242,8 @@ class _Writer:
             for name, (kind, numpy) in kinds.items()
         ]
         index = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.2.0"}
-        parquet.write_table(
-            tasks.replace_schema_metadata({"pandas": json.dumps(index)}), self.folder / "meta" / "tasks.parquet"
-        )
+        tasks = tasks.replace_schema_metadata({"pandas": json.dumps(index)})
+        parquet.write_table(tasks, self.folder / "meta" / "tasks.parquet")
         info = {
             "codebase_version": "v3.0",
             "robot_type": self.robot,
@@ -316,7 +314,7 @@ def _statistics(columns: Mapping[str, np.ndarray]) -> dict[str, dict[str, list[f
 
 
 class _Videos:
-    """Writes a data set's videos, with the view of the robot's camera; a context manager."""
+    """Writes a data set's videos, with the view of the robot's camera."""
 
     def __init__(self, folder: Path, runs: Runs, robot: str, draw: Draw) -> None:
         self._folder, self._runs, self._robot, self._draw = folder, runs, robot, draw
@@ -330,22 +328,14 @@ class _Videos:
         self._av = av
         self._name, self._options = next((name, o) for name, o in _CODECS.items() if name in av.codecs_available)
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._close()
-
     def write(self, run: str, moments: np.ndarray) -> dict[str, Any]:
-        """Write the frames of a run at some moments (simulated time in s).
-
-        Return the run's entries for the table of episodes.
+        """Write the frames of a run at some moments (simulated time in s). Return the run's entries about its video.
 
         Raises:
             ReplayError: The robot has no camera, or the view isn't recorded.
         """
         if self._container is None or self._path.stat().st_size > _MAX_VIDEO * 1e6:
-            self._close()
+            self.close()
             self._open()
         begin, counts = self._frames, np.zeros_like(self._counts)
         for picture in self._pictures(run, moments):
@@ -427,7 +417,8 @@ class _Videos:
         if self._stream is not None and self._container is not None:
             self._container.mux(self._stream.encode(frame))
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Complete the present video."""
         if self._container is not None:
             self._encode(None)  # flush the codec
             self._container.close()
@@ -435,9 +426,9 @@ class _Videos:
 
 
 def _picture_statistics(counts: NDArray[np.int64], frames: int) -> dict[str, Any]:
-    """Return LeRobot's statistics for the normalisation of pictures, for each channel; values are 0 to 1.
+    """Return LeRobot's statistics of pixel values from 0 to 1, for each channel.
 
-    ``counts`` has the number of pixels for each channel and value 0..255.
+    ``counts`` contains the number of pixels by channel and value (0 to 255).
     """
     values, of = np.arange(256) / 255, counts.sum(1, keepdims=True)
     mean = (counts * values).sum(1, keepdims=True) / of

@@ -14,7 +14,6 @@ import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +24,7 @@ from recorder.records import (
     Argument,
     BodyState,
     Check,
+    Envelope,
     Event,
     Failure,
     Fluent,
@@ -84,7 +84,7 @@ def write_rows(path: Path) -> None:
 
 
 def read_rows(path: Path, state: os.stat_result) -> dict[str, pa.Table] | None:
-    """Return the rows that the process of a recording wrote; None without rows and for a changed recording."""
+    """Return the rows that the process of a recording wrote; None if it wrote no rows, or the recording has changed."""
     tables = {}
     with suppress(OSError, pa.ArrowInvalid), written_rows(path).open("rb") as file:
         for table in TABLES:
@@ -125,9 +125,9 @@ def tables_of(log: RecordReader) -> dict[str, pa.Table]:
             rows.add(record)
         except (ValueError, IndexError) as error:
             raise Damaged(log.path, f"step {record.seq}", str(error)) from error
-    if rows.first is None:
+    if rows.first is None or rows.last is None:
         raise Damaged(log.path, "every record", log.problems or "there is none")
-    rows.finish(log)
+    rows.finish(log, rows.first, rows.last)
     tables = {}
     for table in TABLES:
         schema = arrow_schema(table)
@@ -138,14 +138,15 @@ def tables_of(log: RecordReader) -> dict[str, pa.Table]:
 
 class _Rows:
     def __init__(self) -> None:
-        self._of: dict[str, list[list[Any]]] = {table.name: [] for table in TABLES}
-        self._joints: list[list[Any]] = [[] for _ in COLUMNS["joints"]]  # columns, because a record may add many rows
+        self._of: dict[str, list[dict[str, Any]]] = {table.name: [] for table in TABLES}
+        #: Columns of the tables of which a record may add many rows.
+        self._many: dict[str, list[list[Any]]] = {name: [[] for _ in COLUMNS[name]] for name in ("joints", "poses")}
         self.first: Record | None = None
         self.last: Record | None = None
         self.start: Run | None = None
         self.end: Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
-        self._tasks: dict[int, list[Any]] = {}  # rows of tasks, by id
+        self._tasks: dict[int, dict[str, Any]] = {}  # rows of tasks, by id
         self._violated: set[str] = set()
         self._failing: set[int] = set()  # ids of tasks in which a part failed
 
@@ -172,13 +173,22 @@ class _Rows:
 
     def columns(self, table: str) -> Sequence[Sequence[Any]]:
         """Return the columns of a table."""
-        if table == "joints":
-            return self._joints
-        rows = self._of[table]
-        return [*zip(*rows, strict=True)] if rows else [()] * len(COLUMNS[table])
+        return self._many.get(table) or [[row[name] for row in self._of[table]] for name in COLUMNS[table]]
 
-    def _append(self, table: str, *values: Any) -> None:
-        self._of[table].append([*values])
+    def _append(self, table: str, record: Record, **values: Any) -> dict[str, Any]:
+        """Add a row about a record. ``values`` are further columns; they replace columns that most tables have."""
+        row = {
+            "step": record.seq,
+            "task": record.task,
+            "path": self._paths[record.task],
+            "world": record.world,
+            "seconds": self._seconds(record),
+            "sim_seconds": record.sim_step / STEPS_PER_SECOND,
+            "source": source(record),
+            **values,
+        }
+        self._of[table].append(row)
+        return row
 
     def _seconds(self, record: Record) -> float:
         first = self.first
@@ -204,99 +214,83 @@ class _Rows:
             self._begin(record)
         if record.phase == Task.LEFT:
             return
-        row, at = self._tasks[record.task], COLUMNS["tasks"]
-        row[at["status"]] = _STATUSES.get(record.status, "")
-        row[at["last_step"]] = record.seq
-        row[at["seconds"]] = record.duration_ns / 1e9
-        row[at["sim_took"]] = record.sim_step / STEPS_PER_SECOND - row[at["sim_seconds"]]
-        row[at["result"]] = record.result_json
+        row = self._tasks[record.task]
+        row["status"] = _STATUSES.get(record.status, "")
+        row["last_step"] = record.seq
+        row["seconds"] = record.duration_ns / 1e9
+        row["sim_took"] = record.sim_step / STEPS_PER_SECOND - row["sim_seconds"]
+        row["result"] = record.result_json
         if record.solution:
-            row[at["solution"]] = json_of(record.solution)
+            row["solution"] = json_of(record.solution)
         if record.HasField("decision"):
-            row[at["resolver"]], row[at["module"]] = record.decision.resolver, record.decision.module
+            row["resolver"], row["module"] = record.decision.resolver, record.decision.module
         if record.HasField("failure"):
-            row[at["failure"]], row[at["message"]] = record.failure.type, record.failure.message
+            row["failure"], row["message"] = record.failure.type, record.failure.message
         if record.status == Task.FAILED:
-            row[at["origin"]] = record.task not in self._failing
-            self._failing.add(row[at["parent"]])
-            if row[at["origin"]]:
+            row["origin"] = record.task not in self._failing
+            self._failing.add(row["parent"])
+            if row["origin"]:
                 self._failure(record, "task", record.failure)
 
     def _begin(self, record: Task) -> None:
         """Add the row of a task. When a requested task starts, only the time in its row changes."""
         known = self._tasks.get(record.task)
         if known is not None:
-            at = COLUMNS["tasks"]
-            known[at["began"]] = self._seconds(record)
-            known[at["sim_seconds"]] = record.sim_step / STEPS_PER_SECOND
+            known |= {"began": self._seconds(record), "sim_seconds": record.sim_step / STEPS_PER_SECOND}
             return
         outer = self._paths[record.parent]
         path = f"{outer}/{record.name}" if outer else record.name
-        self._paths[record.task] = path = path if len(path) <= _MAX_PATH else outer
-        self._append(
+        self._paths[record.task] = path if len(path) <= _MAX_PATH else outer
+        self._tasks[record.task] = self._append(
             "tasks",
-            record.seq,
-            record.task,
-            record.parent,
-            path,
-            record.kind,
-            record.name,
-            label(record.name, record.parameters),
-            record.world,
-            "running",
-            None,
-            self._seconds(record),
-            None,
-            record.sim_step / STEPS_PER_SECOND,
-            None,
-            record.attempt,
-            json_of(record.parameters),
-            json_of(record.solution),
-            "",
-            record.decision.resolver,
-            record.decision.module,
-            False,
-            "",
-            "",
-            source(record),
+            record,
+            parent=record.parent,
+            kind=record.kind,
+            name=record.name,
+            label=label(record.name, record.parameters),
+            status="running",
+            last_step=None,
+            began=self._seconds(record),
+            seconds=None,
+            sim_took=None,
+            attempt=record.attempt,
+            parameters=json_of(record.parameters),
+            solution=json_of(record.solution),
+            result="",
+            resolver=record.decision.resolver,
+            module=record.decision.module,
+            origin=False,
+            failure="",
+            message="",
         )
-        self._tasks[record.task] = self._of["tasks"][-1]
 
     def _query(self, record: Query) -> None:
-        path = self._paths[record.task]
         called = label(record.name, record.arguments)
         chosen = record.chosen if record.HasField("chosen") else -1
         self._append(
             "queries",
-            record.seq,
-            record.task,
-            path,
-            record.name,
-            called,
-            record.world,
-            json_of(record.arguments),
-            record.answer_json,
-            chosen_name(record),
-            sum(candidate.count or 1 for candidate in record.candidates),
-            self._seconds(record),
-            record.duration_ns / 1e9,
-            record.sim_step / STEPS_PER_SECOND,
-            record.failure.type,
-            source(record),
+            record,
+            name=record.name,
+            label=called,
+            arguments=json_of(record.arguments),
+            answer=record.answer_json,
+            chosen=chosen_name(record),
+            candidates=sum(candidate.count or 1 for candidate in record.candidates),
+            began=self._seconds(record),
+            seconds=record.duration_ns / 1e9,
+            failure=record.failure.type,
         )
         for number, candidate in enumerate(record.candidates):
             self._append(
                 "choices",
-                record.seq,
-                record.task,
-                path,
-                record.name,
-                called,
-                ", ".join(candidate.names),
-                candidate.count or 1,
-                number == chosen,
-                candidate.reason,
-                json_of(candidate.data),
+                record,
+                query=record.name,
+                label=called,
+                candidate=", ".join(candidate.names),
+                count=candidate.count or 1,
+                chosen=number == chosen,
+                reason=candidate.reason,
+                details=json_of(candidate.data),
             )
         if record.HasField("failure"):
             self._failure(record, "query", record.failure)
@@ -305,17 +299,11 @@ class _Rows:
         command = record.WhichOneof("command") or ""
         self._append(
             "mutations",
-            record.seq,
-            record.task,
-            self._paths[record.task],
-            record.world,
-            command,
-            getattr(getattr(record, command, None), "body", ""),
-            mutation_text(record),
-            len(record.effect.bodies),
-            self._seconds(record),
-            record.sim_step / STEPS_PER_SECOND,
-            source(record),
+            record,
+            command=command,
+            body=getattr(getattr(record, command, None), "body", ""),
+            text=mutation_text(record),
+            changed=len(record.effect.bodies),
         )
         for sample in record.effect.samples:
             for state in sample.bodies:
@@ -327,20 +315,14 @@ class _Rows:
         event = record if isinstance(record, Event) else _NO_EVENT
         self._append(
             "events",
-            record.seq,
-            record.task,
-            self._paths[record.task],
-            "fluent" if isinstance(record, Fluent) else "event",
-            record.name,
-            label(record.name, event.arguments),
-            record.world,
-            event.sender,
-            json_of(event.arguments),
-            record.after_json if isinstance(record, Fluent) else "",
-            len(event.handlers),
-            self._seconds(record),
-            record.sim_step / STEPS_PER_SECOND,
-            source(record),
+            record,
+            kind="fluent" if isinstance(record, Fluent) else "event",
+            name=record.name,
+            label=label(record.name, event.arguments),
+            sender=event.sender,
+            arguments=json_of(event.arguments),
+            value=record.after_json if isinstance(record, Fluent) else "",
+            handlers=len(event.handlers),
         )
 
     def _check(self, record: Check) -> None:
@@ -348,94 +330,79 @@ class _Rows:
         self._violated |= {record.property} if violated else set()
         self._append(
             "checks",
-            record.seq,
-            record.task,
-            self._paths[record.task],
-            record.property,
-            violated,
-            record.step if violated else None,
-            record.margin if record.HasField("margin") else None,
-            json_of(record.values),
-            record.world,
-            record.moment / STEPS_PER_SECOND,
-            source(record),
+            record,
+            property=record.property,
+            violated=violated,
+            at_step=record.step if violated else None,
+            margin=record.margin if record.HasField("margin") else None,
+            details=json_of(record.values),
+            sim_seconds=record.moment / STEPS_PER_SECOND,
         )
 
     def _state(self, step: int, world: str, sim_step: int, state: BodyState) -> None:
-        seconds = sim_step / STEPS_PER_SECOND
+        same = (step, world, sim_step / STEPS_PER_SECOND, state.body)
         if state.position:
-            self._append("poses", step, world, seconds, state.body, *state.position, *state.orientation)
-        count = len(state.joints)
-        if count:
-            velocities = state.joint_velocities or [0.0] * count
-            same = ([each] * count for each in (step, world, seconds, state.body))
-            for column, values in zip(
-                self._joints, (*same, state.joints, state.joint_positions, velocities), strict=True
-            ):
-                column.extend(values)
+            for column, value in zip(self._many["poses"], (*same, *state.position, *state.orientation), strict=True):
+                column.append(value)
+        if state.joints:
+            velocities = state.joint_velocities or [0.0] * len(state.joints)
+            names, *values = state.joints, state.joint_positions, velocities
+            repeated = ([each] * len(names) for each in same)
+            for column, more in zip(self._many["joints"], (*repeated, names, *values), strict=True):
+                column.extend(more)
 
     def _failure(self, record: Task | Query | Refusal | Run, of: str, failure: Failure) -> None:
-        path = self._paths[record.task]
         self._append(
             "failures",
-            record.seq,
-            record.task,
-            path,
-            of,
-            failure.type,
-            failure.message,
-            json_of(failure.data),
-            pairs_of(failure),
-            cause_of(failure, path),
-            False,
-            self._seconds(record),
-            record.sim_step / STEPS_PER_SECOND,
-            "" if isinstance(record, Run) else source(record),
+            record,
+            of=of,
+            type=failure.type,
+            message=failure.message,
+            data=json_of(failure.data),
+            pairs=pairs_of(failure),
+            cause=cause_of(failure, self._paths[record.task]),
+            root=False,
         )
 
     # --- the run -----------------------------------------------------------------------------------------------------
 
-    def finish(self, log: RecordReader) -> None:
+    def finish(self, log: RecordReader, first: Record, last: Record) -> None:
         """Add the row of the run, after all records."""
-        first, last, end = self.first, self.last, self.end
-        if first is None or last is None:
-            return
-        start = self.start or Run()
-        outcome, succeeded = "cut off", False
-        if end is not None:
-            interrupted = end.failure.type == INTERRUPT
-            outcome = "succeeded" if end.succeeded else "interrupted" if interrupted else "failed"
-            succeeded = end.succeeded
+        start, end = self.start or Run(), self.end
+        succeeded = end is not None and end.succeeded
+        interrupted = end is not None and end.failure.type == INTERRUPT
+        outcome = "succeeded" if succeeded else "cut off" if end is None else "interrupted" if interrupted else "failed"
         broken = root_cause(log) if outcome in ("failed", "cut off") or uncaught_failure(log) is not None else None
         failure, path, step = self._root(broken)
         cause = cause_of(failure, path) if failure is not None else "" if succeeded else outcome
         self._append(
             "runs",
-            start.name or log.metadata.get("plan", ""),
-            start.sweep.number if start.HasField("sweep") else None,
-            parameters(start),
-            list(start.arguments),
-            start.seed,
-            start.order,
-            start.environment,
-            outcome,
-            None if outcome == "interrupted" else succeeded,
-            cause,
-            failure.type if failure is not None else "",
-            failure.message if failure is not None else "",
-            path,
-            step,
-            len(self._violated),
-            log.final_step(),
-            first.wall_time_ns // 1000,
-            self._seconds(last) - self._seconds(first),
-            max((row[COLUMNS["mutations"]["sim_seconds"]] for row in self._of["mutations"]), default=0.0),
-            len(log),
-            log.path.stat().st_size,
-            start.plan.sha256,
-            log.complete,
-            log.metadata.get("pycram", ""),
-            start.host,
+            last,
+            plan=start.name or log.metadata.get("plan", ""),
+            number=start.sweep.number if start.HasField("sweep") else None,
+            parameters=parameters(start),
+            arguments=list(start.arguments),
+            seed=start.seed,
+            branch_order=start.order,
+            environment=start.environment,
+            outcome=outcome,
+            succeeded=None if outcome == "interrupted" else succeeded,
+            cause=cause,
+            failure=failure.type if failure is not None else "",
+            message=failure.message if failure is not None else "",
+            cause_path=path,
+            cause_step=step,
+            violated=len(self._violated),
+            last_step=log.final_step(),
+            began=first.wall_time_ns // 1000,
+            seconds=self._seconds(last) - self._seconds(first),
+            sim_seconds=max((row["sim_seconds"] for row in self._of["mutations"]), default=0.0),
+            records=len(log),
+            bytes=log.path.stat().st_size,
+            plan_sha256=start.plan.sha256,
+            complete=log.complete,
+            release=log.metadata.get("pycram", ""),
+            host=start.host,
         )
 
     def _root(self, broken: RootCause | None) -> tuple[Failure | None, str, int | None]:
@@ -445,17 +412,14 @@ class _Rows:
         failure, path = broken.failure, ""
         if broken.task is not None:
             path = broken.task.path
-            if broken.task.failure is not None:
-                failure = broken.task.failure
-        at = COLUMNS["failures"]
+            failure = broken.task.failure or failure
         for row in self._of["failures"]:
-            of_end = broken.task is None and row[at["of"]] in ("run", "thread")
-            row[at["root"]] = row[at["step"]] == broken.step or of_end
+            row["root"] = row["step"] == broken.step or (broken.task is None and row["of"] in ("run", "thread"))
         return failure, path, broken.step
 
 
 def parameters(start: Run) -> list[tuple[str, str]]:
-    """Return the parameters of a run; if it has none, the options among its arguments."""
+    """Return the parameters of a run; if the run has no parameters, the options among its arguments."""
     given = {each.name: each.value_json for each in start.parameters}
     return list((given or _options(start.arguments)).items())
 
@@ -477,12 +441,7 @@ def json_of(arguments: Sequence[Argument]) -> str:
     """Return named values as a JSON object; "" if there are none."""
     if not arguments:
         return ""
-    return "{" + ",".join([f"{_key(each.name)}:{each.json or 'null'}" for each in arguments]) + "}"
-
-
-@lru_cache(maxsize=10_000)
-def _key(name: str) -> str:
-    return json.dumps(name)
+    return "{" + ",".join([f"{json.dumps(each.name)}:{each.json or 'null'}" for each in arguments]) + "}"
 
 
 def label(name: str, arguments: Sequence[Argument]) -> str:
@@ -497,9 +456,11 @@ def label(name: str, arguments: Sequence[Argument]) -> str:
     return f"{name}({', '.join(list(found)[:_MAX_NAMED])})" if found else name
 
 
-def source(record: Task | Query | Mutation | Event | Fluent | Refusal | Check) -> str:
+def source(record: Record) -> str:
     """Return the plan's line that caused a record, as ``file:line``; "" if unknown."""
-    return f"{record.source_file}:{record.source_line}" if record.source_file else ""
+    if isinstance(record, Run | Keyframe | Envelope) or not record.source_file:
+        return ""
+    return f"{record.source_file}:{record.source_line}"
 
 
 def without_numbers(text: str) -> str:

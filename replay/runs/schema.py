@@ -33,11 +33,6 @@ class Table:
     meaning: str  # meaning of a row
     columns: tuple[Column, ...]  # columns without ``run``
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the columns, except ``run``."""
-        return tuple(column.name for column in self.columns)
-
 
 RUN: Final = Column("run", "text", "name of the recording's file")
 
@@ -61,22 +56,14 @@ TABLES: Final = (
         "a recording",
         ("plan", "text", "name of the plan"),
         ("number", "whole", "number of the run in its sweep; null: the run isn't part of a sweep"),
-        (
-            "parameters",
-            "map",
-            "parameters of the run, with values as JSON; if there are none, `--name value` from the run's arguments",
-        ),
+        ("parameters", "map", "parameters, with values as JSON; without parameters, the options among the arguments"),
         ("arguments", "texts", "arguments of the plan"),
         ("seed", "text", "seed of random numbers and of the order of branches"),
         ("branch_order", "text", "requested order of branches; empty: drawn from the seed"),
         ("environment", "text", "requested execution environment"),
         ("outcome", "text", "`succeeded`, `failed`, `interrupted`, or `cut off` (the run's process was killed)"),
         ("succeeded", "yes/no", "whether the run succeeded; null: the run was interrupted"),
-        (
-            "cause",
-            "text",
-            "cause of the failure without numbers, the same text for all runs with this cause; empty: no failure",
-        ),
+        ("cause", "text", "text of the failure's cause, equal for all runs with this cause; empty: no failure"),
         ("failure", "text", "type of the failure that explains the run's end; empty: no failure"),
         ("message", "text", "message of the failure that explains the run's end"),
         ("cause_path", "text", "names of the tasks in which the failure began"),
@@ -247,8 +234,8 @@ TABLES: Final = (
     ),
 )
 
-COLUMNS: Final = {table.name: {name: at for at, name in enumerate(table.names)} for table in TABLES}
-"""Index of each column in a row that doesn't contain ``run``."""
+COLUMNS: Final = {table.name: tuple(column.name for column in table.columns) for table in TABLES}
+"""Names of the columns of each table, except ``run``."""
 
 
 @cache

@@ -1,20 +1,16 @@
 """The facts that separate failed from successful runs, from the tables of their folder.
 
 A *site* is a parameter, a slot of a motion's solution, an answer, a choice, an event, or the order of two events. A
-*fact* is a statement about the values of a site before the failure; it is true of some runs, and false of others
-(Liblit et al. 2005). Facts are scored as in spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007;
-Jones and Harrold 2005). Facts that are true of the same runs form a *claim*; its evidence must be stronger than random
-results. As a test, the failures are assigned to the runs at random, many times; each time, the strongest evidence of
-all facts is kept (Westfall and Young 1993, the single-step maximum). The evidence is the log-likelihood ratio of two
-failure rates against a single rate. Facts that only reflect a run's progress are listed last (:attr:`Fact.how_far`).
+*fact* is a statement about the values of a site before the failure (Liblit et al. 2005). Facts are scored as in
+spectrum-based fault localisation: Ochiai and Tarantula (Abreu et al. 2007; Jones and Harrold 2005). Facts that are true
+of the same runs form a *claim* if their evidence is stronger than random results (:class:`Chance`).
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -39,7 +35,7 @@ _MAX_MARKS: Final = 60  # maximum number of events of a run whose order is compa
 _MAX_TEXT: Final = 80  # maximum number of characters of a value
 _MAX_VALUES: Final = 12  # number of different texts above which a site isn't compared
 _CUTS: Final = 16  # maximum number of bounds that split the values of a number into ranges
-_LARGE: Final = 0.71  # probability that a number exceeds another one; this is a large effect (Vargha and Delaney 2000)
+_LARGE: Final = 0.71  # how probably a number exceeds another number if the effect is large (Vargha and Delaney 2000)
 _ROUNDS: Final = 1000  # number of random permutations of the failures
 _LEAST: Final = 200  # minimum number of permutations, for many facts about many runs
 _WORK: Final = 2e10  # maximum number of multiplications, which limits the number of permutations
@@ -114,15 +110,11 @@ def _separation(cases: tuple[ComparedRun, ...], found: list[Compared]) -> Separa
     failures = int(failing.sum())
     facts = [fact for each in found for fact in each.facts(failing)]
     by_chance = Chance(((each.known, each.true) for each in found), failing)
-    strong = [
-        (fact, chance)
-        for fact in facts
-        if fact.evidence and (chance := by_chance.of(fact.evidence)) < LEVEL and fact.interval[0] > 0
-    ]
     groups: dict[tuple[frozenset[int], ...], list[tuple[Fact, float]]] = defaultdict(list)
     failed = frozenset(np.flatnonzero(failing).tolist())
-    for fact, chance in strong:
-        groups[fact.true & failed, fact.true - failed].append((fact, chance))
+    for fact in facts:
+        if fact.evidence and (chance := by_chance.of(fact.evidence)) < LEVEL and fact.interval[0] > 0:
+            groups[fact.true & failed, fact.true - failed].append((fact, chance))
     claims = []
     for alike in groups.values():
         alike.sort(key=lambda each: (each[0].how_far, _ORDER.index(each[0].kind), each[0].step))
@@ -170,7 +162,7 @@ class Site:
 
     kind: str  # "parameter", "pose", "motion", "query", "choice", "event", "order", or one of :data:`PRESENT`
     name: str  # name of the site, such as "arm at pick-up(spoon)"
-    #: The values in their order, by number of the run, for runs that reached the site.
+    #: The values in the order of steps, by number of the run, for runs that reached the site.
     values: dict[int, list[Value]] = field(default_factory=lambda: defaultdict(list))
 
 
@@ -213,7 +205,7 @@ class _Sites:
             site.values[number].append(Value(simple, step))
 
     def before(self, run: str, step: int) -> int | None:
-        """Return the number of a record's run; None for steps that don't count."""
+        """Return the number of a run; None if a step is after the run's failure, or if the run isn't compared."""
         number = self.numbers.get(run)
         return number if number is not None and step <= self.cases[number].end else None
 
@@ -266,8 +258,9 @@ class _Sites:
             if kind not in _STRUCTURE:
                 self.mark(number, f"the start of {label}", step, task)
                 slots: dict[str, Plain] = {}
-                for text in values:  # slots of the solution replace those that the plan gave
-                    slots |= _object(text)
+                for text in filter(None, values):  # slots of the solution replace those that the plan gave
+                    given = from_json(text)
+                    slots |= given if isinstance(given, dict) else {}
                 for slot, value in slots.items():
                     self.add("motion", f"{slot} at {label}", number, value, step)
             ended = last is not None and last < self.cases[number].end
@@ -321,9 +314,9 @@ class _Sites:
     def orders(self) -> None:
         """Add the order of two events of different branches.
 
-        If only one of both events happened before the failure, it was the first. A pair counts only if its order is
-        known in nearly all failures; otherwise the failures would select the pairs. Both events must have happened in
-        at least half of the successful runs.
+        If only one of both events happened before the failure, that event was the first. A pair counts only if its
+        order is known in nearly all failures; otherwise the failures would select the pairs. Both events must have
+        happened in at least half of the successful runs.
         """
         failures = sum(case.failed for case in self.cases)
         usual: Counter[str] = Counter()
@@ -352,14 +345,6 @@ class _Sites:
 def _apart(a: str, b: str) -> bool:
     """Return whether two branches are separate: neither contains the other."""
     return a != b and not f"{a}/".startswith(f"{b}/") and not f"{b}/".startswith(f"{a}/")
-
-
-def _object(text: str) -> Mapping[str, Plain]:
-    try:
-        value = json.loads(text) if text else {}
-    except ValueError:
-        return {}
-    return value if isinstance(value, dict) else {}
 
 
 def _simple(value: Plain) -> Iterator[tuple[str, str | float | bool]]:
@@ -402,7 +387,7 @@ class Fact:
     evidence: float  # strength of the correlation between the fact and failure
     true: frozenset[int]  # numbers of the runs of which the fact is true
     known: frozenset[int]  # numbers of the runs that reached the site
-    how_far: bool  # whether the fact may only reflect the progress of failed runs
+    how_far: bool  # whether the fact may only reflect the progress of failed runs; such facts are listed last
 
     def ochiai(self, failures: int) -> float:
         """Return the score of Ochiai, from 0 to 1. ``failures`` is the number of all failed runs."""
@@ -466,7 +451,7 @@ class Compared:
             )
 
     def _how_far(self, row: int, failed: Truth) -> bool:
-        """Return whether the index of the fact in failed runs is rare or usually exceeded in successes."""
+        """Return whether the fact may only show that failed runs got further, or less far, than successful runs."""
         if self.site.kind in PRESENT:
             return self.site.kind == "reached"
         values = (self.whole or self.site).values
@@ -481,7 +466,7 @@ class Compared:
 
 
 def compared_of(found: Sequence[Site], cases: Sequence[ComparedRun]) -> Iterator[Compared]:
-    """Yield the facts of sites; each is true of some runs that reached its site, and false of others."""
+    """Yield the facts of each site that are true of some runs and false of others."""
     for each in found:
         for site in (each, _last(each)):
             if site is None:
@@ -524,9 +509,8 @@ def _last(site: Site) -> Site | None:
 
 
 def _reached(site: Site, runs: int) -> Compared:
-    true = np.zeros((1, runs), dtype=np.bool_)
-    true[0, list(site.values)] = True
-    return Compared(site, np.arange(runs), true, lambda _: site.name)
+    known = np.arange(runs)
+    return Compared(site, known, np.isin(known, list(site.values))[None, :], lambda _: site.name)
 
 
 def _values(site: Site, simple: Sequence[str | float | bool]) -> Compared:
@@ -545,13 +529,7 @@ def _value_text(site: Site, value: str | float | bool) -> str:
     if site.kind == "order":
         first, _, second = site.name.partition(" before ")
         return site.name if value else f"{second} before {first}"
-    shown = (
-        ("true" if value else "false")
-        if isinstance(value, bool)
-        else f"{value:g}"
-        if isinstance(value, float)
-        else value
-    )
+    shown = f"{value:g}" if isinstance(value, float) else str(value).lower() if isinstance(value, bool) else value
     if site.kind in ("query", "event"):
         return f"{site.name} -> {shown}"
     name, at, where = site.name.partition(" at ")
@@ -593,7 +571,9 @@ def _between(a: float, b: float) -> str:
 
 
 def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
-    """Return the strength of each correlation with failure; 0 if the failure rate isn't higher with the fact.
+    """Return the log-likelihood ratio of two failure rates, with and without a fact, against a single rate.
+
+    The ratio is 0 if the failure rate isn't higher with the fact.
 
     Args:
         true: Array: whether a fact (row) is true of a run (column).
@@ -614,7 +594,8 @@ def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
 class Chance:
     """The strongest evidence of all facts in each random permutation of the failures.
 
-    ``facts`` contains, for each site, the numbers of the runs that reached it, and a row for each fact.
+    Source: Westfall and Young 1993, the single-step maximum. ``facts`` contains, for each site, the numbers of the runs
+    that reached the site, and a row for each fact.
     """
 
     def __init__(self, facts: Iterable[tuple[RunNumbers, Truth]], failed: Truth) -> None:

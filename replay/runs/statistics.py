@@ -74,8 +74,8 @@ class Slow:
     total: float  # total time in s, over all runs
     median: float  # median time in s
     longest: float  # longest time in s
-    run: str  # name of the recording in which it took longest
-    step: int  # step at which it took longest
+    run: str  # name of the recording with the longest call
+    step: int  # step of the longest call
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,9 +119,9 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
         "parameters, cause, cause_step, message FROM runs WHERE plan = ? ORDER BY run",
         [chosen],
     ).rows()
-    ended = [
-        (run, succeeded, dict(parameters or ())) for run, _, succeeded, parameters, *_ in rows if succeeded is not None
-    ]
+    ended = [(ok, dict(given or ())) for _, _, ok, given, *_ in rows if ok is not None]
+    names = dict.fromkeys(name for _, given in ended for name in given)
+    parameters = ((name, _shares([(given[name], ok) for ok, given in ended if name in given])) for name in names)
     totals = runs.sql(
         "SELECT coalesce(median(seconds), 0), coalesce(max(seconds), 0), coalesce(sum(records), 0)::BIGINT, "
         "coalesce(sum(bytes), 0)::BIGINT FROM runs WHERE plan = ?",
@@ -133,9 +133,9 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
         runs=tuple(row[0] for row in rows),
         others=others,
         skipped=runs.skipped,
-        success=Share("all", sum(succeeded for _, succeeded, _ in ended), len(ended)),
+        success=_share("all", [ok for ok, _ in ended]),
         outcomes=tuple(Counter(row[1] for row in rows).most_common()),
-        parameters=_by_parameter([(bool(succeeded), given) for _, succeeded, given in ended]),
+        parameters=tuple((name, shares) for name, shares in parameters if len(shares) > 1),
         causes=causes([(run, cause, step, message) for run, _, ok, _, cause, step, message in rows if ok is False]),
         queries=_slowest(runs, "queries", "name", "true", chosen),
         motions=_slowest(runs, "tasks", "label", "kind = 'motion'", chosen),
@@ -149,34 +149,16 @@ def statistics(runs: Runs, plan: str | None = None) -> Statistics:
 def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureCause, ...]:
     """Return the causes of failures, the most frequent first.
 
-    Args:
-        failed: For each failed run: its name, and the cause, first step and message of its failure.
+    ``failed`` contains for each failed run its name, and the cause, first step and message of its failure.
     """
     found: dict[str, list[tuple[str, int | None, str]]] = {}
     for run, cause, step, message in failed:
         found.setdefault(cause, []).append((run, step, message))
     by_count = sorted(found.items(), key=lambda each: (-len(each[1]), each[1][0][0]))
     return tuple(
-        FailureCause(
-            cause,
-            len(of),
-            len(of) / len(failed),
-            *of[0],
-            tuple(run for run, _, _ in of),
-            tuple(step for _, step, _ in of),
-        )
+        FailureCause(cause, len(of), len(of) / len(failed), *of[0], *tuple(zip(*of, strict=True))[:2])
         for cause, of in by_count
     )
-
-
-def _by_parameter(ended: Sequence[tuple[bool, dict[str, str]]]) -> tuple[tuple[str, tuple[Share, ...]], ...]:
-    found = []
-    for name in dict.fromkeys(name for _, given in ended for name in given):
-        of = [(given[name], succeeded) for succeeded, given in ended if name in given]
-        shares = _shares(of)
-        if len(shares) > 1:
-            found.append((name, shares))
-    return tuple(found)
 
 
 def _shares(of: Sequence[tuple[str, bool]]) -> tuple[Share, ...]:
@@ -212,16 +194,16 @@ def _slowest(runs: Runs, table: str, name: str, condition: str, plan: str) -> tu
     return tuple(Slow(*row) for row in rows.rows())
 
 
-def wilson(count: int, of: int, z: float = _Z) -> tuple[float, float]:
+def wilson(count: int, of: int) -> tuple[float, float]:
     """Return the 95 % interval of a rate (Wilson 1927, "Probable inference"); 0 to 1 without runs.
 
     The interval also holds for few runs and for rates near 0 and 1.
     """
     if of == 0:
         return 0.0, 1.0
-    share, spread = count / of, z * z / of
+    share, spread = count / of, _Z * _Z / of
     middle = (share + spread / 2) / (1 + spread)
-    half = z / (1 + spread) * math.sqrt(share * (1 - share) / of + spread / (4 * of))
+    half = _Z / (1 + spread) * math.sqrt(share * (1 - share) / of + spread / (4 * of))
     low, high = max(0.0, middle - half), min(1.0, middle + half)
     return (0.0 if count == 0 else low), (1.0 if count == of else high)
 
@@ -263,13 +245,13 @@ class FolderComparison:
         return shares or bool(self.mended or self.broken) or any(a != b for _, a, b in self.causes)
 
 
-def compare_folders(first: Runs, second: Runs, plan: str | None = None) -> FolderComparison:
-    """Compare the runs of a plan in two folders, by default the most frequent plan of the first folder.
+def compare_folders(first: Runs, second: Runs) -> FolderComparison:
+    """Compare the runs of a plan in two folders. The plan is the most frequent plan of the first folder.
 
     Raises:
         ReplayError: A folder has no run of the plan.
     """
-    chosen, _ = plan_of(first, plan)
+    chosen, _ = plan_of(first)
     stats = [statistics(each, chosen) for each in (first, second)]
     for runs, each in zip((first, second), stats, strict=True):
         if not each.runs:

@@ -16,7 +16,7 @@ import pycram
 from recorder.mcap_writer import MODELS_METADATA
 from replay.cli.main import main
 from replay.errors import MissingModels
-from replay.file.assets import shared_by
+from replay.file.assets import SharedFile
 from replay.recording import Recording
 from replay.restore.verify import verify
 
@@ -73,7 +73,7 @@ def renamed(file: Path, name: str, sha256: str) -> None:
     """Have a recording name another file of models, as somebody else could have made it."""
     with Recording(file) as log, file.with_suffix(".new").open("wb") as new:
         log._index.metadata[MODELS_METADATA].update({"file": name, "sha256": sha256})
-        log.assets.shared = shared_by(file, log._index)
+        log.assets.shared = SharedFile(file, log._index.metadata[MODELS_METADATA])
         log.write_sound(new)
     file.with_suffix(".new").replace(file)
 

@@ -164,7 +164,7 @@ def test_every_query_can_be_asked() -> None:
         ("stable(", "can't be parsed"),
         (
             "stable(milk carton)",
-            "invalid syntax; put a name with spaces into quotes, such as stable\\('milk carton'\\)",
+            "invalid syntax; put names with spaces into quotes: stable\\('milk carton'\\)",
         ),
         ("stable", "is the call of a query"),
         ("stable(milk) and stable(bowl)", "is the call of a query"),

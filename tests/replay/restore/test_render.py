@@ -147,7 +147,7 @@ def test_after_the_end_of_its_worlds_a_plan_shows_its_last_step(
     target = tmp_path / "x.png"
     assert main(["render", str(closed), "last", "--to", "bowl", "-o", str(target), "--size", "80x60"]) == 0
     output = capsys.readouterr()
-    assert "the picture shows step 9, the last step with an open world" in output.err
+    assert "the picture shows the world after step 9" in output.err
     assert "would hide the scene" in output.err
     assert red(Image.open(target)).any()
 

@@ -200,7 +200,7 @@ def test_secret_arguments_can_be_given_again(tmp_path: Path, capsys: pytest.Capt
     log = record(file, "--token", "abc")
     on = str(tmp_path / "on.mcap")
     assert main(["fork", str(log), "--at", "0", "-o", on]) == 2
-    assert "give all of them as the last option, --arguments" in capsys.readouterr().err
+    assert "give all arguments after --arguments" in capsys.readouterr().err
     assert main(["fork", str(log), "--at", "0", "-o", on, "--arguments", "--token", "abc"]) == 0
 
 
