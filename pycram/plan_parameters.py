@@ -56,8 +56,8 @@ export("pycram", UnknownParameter)
 def parameters(**defaults: Any) -> SimpleNamespace:
     """Return a plan's parameters: the values that this run has set, else the defaults.
 
-    A plan writes ``speed = pycram.parameters(speed=0.5).speed``. The type of a parameter's value must be that of the
-    default, unless the default is None.
+    A plan writes ``speed = pycram.parameters(speed=0.5).speed``. A value must have the type of its default, unless the
+    default is None.
 
     Raises:
         BadArgument: A value has another type than its default.

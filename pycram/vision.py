@@ -25,7 +25,7 @@ FAR: Final = 20.0  # farthest visible distance in m
 _SKY: Final = ((0.78, 0.84, 0.92), (0.96, 0.97, 0.98))  # RGB of the background at the top and at the bottom
 _HOUSING: Final = 0.005  # largest distance in m between a camera's lens and its housing
 _LARGE: Final = 400  # maximum number of pixels in a small triangle's bounds; larger triangles are drawn alone
-_BAND: Final = 32  # number of rows of a large triangle drawn together, so that few pixels outside are tested
+_BAND: Final = 32  # number of rows of a large triangle that are drawn together; more rows test more outer pixels
 _BATCH: Final = 1 << 16  # number of pixels of small triangles that are drawn together; larger batches need more memory
 
 
@@ -56,7 +56,7 @@ class Rendering:
     def picture_before(
         self, behind: NDArray[np.uint8], depth: NDArray[np.float64], up: Sequence[float]
     ) -> NDArray[np.uint8]:
-        """Return a colour image in front of the image ``behind`` of the same camera, with pixels of this depth in m."""
+        """Return a colour image of this picture in front of the image ``behind``, whose pixels have ``depth`` in m."""
         nearer = self.depth < depth
         image = behind.copy()
         image[nearer] = self._lit(up)[self.seen[nearer]]

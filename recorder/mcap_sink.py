@@ -1,8 +1,8 @@
 """Write records into an MCAP file that survives the death of its process.
 
 A killed process loses only the records of the open chunk. :class:`McapSink` closes a chunk after 50 records, after 50
-ms, after failures, and before native code that blocks all threads. A thread measures the 50 ms, so native code with the
-interpreter lock delays it. Chunks are handed to the operating system without buffering.
+ms, after failures, and before native code that blocks all threads. A thread measures the 50 ms, so native code that
+holds the interpreter lock delays the end of a chunk.
 """
 
 from __future__ import annotations

@@ -183,8 +183,6 @@ class Behavior(Enum):
 class _Seen:
     """A state that a counter counts later, because no function of a network may run during a change."""
 
-    __slots__ = ("before", "count", "state", "value")
-
     def __init__(self, state: State, before: _Seen | None) -> None:
         self.state: State | None = state  # set to None when the number of pulses is computed
         self.before = before

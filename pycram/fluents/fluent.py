@@ -349,8 +349,6 @@ export("pycram.fluent", FalseEndsWait, NotSettable, NotTrueOrFalse)
 class StateStream:
     """All states of an expression from the beginning of the ``with`` block to its end."""
 
-    __slots__ = ("_expression", "_news", "_states")
-
     def __init__(self, expression: Expression) -> None:
         self._expression = expression
         self._news = Condition()

@@ -263,8 +263,6 @@ class OnError:
     error, so code that must handle every error needs ``except``.
     """
 
-    __slots__ = ("_call", "_kind")
-
     def __init__(self, call: Callable[[BaseException], object], kind: type[BaseException] = BaseException) -> None:
         self._call = call
         self._kind = kind

@@ -36,10 +36,10 @@ class RunsEarly(UsageError):
         self.file, self.line = call_site()  # the plan's file and line; the first line is 1
         have = "have" if len(self.pending) > 1 else "has"
         super().__init__(
-            f"{notebook.place(self.file, self.line)} would {what} before earlier actions of this {block} block: "
-            f"{', '.join(self.pending)} {have} not ended. In the body of a concurrent block a {block} is only read, so "
-            "plain Python between its actions runs immediately; make it an action: "
-            f"`with {block} as s: ...; s(function)`"
+            f"{notebook.place(self.file, self.line)} would {what} too early: {', '.join(self.pending)} {have} not "
+            f"ended in this {block} block. In the body of a concurrent block, PyCRAM only reads a {block} block, so "
+            "plain Python between the actions runs immediately. Put this Python code into a function, and make the "
+            f"function an action: `with {block} as s: ...; s(function)`"
         )
 
 
@@ -51,9 +51,9 @@ class OutlivesTimeout(UsageError):
         self.branch = branch  # name of the branch
         self.file, self.line = call_site()  # the plan's file and line; the first line is 1
         super().__init__(
-            f"{notebook.place(self.file, self.line)} adds {branch} inside a timeout to the {block} block outside "
-            f"it. That block ends after the timeout, so the deadline wouldn't apply to {branch}. Open the block inside "
-            f"the timeout, as in `with timeout(...), {block} as s:`, or open the timeout inside {branch}"
+            f"{notebook.place(self.file, self.line)} adds {branch} inside a timeout to the {block} block around the "
+            f"timeout. This block ends after the timeout, so the deadline wouldn't apply to {branch}. Open the block "
+            f"inside the timeout, as in `with timeout(...), {block} as s:`, or open the timeout inside {branch}"
         )
 
 

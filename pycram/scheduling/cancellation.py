@@ -34,7 +34,6 @@ Value = TypeVar("Value")
 class Binding(Generic[Value]):
     """Sets a context variable for a ``with`` block. This is a class, because a generator would be slower."""
 
-    __slots__ = ("_token", "_value", "_variable")
     _token: Token[Value]
 
     def __init__(self, variable: ContextVar[Value], value: Value) -> None:

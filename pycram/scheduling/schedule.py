@@ -64,8 +64,6 @@ class Waiter:
         last: Whether all other patient waits resume before this one.
     """
 
-    __slots__ = ("_greenlet", "_scheduler", "_sources", "branch", "last", "parked", "patience", "reason", "undisturbed")
-
     def __init__(
         self,
         sources: Collection[Condition] = (),
@@ -601,8 +599,6 @@ _held: Final = _Held()
 
 class Lock:
     """A re-entrant lock as a context manager; each thread counts the locks that it holds."""
-
-    __slots__ = ("_lock",)
 
     def __init__(self) -> None:
         self._lock = threading.RLock()

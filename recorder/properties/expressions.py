@@ -203,8 +203,6 @@ class Conditions:
 class BodyQuantities:
     """The quantities of a body of a world."""
 
-    __slots__ = ("_body", "_world", "name")
-
     def __init__(self, world: FoldedWorld, name: str) -> None:
         self._world = world
         self.name = name

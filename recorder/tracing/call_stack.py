@@ -184,7 +184,7 @@ _MAX_ITEMS: Final = 6  # maximum number of items of a list
 _MAX_DEPTH: Final = 3  # maximum depth of nested lists
 _MAX_BITS: Final = 256  # maximum number of bits of an integer
 _ELLIPSIS: Final = "..."
-_MARK: Final = "_pycram_frames"  # attribute of an error that contains the recording, and the frames that it already has
+_MARK: Final = "_pycram_frames"  # attribute of an error: a recording's number, and the frames in this recording
 #: Types of variables that are imports and definitions, which aren't recorded.
 _IGNORED: Final = (ModuleType, FunctionType, BuiltinFunctionType, type)
 _TYPE_ALONE: Final = re.compile(r"<[\w.]+>")

@@ -243,8 +243,6 @@ def _call() -> None:
 class Uninterrupted:
     """A section that SIGINT doesn't interrupt. Sections may be nested; outside of the main thread, they do nothing."""
 
-    __slots__ = ("_held",)
-
     def __enter__(self) -> Self:
         global _sections  # noqa: PLW0603  as above
         self._held = enter()

@@ -215,7 +215,7 @@ def announced_task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # number of journals that this process has opened
-_sources: tuple[RecordedWorld, ...] = ()  # the known worlds; a change replaces the dictionary
+_sources: tuple[RecordedWorld, ...] = ()  # the known worlds; a change replaces the tuple
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -334,7 +334,7 @@ def flush() -> None:
 
 
 def register(source: RecordedWorld) -> None:
-    """Make a world known to journals until :func:`unregister`. In an isolated context, nothing is flushed."""
+    """Make a world known to journals until :func:`unregister`; do nothing in an isolated context."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
         with _registry:

@@ -70,7 +70,7 @@ class TaskMarks:
         self._running: dict[int, tuple[str, Marks]] = {}  # name and marks of running motions
         self._targets: dict[int, Vector] = {}  # positions of the targets of running tasks, by id
         self._failures = Marks(columns, scene)
-        self._failure = ("", "")  # the failure that is shown; its parent tasks fail with the same failure
+        self._failure = ("", "")  # type and message of the shown failure, which outer tasks have, too
 
     def show(self, record: Task, now: TimePoint) -> None:
         """Update the marks at a task's start or end."""

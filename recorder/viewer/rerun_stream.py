@@ -79,8 +79,6 @@ def sim_ns(sim_step: int) -> int:
 class Series:
     """Buffered rows of an entity; they are sent as columns."""
 
-    __slots__ = ("maker", "rows", "times")
-
     def __init__(self, maker: ColumnMaker) -> None:
         self.maker = maker
         self.times: list[TimePoint] = []
