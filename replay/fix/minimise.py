@@ -1,7 +1,7 @@
 """A smaller plan with the same failure: delta debugging of statements (Zeller and Hildebrandt 2002).
 
 Until the end, removed lines are replaced by empty lines, so that the failing line keeps its number. The search also
-removes statements that load objects.
+removes statements that load objects, and items of containers.
 """
 
 from __future__ import annotations
@@ -10,18 +10,24 @@ import ast
 import itertools
 import re
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final, TypeAlias
 
 from pycram.exploration import Ending
 from pycram.projection.child import usable_cores
 from replay.errors import ReplayError
+from replay.explain.why import why
+from replay.file.record_reader import RecordReader
 from replay.fix.trials import Trials, Version, alike
 
 _INDENT: Final = re.compile(r"\s*")
+#: The kind of a failure's first cause, and the first line of the plan that its text names.
+_Cause: TypeAlias = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +43,7 @@ class Minimised:
 
 
 def minimise(trials: Trials, budget: int) -> Minimised:
-    """Remove statements of a plan while the plan still fails in the same way.
+    """Remove statements of a plan while the plan still fails in the same way, and of the same cause.
 
     Args:
         trials: the plan.
@@ -49,72 +55,120 @@ def minimise(trials: Trials, budget: int) -> Minimised:
     reference = trials.control()
     if reference.kind == "succeeded":
         raise ReplayError("the plan succeeded; minimise needs a failed plan")
-    text, before = trials.text, len(reference.bodies)
-    objects = before
-    size = 0
-    while trials.runs < budget and size != len(code_lines(text)):
-        size = len(code_lines(text))
-        for block in _levels(text):
-            text, objects = _reduced(trials, budget, text, block, objects)
-        unwrapped = [each for each in map(partial(_unwrapped, text), ast.walk(ast.parse(text))) if each]
-        for start in range(0, len(unwrapped), usable_cores()):
-            found = _first_alike(trials, unwrapped[start : start + usable_cores()])
-            if found is not None:
-                _, text, objects = found
-                break
-    short = _short(text)
-    ending = trials.one(short).ending
-    if not alike(_without_line(ending), _without_line(reference)):  # the plan may read its own lines
-        short, ending = text, reference
-    return Minimised(
-        short,
-        (len(code_lines(trials.text)), len(code_lines(short))),
-        (before, objects),
-        trials.runs,
-        ending.failure,
-        trials.runs >= budget,
-    )
+    with TemporaryDirectory(prefix="pycram-minimise-") as folder:
+        search = _Search(trials, budget, Path(folder))
+        search.reduce()
+        short, objects = _short(search.text), search.objects
+        ending, cause = search.run([short])[0]
+        if not alike(_without_line(ending), _without_line(reference)) or cause() != search.cause:
+            short, ending = search.text, reference  # the plan may read its own lines
+    lines = len(code_lines(trials.text)), len(code_lines(short))
+    return Minimised(short, lines, (len(reference.bodies), objects), trials.runs, ending.failure, trials.runs >= budget)
 
 
-def _reduced(trials: Trials, budget: int, text: str, block: Sequence[_Span], objects: int) -> tuple[str, int]:
-    """Remove as many statements of a block as possible: first half of them together, finally each alone."""
-    lines = text.splitlines()
-    left = [span for span in block if lines[span.start - 1].strip() not in ("", "pass")]
-    size = len(left)
-    while size and left and trials.runs < budget:
-        # statements that use a variable are removed before its definition
-        chunks = [left[max(0, end - size) : end] for end in range(len(left), 0, -size)]
-        kept: list[_Span] = []
-        while chunks and trials.runs < budget:
-            wave, chunks = chunks[: usable_cores()], chunks[usable_cores() :]
-            found = _first_alike(trials, [_without(text, chunk) for chunk in wave])
-            at = len(wave)
-            if found is not None:
-                at, text, objects = found
-                chunks = [*wave[at + 1 :], *chunks]
-            kept += [span for chunk in wave[:at] for span in chunk]
-        left = sorted({*kept, *(span for chunk in chunks for span in chunk)})
-        size //= 2
-    return text, objects
+class _Search:
+    """The search for a smaller plan: ``text`` is the best so far."""
+
+    def __init__(self, trials: Trials, budget: int, folder: Path) -> None:
+        self._trials, self._budget, self._folder = trials, budget, folder
+        self.text = trials.text
+        self.objects = len(trials.reference.bodies)  # at the end of the run
+        self.cause = self._cause(trials.log, trials.text)
+
+    def reduce(self) -> None:
+        """Remove as much as possible."""
+        size = 0
+        while self._left() and size != len(code_lines(self.text)):
+            size = len(code_lines(self.text))
+            for block in [*_levels(self.text)]:
+                self._reduce_block(block)
+            unwrapped = [each for each in map(partial(_unwrapped, self.text), ast.walk(ast.parse(self.text))) if each]
+            for start in range(0, len(unwrapped), usable_cores()):
+                if self._take_first(unwrapped[start : start + usable_cores()]) is not None:
+                    break
+
+    def _left(self) -> bool:
+        return self._trials.runs < self._budget
+
+    def _reduce_block(self, block: Sequence[_Span]) -> None:
+        """Remove as many parts of a block as possible: first half of them together, finally each alone."""
+        lines = self.text.splitlines()
+        left = [span for span in block if lines[span.start - 1].strip() not in ("", "pass")]
+        size = len(left)
+        while size and left and self._left():
+            # statements that use a variable are removed before its definition
+            chunks = [left[max(0, end - size) : end] for end in range(len(left), 0, -size)]
+            kept: list[_Span] = []
+            while chunks and self._left():
+                wave, chunks = chunks[: usable_cores()], chunks[usable_cores() :]
+                at = self._take_first([_without(self.text, chunk) for chunk in wave])
+                if at is not None:
+                    chunks = [*wave[at + 1 :], *chunks]
+                kept += [span for chunk in wave[:at] for span in chunk]
+            left = sorted({*kept, *(span for chunk in chunks for span in chunk)})
+            size //= 2
+
+    def _take_first(self, texts: Sequence[str]) -> int | None:
+        """Take the first version that fails like the plan; return its index, or None if there is none."""
+        tidied = {index: _tidied(text) for index, text in enumerate(texts)}
+        tried = [index for index, text in tidied.items() if text not in self._trials.failed]
+        taken: int | None = None
+        for index, (ending, cause) in zip(tried, self.run([tidied[index] for index in tried]), strict=True):
+            is_alike = alike(ending, self._trials.reference)
+            if taken is None and is_alike and cause() == self.cause:
+                self.text, self.objects, taken = tidied[index], len(ending.bodies), index
+            elif taken is None or not is_alike:
+                self._trials.failed.add(tidied[index])
+        return taken
+
+    def run(self, texts: Sequence[str]) -> list[tuple[Ending, Callable[[], _Cause]]]:
+        """Run versions of the plan; return their endings, and functions that return the causes."""
+        versions = [Version(text, self._folder / f"{index}.mcap") for index, text in enumerate(texts)]
+        with closing(self._trials.all(versions)) as results:
+            ended = {index: trial.ending for index, trial in results}
+        return [(ended[index], partial(self._cause_in, version)) for index, version in enumerate(versions)]
+
+    def _cause_in(self, version: Version) -> _Cause:
+        with RecordReader(str(version.file)) as log:
+            return self._cause(log, version.text)
+
+    def _cause(self, log: RecordReader, text: str) -> _Cause:
+        first = next(iter(why(log).causes), None)
+        said = "\n".join(first.lines()) if first is not None else ""
+        line = re.search(rf"{re.escape(self._trials.program.name)}:(\d+)", said)
+        return first.kind if first is not None else "", text.splitlines()[int(line[1]) - 1].strip() if line else ""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class _Span:
-    """The lines of a statement, from 1."""
+    """The lines of a statement or an item, from 1."""
 
     start: int
     end: int
+    instead: str = "pass"
 
 
 def _levels(text: str) -> Iterator[list[_Span]]:
-    """Yield the statements of each block of a plan, outer blocks first; statements that share a line don't count."""
+    """Yield the statements of each block, outer blocks first, then items; those that share a line don't count."""
+    lines = text.splitlines()
     blocks: list[Sequence[ast.stmt]] = [ast.parse(text).body]
     while blocks:
         block = blocks.pop(0)
         spans = [_span(each) for each in block]
-        yield [span for span in spans if _is_apart(text.splitlines(), span)]
+        yield [span for span in spans if _is_apart(lines, span)]
         for statement in block:
             blocks += _blocks(statement)
+    for node in ast.walk(ast.parse(text)):
+        items = [(each, each) for each in getattr(node, "elts", ())]
+        items += zip(filter(None, node.keys), node.values, strict=False) if isinstance(node, ast.Dict) else ()
+        yield [_Span(first.lineno, last.end_lineno or 0, "") for first, last in items if _has_lines(lines, first, last)]
+
+
+def _has_lines(lines: Sequence[str], first: ast.expr, last: ast.expr) -> bool:
+    """Return whether an item of a container has its lines for itself."""
+    before = lines[first.lineno - 1].encode()[: first.col_offset]
+    after = lines[(last.end_lineno or 0) - 1].encode()[last.end_col_offset :]
+    return not before.strip() and after.partition(b"#")[0].strip() in (b"", b",")
 
 
 def _blocks(statement: ast.stmt) -> list[list[ast.stmt]]:
@@ -151,27 +205,13 @@ def _is_apart(lines: Sequence[str], span: _Span) -> bool:
 
 
 def _without(text: str, spans: Iterable[_Span]) -> str:
-    """Return a plan without the given statements; the numbers of other lines don't change."""
+    """Return a plan without the given parts; the numbers of other lines don't change."""
     lines = text.splitlines()
     for span in spans:
         indent = _INDENT.match(lines[span.start - 1])
         lines[span.start - 1 : span.end] = [""] * (span.end + 1 - span.start)
-        lines[span.start - 1] = f"{indent[0] if indent else ''}pass"
+        lines[span.start - 1] = f"{indent[0] if indent else ''}{span.instead}".rstrip()
     return "\n".join(lines) + "\n"
-
-
-def _first_alike(trials: Trials, texts: Sequence[str]) -> tuple[int, str, int] | None:
-    """Return the index and text of the first version that ends like the plan, with its number of objects."""
-    tidied = {index: _tidied(text) for index, text in enumerate(texts)}
-    tried = [index for index, text in tidied.items() if text not in trials.failed]
-    ends: dict[int, int] = {}
-    with closing(trials.all([Version(tidied[index]) for index in tried])) as results:
-        for at, trial in results:
-            if alike(trial.ending, trials.reference):
-                ends[tried[at]] = len(trial.ending.bodies)
-            else:
-                trials.failed.add(tidied[tried[at]])
-    return min(((index, tidied[index], objects) for index, objects in ends.items()), default=None)
 
 
 def _tidied(text: str) -> str:

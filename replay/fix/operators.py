@@ -13,27 +13,12 @@ from recorder.plan_lines import called_name, last_name, stored
 from replay.fix.plan_syntax import PlanSyntax, loads, written_number
 
 _FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
-_OPPOSITE: Final[dict[type[ast.AST], tuple[type[ast.AST], ...]]] = {
-    ast.Add: (ast.Sub,),
-    ast.Sub: (ast.Add,),
-    ast.Mult: (ast.Div,),
-    ast.Div: (ast.FloorDiv, ast.Mult),
-    ast.FloorDiv: (ast.Div, ast.Mod),
-    ast.Mod: (ast.FloorDiv,),
-    ast.And: (ast.Or,),
-    ast.Or: (ast.And,),
-    ast.Lt: (ast.Gt, ast.LtE),
-    ast.Gt: (ast.Lt, ast.GtE),
-    ast.LtE: (ast.GtE, ast.Lt),
-    ast.GtE: (ast.LtE, ast.Gt),
-    ast.Eq: (ast.NotEq,),
-    ast.NotEq: (ast.Eq,),
-    ast.Is: (ast.IsNot,),
-    ast.IsNot: (ast.Is,),
-    ast.In: (ast.NotIn,),
-    ast.NotIn: (ast.In,),
-}
-_SCALES: Final = {ast.Mult, ast.Div}
+#: Each row: an operator, and those that it replaces by mistake.
+_ROWS: Final = (
+    "Add Sub, Sub Add, Mult Div, Div FloorDiv Mult, FloorDiv Div Mod, Mod FloorDiv, And Or, Or And, Lt Gt LtE, "
+    "Gt Lt GtE, LtE GtE Lt, GtE LtE Gt, Eq NotEq, NotEq Eq, Is IsNot, IsNot Is, In NotIn, NotIn In"
+)
+_OPPOSITE: Final = {row.split()[0]: row.split()[1:] for row in _ROWS.split(", ")}
 _FEW: Final = 2  # whole numbers up to this number are counts, not lengths
 _MANY: Final = 4.0  # a number that is so much larger than all others has another unit
 _RIGHT_ANGLES: Final = 15.0  # multiples of this number are likely angles in degrees
@@ -83,41 +68,33 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 
 def _bounds(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
     """Yield other first and last items."""
-    if isinstance(node, ast.Call) and called_name(node) == "range" and not node.keywords:
-        first, last = ("0", node.args[0]) if len(node.args) == 1 else (ast.unparse(node.args[0]), node.args[1])
-        step = "".join(f", {ast.unparse(each)}" for each in node.args[2:])
-        end, core = ast.unparse(last), ""
-        if isinstance(last, ast.BinOp) and isinstance(last.op, ast.Add | ast.Sub) and ast.unparse(last.right) == "1":
-            core = ast.unparse(last.left)
-        firsts = {"0": "1", "1": "0"}
-        news = [(firsts.get(first, first), core)] if core else []
-        news += [(firsts.get(first, f"{first} - 1"), end), (first, core or f"{end} + 1"), (first, f"{end} - 1")]
-        for at, (start, stop) in enumerate(news):
-            new = f"range({stop})" if start == "0" and not step else f"range({start}, {stop}{step})"
-            yield _to(node, new, 0.3 + 0.08 * at)
-    elif isinstance(node, ast.Call) and called_name(node) == "enumerate":
-        listed = ast.unparse(node.args[0])
-        yield _to(
-            node, f"enumerate({listed})" if len(node.args) + len(node.keywords) > 1 else f"enumerate({listed}, 1)", 0.5
-        )
-    elif isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Slice):
-        yield _to(node, f"{ast.unparse(node.value)}[:]", 0.4)
+    match node:
+        case ast.Call(args=[_, *_]) if called_name(node) == "range" and not node.keywords:
+            first, last, *step = ["0" for _ in node.args[:1] if not node.args[1:]] + [*map(ast.unparse, node.args)]
+            core, other = re.sub(r" [+-] 1$", "", last), {"0": "1", "1": "0"}.get(first)
+            news = [(other or first, core)] if core != last else []
+            news += [(other or f"{first} - 1", last), (first, core if news else f"{last} + 1"), (first, f"{last} - 1")]
+            for at, (start, stop) in enumerate(news):
+                new = stop if start == "0" and not step else ", ".join((start, stop, *step))
+                yield _to(node, f"range({new})", 0.3 + 0.08 * at)
+        case ast.Call(args=[listed, *start]) if called_name(node) == "enumerate":
+            yield _to(node, f"enumerate({ast.unparse(listed)}{'' if start or node.keywords else ', 1'})", 0.5)
+        case ast.Subscript(listed, ast.Slice()):
+            yield _to(node, f"{ast.unparse(listed)}[:]", 0.4)
 
 
 def _grouping(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
     """Yield other parentheses."""
-    if isinstance(node, ast.BinOp):
-        left, right = node.left, node.right
-        if isinstance(right, ast.BinOp) and not _is_same(node.op, right.op):
-            new = ast.BinOp(ast.BinOp(left, node.op, right.left), right.op, right.right)
-            yield _to(node, f"({ast.unparse(new)})", 0.35)
-        if isinstance(left, ast.BinOp) and not _is_same(left.op, node.op):
-            new = ast.BinOp(left.left, left.op, ast.BinOp(left.right, node.op, right))
-            yield _to(node, f"({ast.unparse(new)})", 0.35)
-    elif isinstance(node, ast.BoolOp) and isinstance(node.op, ast.Or) and isinstance(node.values[-1], ast.BoolOp):
-        first, *rest = node.values[-1].values
-        either = ast.BoolOp(ast.Or(), [*node.values[:-1], first])
-        yield _to(node, f"({ast.unparse(ast.BoolOp(ast.And(), [either, *rest]))})", 0.4)
+    new: list[ast.expr] = []
+    match node:
+        case ast.BinOp(left, op, right):
+            if isinstance(right, ast.BinOp) and not _is_same(op, right.op):
+                new.append(ast.BinOp(ast.BinOp(left, op, right.left), right.op, right.right))
+            if isinstance(left, ast.BinOp) and not _is_same(left.op, op):
+                new.append(ast.BinOp(left.left, left.op, ast.BinOp(left.right, op, right)))
+        case ast.BoolOp(ast.Or(), [*before, ast.BoolOp(values=[first, *rest])]):
+            new.append(ast.BoolOp(ast.And(), [ast.BoolOp(ast.Or(), [*before, first]), *rest]))
+    yield from (_to(node, f"({ast.unparse(each)})", 0.35 + 0.05 * isinstance(each, ast.BoolOp)) for each in new)
 
 
 def _is_same(one: ast.operator, other: ast.operator) -> bool:
@@ -142,23 +119,17 @@ def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 
 def _aliasing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield a copy of a container instead of a second name, and as many containers as items."""
-    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult):
-        for listed, times in ((node.left, node.right), (node.right, node.left)):
-            if isinstance(listed, ast.List) and any(not isinstance(each, ast.Constant) for each in listed.elts):
-                items = ast.unparse(listed)[1:-1]
-                several = f"{items} for _ in range({ast.unparse(times)})" if len(listed.elts) == 1 else ""
-                if several:
-                    yield _to(node, f"[{several}]", 0.2)
-    if called_name(node) == "fromkeys" and isinstance(node, ast.Call) and len(node.args) > 1:
-        keys, value = map(ast.unparse, node.args)
-        yield _to(node, f"{{key: {value} for key in {keys}}}", 0.2)
-    if isinstance(node, ast.Assign | ast.Return) and node.value is not None:
-        kinds = {plan.literals.get(each.id) for each in ast.walk(node.value) if isinstance(each, ast.Name)} - {None}
-        if isinstance(node.value, ast.Name | ast.Subscript | ast.Attribute) and kinds:
-            value = ast.unparse(node.value)
-            kind = plan.literals.get(value)
-            copied = f"{kind}({value})" if kind else f"{value}.copy()"
-            yield _to(node.value, copied, 0.5)
+    match node:
+        case ast.BinOp(ast.List([item]), ast.Mult(), times) | ast.BinOp(times, ast.Mult(), ast.List([item])) if (
+            not isinstance(item, ast.Constant)
+        ):
+            yield _to(node, f"[{ast.unparse(item)} for _ in range({ast.unparse(times)})]", 0.2)
+        case ast.Call(args=[keys, value]) if called_name(node) == "fromkeys":
+            yield _to(node, f"{{key: {ast.unparse(value)} for key in {ast.unparse(keys)}}}", 0.2)
+        case ast.Assign(value=value) | ast.Return(value) if isinstance(value, ast.Name | ast.Subscript | ast.Attribute):
+            if any(isinstance(each, ast.Name) and each.id in plan.literals for each in ast.walk(value)):
+                text = ast.unparse(value)
+                yield _to(value, f"{plan.literals[text]}({text})" if text in plan.literals else f"{text}.copy()", 0.5)
 
 
 def _default(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -198,32 +169,23 @@ def _shadowing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         return
     scope = plan.scope(node)
     for name in sorted(stored(node.target)):
-        same = [each for each in ast.walk(scope) if isinstance(each, ast.Name | ast.arg) and _name(each) == name]
-        inside = {each for each in ast.walk(node) if isinstance(each, ast.Name) and each.id == name}
-        earlier = [each for each in same if each.lineno < node.lineno and not _is_load(each)]
-        if earlier and any(each.lineno > (node.end_lineno or 0) for each in same):
+        uses = [each for each in ast.walk(scope) if name in (getattr(each, "id", ""), getattr(each, "arg", ""))]
+        names = [each for each in uses if isinstance(each, ast.Name | ast.arg)]
+        earlier = [each for each in names if each.lineno < node.lineno and not loads(each, {name})]
+        if earlier and any(each.lineno > (node.end_lineno or 0) for each in names):
+            inside = {each for each in ast.walk(node) if isinstance(each, ast.Name) and each.id == name}
             parts = tuple((each, f"{name}_2") for each in inside)
             yield Change(f"{name}_2 instead of {name} in the loop of line {node.lineno}", 0.3, parts)
 
 
-def _name(node: ast.Name | ast.arg) -> str:
-    return node.id if isinstance(node, ast.Name) else node.arg
-
-
-def _is_load(node: ast.Name | ast.arg) -> bool:
-    return isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
-
-
 def _branches(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield the branches of a condition in the other order."""
-    other = node.orelse[0] if isinstance(node, ast.If) and len(node.orelse) == 1 else None
-    if isinstance(node, ast.If) and isinstance(other, ast.If) and other.col_offset == node.col_offset:
-        ends = [(each.test, each.test) for each in (node, other)] + [
-            (each.body[0], each.body[-1]) for each in (node, other)
-        ]
-        texts = [plan.segment(*each) for each in ends]
-        parts = zip((plan.span(*each) for each in ends), (texts[1], texts[0], texts[3], texts[2]), strict=True)
-        yield Change(f"the condition of line {other.lineno} before that of line {node.lineno}", 0.3, tuple(parts))
+    match node:
+        case ast.If(test, [*body], [ast.If(second, [*others]) as other]) if other.col_offset == node.col_offset:
+            ends = (test, test), (second, second), (body[0], body[-1]), (others[0], others[-1])
+            new = (plan.segment(*ends[at]) for at in (1, 0, 3, 2))
+            parts = tuple(zip((plan.span(*each) for each in ends), new, strict=True))
+            yield Change(f"the condition of line {other.lineno} before that of line {node.lineno}", 0.3, parts)
 
 
 def _handling(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -261,48 +223,40 @@ def _calls(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         worlds = sorted(plan.names["BulletWorld"]) if "world" not in {each.arg for each in node.keywords} else []
         for world in worlds if len(worlds) > 1 else ():
             yield _to(node, f"{plan.segment(node)[:-1]}, world={world})", 0.4, f"world={world}")
-    elif isinstance(node, ast.Name | ast.Attribute) and node in plan.called:
-        name = last_name(node)
-        if name in _OTHERS:
-            yield _to(node, ast.unparse(node).removesuffix(name) + _OTHERS[name], 0.55)
+    elif node in plan.called and (name := last_name(node)) in _OTHERS:
+        yield _to(node, ast.unparse(node).removesuffix(name) + _OTHERS[name], 0.55)
 
 
-def _structure(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
-    """Yield other forms of an expression: operators, and order of items."""
-    is_whole = isinstance(node, ast.expr) and not isinstance(node, ast.Starred | ast.Slice)
-    other = ast.parse(ast.unparse(node), mode="eval").body if is_whole else None
-    if isinstance(other, ast.BinOp | ast.BoolOp):
-        before = type(other.op)
-        for kind in _OPPOSITE.get(before, ()):
-            other.op = kind()  # type: ignore[assignment]
-            chance = {before, kind} == _SCALES
-            yield _to(
-                node, f"({ast.unparse(other)})", 0.65, f"{ast.unparse(node)} with another operator", chance=chance
-            )
-    elif isinstance(other, ast.Compare) and len(other.ops) == 1:
-        for kind in _OPPOSITE.get(type(other.ops[0]), ()):
-            other.ops = [kind()]  # type: ignore[list-item]
-            yield _to(node, ast.unparse(other), 0.55)
-    elif isinstance(other, ast.List | ast.Tuple) and 2 <= len(other.elts) <= 4 and isinstance(other.ctx, ast.Load):
-        items = other.elts
-        turned = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
-        swapped = [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
-        for order in (*turned, *swapped):
-            other.elts = order
-            is_turn = order in turned
-            yield _to(node, ast.unparse(other), 0.35 if is_turn else 0.42, asks=True, chance=not is_turn)
-    elif isinstance(other, ast.Call) and any(keyword.arg == "orientation" for keyword in other.keywords):
-        other.keywords = [keyword for keyword in other.keywords if keyword.arg != "orientation"]
-        yield _to(node, ast.unparse(other), FAR, "without orientation")
-
-
-def _condition(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield the opposite of a condition, and a sequence instead of a parallel block."""
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-        yield _to(node, f"({ast.unparse(node.operand)})", 0.56, f"without not: {ast.unparse(node)}")
-    elif isinstance(node, ast.Name) and node.id == "par" and isinstance(node.ctx, ast.Load):
-        yield _to(node, "seq", 0.57)
-    elif getattr(plan.parents.get(node), "test", None) is node and not isinstance(node, ast.Compare | ast.BoolOp):
+def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield other forms of an expression: operators, order of items, and the opposite of a condition."""
+    match node:
+        case ast.BinOp(op=op) | ast.BoolOp(op=op) | ast.Compare(ops=[op]):
+            for name in _OPPOSITE.get(type(op).__name__, ()):
+                other = copy.copy(node)
+                if isinstance(other, ast.Compare):
+                    other.ops = [getattr(ast, name)()]
+                    yield _to(node, ast.unparse(other), 0.55)
+                else:
+                    other.op = getattr(ast, name)()
+                    what = f"{ast.unparse(node)} with another operator"
+                    is_scale = {name, type(op).__name__} == {"Mult", "Div"}
+                    yield _to(node, f"({ast.unparse(other)})", 0.65, what, chance=is_scale)
+        case ast.List([_, _, *_] as items) | ast.Tuple([_, _, *_] as items) if len(items) <= 4:
+            turned = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
+            swapped = [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
+            for order in (*turned, *swapped):
+                is_turn = order in turned
+                new = ast.unparse(type(node)(order, ast.Load()))
+                yield _to(node, new, 0.35 if is_turn else 0.42, asks=True, chance=not is_turn)
+        case ast.Call(keywords=given) if any(each.arg == "orientation" for each in given):
+            kept = [each for each in given if each.arg != "orientation"]
+            yield _to(node, ast.unparse(ast.Call(node.func, node.args, kept)), FAR, "without orientation")
+        case ast.UnaryOp(ast.Not(), operand):
+            yield _to(node, f"({ast.unparse(operand)})", 0.56, f"without not: {ast.unparse(node)}")
+        case ast.Name("par", ast.Load()):
+            yield _to(node, "seq", 0.57)
+    is_test = getattr(plan.parents.get(node), "test", None) is node
+    if is_test and not isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp):
         yield _to(node, f"not ({ast.unparse(node)})", 0.56)
 
 
@@ -328,5 +282,4 @@ OPERATORS: Final[tuple[Callable[[ast.AST, PlanSyntax], Iterator[Change]], ...]] 
     _handling,
     _calls,
     _structure,
-    _condition,
 )
