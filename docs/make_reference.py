@@ -56,12 +56,12 @@ def reference() -> str:
     parts = [_HEAD, "## Actions\n", _ACTIONS, _table(common)]
     for each in types:
         fails = (
-            "`ActionFailed` if no choice succeeds"
+            "The action fails with `ActionFailed` if no choice succeeds."
             if each.choices
-            else "the failure of a motion or action that it performs"
+            else "If a motion or action within this action fails, this action fails with the same failure."
         )
         slots = _table(slot for slot in each.slots if slot not in common)
-        parts += [f"### {each.type}\n", f"{each.text}\n", slots, *demands(each), f"The action fails with {fails}.\n"]
+        parts += [f"### {each.type}\n", f"{each.text}\n", slots, *demands(each), f"{fails}\n"]
     parts += ["## Objects and places\n"]
     for kind in (ObjectDesignator, LocationDesignator):
         text = inspect.getdoc(kind) or ""

@@ -39,7 +39,7 @@ def pick_up(
     grasp: GraspSide | None = None,
     from_: str | None = None,
 ) -> MotionDesignator:
-    """Moves the gripper to an object, closes it and takes the object, with a finger on each side of the object.
+    """Moves the gripper to an object, closes the fingers on two sides of the object, and takes the object.
 
     Args:
         object: An Object of a world.

@@ -166,7 +166,7 @@ class InCollision(PlanFailure):
 
 @dataclass_error
 class NotDrivable(PlanFailure):
-    """The robot's base can't have the pose, because it drives upright on its ground."""
+    """The robot's base can't drive to the pose, because the base drives upright on its ground."""
 
     position: Sequence[float] = kept_as(floats)  # position of the refused base pose
     orientation: Sequence[float] = kept_as(floats)

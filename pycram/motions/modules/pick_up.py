@@ -46,7 +46,7 @@ _BEHIND: Final = (-1.0, 0.0, 0.0)  # direction from which the gripper approaches
 
 
 class PickUp(SimulatedModule):
-    """Moves the gripper to an object, closes it and takes the object, with a finger on each side of the object.
+    """Moves the gripper to an object, closes the fingers on two sides of the object, and takes the object.
 
     PyCRAM plans the whole motion before anything moves, and checks it again before and after the gripper closes. The
     motion also takes an object from another hand of the robot; the other hand then releases the object and moves back.

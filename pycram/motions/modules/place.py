@@ -54,8 +54,9 @@ class _Plan:
 class Place(SimulatedModule):
     """Puts a held object down on a support; without a given orientation, the object is upright.
 
-    Placing succeeds if all objects come to rest, the object stands where it was released, and its neighbours and
-    objects on the robot stay. If the object leans on the hand, the hand moves back, and the object must still stand.
+    The motion succeeds if all objects come to rest, the object stands where the hand released it, and neither its
+    neighbours nor objects on the robot have moved. If the object leans on the hand, the hand moves back, and the object
+    must still stand.
     """
 
     failures = (PlaceFailed, Unreachable, MissingPart)
