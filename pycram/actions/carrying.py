@@ -203,20 +203,15 @@ def _clear_away(body: Object, arm: str | None) -> None:
 def _surfaces_beside(body: Object) -> list[Surface]:
     """Return the nearest surfaces outside containers that have room at a distance from an object."""
     position = body.get_position()
-    found = [
-        (math.dist(furniture.surface_pose(surface)[0], position), surface)
-        for furniture in body.world.objects
-        for surface in furniture.surfaces.values()
-        if not surface.container and _beyond(furniture, surface, position)
-    ]
+    found = []
+    for furniture in body.world.objects:
+        for surface in furniture.surfaces.values():
+            pose = furniture.surface_pose(surface)
+            corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
+            has_room = any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
+            if has_room and not surface.container:
+                found.append((math.dist(pose[0], position), surface))
     return [surface for _, surface in sorted(found, key=lambda each: each[0])[:_NEAREST]]
-
-
-def _beyond(furniture: Object, surface: Surface, position: Sequence[float]) -> bool:
-    """Return whether a surface reaches farther than ``_BESIDE`` from a position, unlike the top of a small fridge."""
-    pose = furniture.surface_pose(surface)
-    corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
-    return any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
 
 
 def _delivering_choices(

@@ -125,11 +125,9 @@ class JointTree:
         return abs(geometry.rotate(turn, joint.axis)[2]) > _UPRIGHT
 
     def gripper_links(self, arm: ArmChain | None, arms: Sequence[ArmChain]) -> list[str]:
-        """Return links that are named like grippers or fingers, and that no joint of an arm moves directly.
+        """Return links at the end of an arm that are named like grippers or fingers, and aren't the arm's last link.
 
-        Args:
-            arm: The arm that ends at these links; None if no arm ends there.
-            arms: All arms of the robot.
+        If ``arm`` is None, return such links at the end of no arm. ``arms`` are all arms of the robot.
         """
         of_arms = {joint.name: each for each in arms for joint in each.joints}
         found = []
@@ -178,9 +176,9 @@ class JointTree:
 
 
 def _short_names(runs: list[list[str]], robot: str) -> list[str]:
-    """Return names of arms: the sides that the names of their joints contain; for one arm, the robot's name.
+    """Return names of arms: "left" or "right" if the names of the joints contain this side; else, "arm" with a number.
 
-    The names consist of letters, digits and hyphens, because TOML keys and slots (``NAME-arm``) contain them.
+    A single arm has the robot's name, in letters, digits and hyphens, because TOML keys and slots contain this name.
     """
     if len(runs) == 1:
         return [_NO_NAME.sub("-", robot).strip("-") or "arm"]

@@ -159,9 +159,8 @@ def _grasps(robot: Object, arm: Arm) -> Finding:
     """Check that an arm picks up at least one household object from a table."""
     tried = list(picked_up(robot, arm, chain_of(robot, arm)))
     counts = ", ".join(f"{name} {taken} of {places}" for name, taken, places, _ in tried)
-    if any(taken for _, taken, _, _ in tried):
-        return Finding(True, f"{arm.name} arm, picked up from a table", counts)
-    return Finding(False, f"{arm.name} arm, picked up from a table", f"{counts}; {tried[0][3]}")
+    taken = any(taken for _, taken, _, _ in tried)
+    return Finding(taken, f"{arm.name} arm, picked up from a table", counts if taken else f"{counts}; {tried[0][3]}")
 
 
 def _missing_grippers(robot: Object, description: RobotDescription) -> Iterator[Finding]:
@@ -199,9 +198,8 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
         return
     wide = arm.bias(robot.urdf) * (opened.gap - closed.gap) / 2  # y of the middle of open jaws that move unevenly
     middle = max(abs((jaws.left + jaws.right) / 2 - y) for jaws, y in ((opened, wide), (closed, 0.0)))
-    yield Finding(
-        middle <= _CENTRED, about, f"the middle between the fingers is {1e3 * middle:.1f} mm from the tool frame"
-    )
+    text = f"the middle between the fingers is {1e3 * middle:.1f} mm from the tool frame"
+    yield Finding(middle <= _CENTRED, about, text)
     for name, said, measured in (
         ("aperture", gripper.aperture, opened.gap),
         ("gap", gripper.gap, max(closed.gap, 0.0)),
@@ -232,11 +230,8 @@ def _postures(robot: Object, arm: Arm) -> Iterator[Finding]:
         with robot.world.lock, CollisionChecker(robot, arm.joints) as checker:
             (candidate,) = checker.predict([arm.posture(name)])
             pairs = checker.self_collisions(candidate)
-        text = (
-            "; ".join(f"{pair.link} would penetrate {pair.body_link}" for pair in pairs)
-            or "the robot doesn't touch itself"
-        )
-        yield Finding(not pairs, f"{arm.name} arm, {name}", text)
+        text = "; ".join(f"{pair.link} would penetrate {pair.body_link}" for pair in pairs)
+        yield Finding(not pairs, f"{arm.name} arm, {name}", text or "the robot doesn't touch itself")
 
 
 def _head(robot: Object, description: RobotDescription) -> Finding:
@@ -306,5 +301,5 @@ def parked(robot: Object, arm: Arm) -> list[float]:
         named = [dict(zip(arm.joints, row, strict=True)) for row in rows]
         for row, candidate in zip(rows, checker.predict(named), strict=True):
             if not checker.self_collisions(candidate):
-                return [float(value) for value in row]
-    return [float(value) for value in chain.limited(np.zeros((1, len(arm.joints))))[0].round(3)]
+                return list(map(float, row))
+    return list(map(float, chain.limited(np.zeros((1, len(arm.joints))))[0].round(3)))

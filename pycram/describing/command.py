@@ -54,11 +54,10 @@ _FILLED: Final = 110  # opacity of surfaces, 0 to 255
 def draw(body: Object, file: Path) -> None:
     """Draw a robot or furniture into a picture file; the suffix of the file determines the format.
 
-    Surfaces are drawn over the parts that hide them: open ones green, in drawers orange, behind doors blue.
+    Surfaces are drawn over the parts that hide them: green, or in drawers orange, or behind doors blue.
 
     Raises:
-        OSError: The file can't be written.
-        ValueError: No image format has the suffix.
+        AssetError: The file can't be written, or no image format has the suffix.
     """
     low, high = (np.array(corner) for corner in body.get_AABB())
     surfaces = {
@@ -86,7 +85,11 @@ def draw(body: Object, file: Path) -> None:
         origin, *ends = _flat(camera, tool)
         for end, axis in zip(ends, _COLORS, strict=True):
             pen.line([*origin, *end], fill=axis, width=3)
-    image.save(file)
+    try:
+        image.save(file)
+    except (OSError, ValueError) as error:  # ValueError: no image format has the suffix
+        raise AssetError(file, str(error)) from error
+    print(f"picture in {file}", file=sys.stderr)
 
 
 def _camera(points: NDArray[np.float64], middle: NDArray[np.float64], away: Vector) -> Camera:
@@ -133,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
                     body = _loaded(description, options.file, world)
                 else:
                     body = Object(model.urdf.name or "furniture", "environment", options.file, world=world)
-                _draw(body, options.picture)
+                draw(body, options.picture)
     except AssetError as error:
         return _refused(str(error))
     return _FINE
@@ -151,7 +154,7 @@ def _check(description: RobotDescription, options: argparse.Namespace) -> int:
             print(finding)
             failed += not finding.passed
         if options.picture:
-            _draw(robot, options.picture)
+            draw(robot, options.picture)
     print(f"{failed} of the checks failed" if failed else "all checks passed", file=sys.stderr)
     return _FAILED if failed else _FINE
 
@@ -165,18 +168,8 @@ def _loaded(description: RobotDescription, urdf: str, world: BulletWorld) -> Obj
     return robot
 
 
-def _draw(body: Object, file: Path) -> None:
-    from pycram.describing.command import draw  # noqa: PLC0415  the import needs the extra for pictures
-
-    try:
-        draw(body, file)
-    except (OSError, ValueError) as error:  # ValueError: no image format has that suffix
-        raise AssetError(file, str(error)) from error
-    print(f"picture in {file}", file=sys.stderr)
-
-
 def _with_grippers(urdf: str) -> str:
-    """Write the URDF of a robot in which PyCRAM's gripper is on each arm without a gripper; return its name."""
+    """Write a URDF of a robot with PyCRAM's gripper on each arm that has no gripper; return the file's name."""
     source = find(urdf)
     arms = [(arm, hand) for arm, hand in guess(load.load(urdf), suction=True).arms if not arm.fingers]
     if not arms:

@@ -37,7 +37,7 @@ _SHARES: Final = (1.0, 0.7, 0.5, 0.35, 0.25)  # candidates for open fingers, as 
 
 @dataclass(frozen=True, slots=True)
 class Jaws:
-    """Positions of two sides of fingers in m. The x axis of the frame points out of the hand; fingers close along y."""
+    """Positions in m of fingers on two sides, in a frame whose x axis points out of the hand; fingers close along y."""
 
     left: float  # y of the inner faces on the +y side
     right: float  # y of the inner faces on the -y side
@@ -65,13 +65,9 @@ class Corners:
         return link in self._corners
 
     def of(self, links: Iterable[str], positions: Mapping[str, float], base: str, offset: Pose) -> Array:
-        """Return the corners (n, 3) of links in a frame.
+        """Return the corners (n, 3) of links in a frame; a link without shapes has no corners.
 
-        Args:
-            links: Names of links; a link without shapes has no corners.
-            positions: Joint positions by name, rad or m; other joints are at 0.
-            base: Link to which the frame is attached.
-            offset: Pose of the frame in the link ``base``.
+        Joints without a position (rad or m) are at 0. The frame has a pose ``offset`` in the link ``base``.
         """
         frame = geometry.invert(geometry.multiply(self._urdf.forward_kinematics(positions, base), offset))
         found = [np.zeros((0, 3))]
@@ -85,7 +81,7 @@ class Corners:
         """Return the positions of fingers in a frame; None without fingers on two sides. Arguments: see :meth:`of`."""
         found = [corners for finger in fingers if len(corners := self.of([finger], positions, base, offset))]
         tips = [corners[corners[:, 0] >= corners[:, 0].max() - _PADS] for corners in found]
-        for seen in (found, tips):  # if the palm contains a fixed jaw, only the tip of the jaw is on one side
+        for seen in (found, tips):  # only the tip of a fixed jaw on the palm is on one side
             sides: tuple[list[Array], list[Array]] = ([], [])
             for corners, part in zip(found, seen, strict=True):
                 sides[float(part[:, 1].mean()) < 0.0].append(corners)
@@ -234,7 +230,26 @@ def _fitted(
     shut, wide = (corners.jaws(links, positions, palm, frame) for positions in ends)
     if shut is None or wide is None or wide.gap <= max(shut.gap, 0.0):
         return None
-    hand = _measured(corners, palm, frame, links, shut, ends, (shut.gap, wide.gap))
+    closed, opened = ends
+    middle = (shut.tip - TIPS, (shut.left + shut.right) / 2, (shut.low + shut.high) / 2)
+    offset = geometry.transform(frame, middle), frame[1]
+    taking = [link for link in links if corners.of([link], closed, palm, offset)[:, 0].max() > TIPS - _NEAR_TIP]
+    body = corners.of([palm], closed, palm, offset)
+    front = float(body[:, 0].max(initial=-_MAX_DEPTH))
+    every = np.vstack([body, corners.of(links, closed, palm, offset), corners.of(links, opened, palm, offset)])
+    hand = HandGuess(
+        palm=palm,
+        offset=offset,
+        fingers=tuple(taking),
+        joints=tuple(closed),
+        closed=tuple(closed.values()),
+        open=tuple(opened.values()),
+        tips=TIPS,
+        aperture=max(wide.gap - 2 * _PADDING, 1e-3),
+        gap=max(shut.gap - _PADDING, 0.0),  # the engine's padding reduces the gap
+        depth=min(max(-front - _PALM_CLEARANCE, 0.0), _MAX_DEPTH),
+        underside=float(-every[:, 2].min()) + 2 * _PADDING,
+    )
     return hand if hand.fingers and not any(hand.wrong_ways(tree.urdf, palm, hand.offset)) else None
 
 
@@ -266,41 +281,10 @@ def _ends(
     return closed, opened
 
 
-def _measured(
-    corners: Corners,
-    palm: str,
-    frame: Pose,
-    links: Sequence[str],
-    shut: Jaws,
-    positions: tuple[Mapping[str, float], Mapping[str, float]],
-    gaps: tuple[float, float],
-) -> HandGuess:
-    closed, opened = positions
-    middle = (shut.tip - TIPS, (shut.left + shut.right) / 2, (shut.low + shut.high) / 2)
-    offset = geometry.transform(frame, middle), frame[1]
-    taking = [link for link in links if corners.of([link], closed, palm, offset)[:, 0].max() > TIPS - _NEAR_TIP]
-    body = corners.of([palm], closed, palm, offset)
-    front = float(body[:, 0].max(initial=-_MAX_DEPTH))
-    every = np.vstack([body, corners.of(links, closed, palm, offset), corners.of(links, opened, palm, offset)])
-    return HandGuess(
-        palm=palm,
-        offset=offset,
-        fingers=tuple(taking),
-        joints=tuple(closed),
-        closed=tuple(closed.values()),
-        open=tuple(opened.values()),
-        tips=TIPS,
-        aperture=max(gaps[1] - 2 * _PADDING, 1e-3),
-        gap=max(gaps[0] - _PADDING, 0.0),  # the engine's padding reduces the gap
-        depth=min(max(-front - _PALM_CLEARANCE, 0.0), _MAX_DEPTH),
-        underside=float(-every[:, 2].min()) + 2 * _PADDING,
-    )
-
-
 def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
     """Return the orientation of the tool frame in the palm: x points out of the hand, the fingers close along y.
 
-    ``closed`` and ``opened`` are the points midway between closed and between open fingers, in the palm's frame, in m.
+    ``closed`` and ``opened`` are the middles of closed and of open fingers, in the palm's frame, m.
     """
     ways = [b - a for a, b in zip(closed, opened, strict=True)]
     apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)

@@ -1,7 +1,6 @@
 """A description of a robot that is guessed from its URDF, as TOML with comments for a reviewer.
 
-A URDF doesn't contain all values of a camera, such as its field of view; typical values replace them, marked by a
-comment.
+Comments mark typical values of a camera, because a URDF doesn't contain values such as the field of view.
 """
 
 from __future__ import annotations

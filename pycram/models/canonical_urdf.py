@@ -1,9 +1,8 @@
-"""Canonical URDF: the single form of URDF that the engine, viewers and recordings read.
+"""Canonical URDF: the form of URDF that the engine, viewers and recordings read.
 
-Canonical URDF has only elements that URDF defines. PyBullet rejects an invalid link without a reason, or loads it
-silently; an AssetError names the link. Planar and floating joints become chains of joints that the engine supports.
-Each element starts a new line, because PyBullet breaks lines after 8,191 characters, even inside a number. Numbers keep
-their digits.
+Canonical URDF has only elements that URDF defines, and no invalid link: PyBullet would reject such a link without a
+reason, or load it silently. Chains of single joints replace planar and floating joints. Each element starts a new line,
+because PyBullet breaks lines after 8,191 characters, even inside a number. Numbers keep their digits.
 """
 
 from __future__ import annotations
@@ -39,9 +38,7 @@ LARGEST: Final = 1e9  # largest number in a link (m, kg or kg m^2): the engine t
 DENSITY: Final = 700.0  # density in kg/m^3 of household objects of unknown mass
 _FRAME_MASS: Final = 1e-3  # mass in kg of a link without shapes
 _FRAME_INERTIA: Final = 1e-6  # kg m^2
-_JOINT_INERTIA: Final = (
-    0.05  # inertia in kg m^2 of links that only connect two joints; the motors of a chain then converge sooner
-)
+_JOINT_INERTIA: Final = 0.05  # inertia in kg m^2 of links that only connect two joints, so that motors converge
 _ROUNDING: Final = 1e-9  # lowest accepted moment in kg m^2; mesh tools round moments to slightly below 0
 _SHAPES: Final = {
     "box": (("size", 3),),
@@ -117,7 +114,7 @@ def _multiply(element: ET.Element, attributes: Iterable[str], factor: float) -> 
 
 
 def _strip(element: ET.Element) -> None:
-    """Remove elements that URDF doesn't define, without visiting their children, which may be nested deeply."""
+    """Remove elements that URDF doesn't define, without a recursion into their children, which may be nested deeply."""
     own = _OWN_CHILDREN.get(element.tag, ())
     for child in list(element):
         if child.tag in own:
@@ -154,9 +151,8 @@ def _check_shape(source: Path, where: str, geometry: ET.Element | None) -> None:
     for attribute, count in _SHAPES[shape.tag]:
         values = _numbers(source, f"{where}, {shape.tag}", shape, attribute, count)
         if min(values) <= 0:
-            raise AssetError(
-                source, f"{where}: {attribute} of the {shape.tag} is {shape.get(attribute)!r}, not above 0"
-            )
+            reason = f"{attribute} of the {shape.tag} is {shape.get(attribute)!r}, not above 0"
+            raise AssetError(source, f"{where}: {reason}")
     if shape.get("scale") is not None and 0.0 in _numbers(source, f"{where}, mesh", shape, "scale", 3):
         raise AssetError(source, f"{where}: a mesh scaled by {shape.get('scale')!r} has no volume")
 
@@ -219,10 +215,10 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
 
 
 def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
-    """Replace a planar or floating joint with single joints and links between these joints.
+    """Replace a planar or floating joint by single joints, with links between them.
 
     A planar joint NAME becomes NAME_x and NAME_y in its plane, and NAME_yaw about its axis. A floating joint NAME
-    becomes NAME_x, NAME_y, NAME_z, NAME_yaw, NAME_pitch and NAME_roll; each turns about an axis of the link before it.
+    becomes NAME_x, NAME_y, NAME_z, NAME_yaw, NAME_pitch and NAME_roll, each along or about an axis of the link before.
     """
     name = element.get("name", "")
     if element.get("type") == "planar":
@@ -270,9 +266,9 @@ def _normalize(element: ET.Element, tree: Urdf) -> None:
 def give_inertia(link: ET.Element, *, moved: bool) -> None:
     """Add the inertia of a household object to a checked ``<link>`` element without inertia.
 
-    A link without shapes gets a negligible inertia: PyBullet would make it 1 kg and print a warning. If two moments add
-    up to less than the third, all are replaced by their mean; the engine would make them 0. ``moved`` is whether a
-    joint moves the link.
+    A link without shapes gets a negligible inertia, because PyBullet would use 1 kg and print a warning. If two moments
+    add up to less than the third, their mean replaces all three, because the engine would replace them by 0. ``moved``
+    is whether a joint moves the link.
     """
     inertia = link.find("inertial/inertia")
     if inertia is not None:

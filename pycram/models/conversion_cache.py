@@ -1,8 +1,8 @@
 """A cache of converted meshes and of convex hulls in a folder of the user, shared by all processes.
 
-Without this cache, some robots take 1 to 3 s to load each time. The name of an entry is the hash of everything that the
-conversion reads, and of the converting code. An entry is never out of date, and a user may delete entries at any time.
-If the folder isn't writable, or if other users can write to it, each process converts the meshes itself.
+Without this cache, some robots take 1 to 3 s to load each time. The name of an entry is the hash of the code and of all
+data that the conversion reads, so entries are never out of date; users may delete entries at any time. If the folder
+isn't writable, or if other users can write to the folder, each process converts the meshes itself.
 """
 
 from __future__ import annotations

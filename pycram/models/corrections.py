@@ -1,8 +1,8 @@
 """Corrections of found furniture in a TOML file next to the URDF: ``kitchen.furniture.toml`` for ``kitchen.urdf``.
 
-Each table corrects the found surface or container with that name; a table with a new name adds a surface or container
-(``docs/guides/furniture.md``). Names of links and joints are checked when the model is loaded, names of furniture when
-the furniture is found.
+A table corrects the found surface or container with its name, or adds a surface or container with a new name
+(``docs/guides/furniture.md``). Names of links and joints are checked when the model is loaded, and names of furniture
+when the furniture is found.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class _Correction:
         return Furniture(MappingProxyType(surfaces), MappingProxyType(containers))
 
     def _things(self, kind: str, found: Mapping[str, Any], said: Mapping[str, Mapping[str, Any]]) -> list[Any]:
-        """Return names with the found surfaces or containers, except removed ones; an added name has None."""
+        """Return names and the found surfaces or containers, without removed ones; for an added name, None."""
         for key, entries in said.items():
             needed = [part for part in _NEW[kind] if not any(name in entries for name in part.split(" or "))]
             if key not in found and (needed or "remove" in entries):
@@ -197,10 +197,8 @@ class _Correction:
         link = said.get("link") or (found.link if found else "")
         upright = geometry.conjugate(self._poses[link][1])
         if found is None:
-            clearance = said.get("clearance", math.inf)
-            return Surface(
-                name, link, said["position"], said.get("orientation", upright), outline, clearance, container
-            )
+            turn, clearance = said.get("orientation", upright), said.get("clearance", math.inf)
+            return Surface(name, link, said["position"], turn, outline, clearance, container)
         return replace(
             found,
             name=name,

@@ -134,7 +134,7 @@ def _installed(name: str) -> Path:
 
 
 def _with_gripper(name: str, arm: Path) -> Path:
-    """Store the URDF of an arm with PyCRAM's gripper. The z axis of the flange is the x axis of the gripper."""
+    """Store the URDF of an arm with PyCRAM's gripper, whose x axis is the z axis of the flange; return the file."""
     robot = ET.fromstring(read_text(arm))  # noqa: S314  an installed file
     robot.set("name", f"{robot.get('name')}_with_gripper")
     mount_gripper(robot, _FLANGE, "0 0 0", "0 -1.5707963267948966 0")
@@ -149,7 +149,7 @@ def mount_gripper(robot: ET.Element, link: str, xyz: str, rpy: str, prefix: str 
         link: The link that gets the gripper; x of the gripper points away from it.
         xyz: Position of the gripper in the link, m.
         rpy: Orientation of the gripper in the link, rad.
-        prefix: Text before the names of links and joints of the gripper.
+        prefix: Prefix of the names of the gripper's links and joints.
     """
     text = read_text(resources() / "two_finger_gripper.urdf").replace('"gripper_', f'"{prefix}gripper_')
     hand = ET.fromstring(text)  # noqa: S314  an installed file
@@ -164,7 +164,7 @@ def mount_gripper(robot: ET.Element, link: str, xyz: str, rpy: str, prefix: str 
 
 
 def with_absolute_meshes(robot: ET.Element, source: Path) -> bytes:
-    """Return the text of a URDF from a file; its relative file names are valid only in the file's folder."""
+    """Return the text of a URDF with absolute names of meshes, which are valid outside of the folder of ``source``."""
     for mesh in robot.iter("mesh"):
         mesh.set("filename", os.fspath(find_mesh(source, mesh.get("filename", ""))))
     ET.indent(robot)
@@ -266,11 +266,7 @@ XACRO: Final = ".xacro"  # suffix of files with macros
 
 
 def expanded(source: Path, content: bytes, packages: Sequence[Path] = ()) -> bytes:
-    """Return the text of a URDF, with its macros expanded.
-
-    Raises:
-        AssetError: The package xacro isn't installed, or can't expand the file.
-    """
+    """Return the text of a URDF, with its macros expanded; raise an AssetError if xacro is missing, or fails."""
     if source.suffix.lower() != XACRO and b"<xacro:" not in content:
         return content
     target = source.name.removesuffix(XACRO).removesuffix(".urdf") + ".urdf"

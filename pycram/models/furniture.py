@@ -1,9 +1,8 @@
 """Finding the surfaces and containers of a model in its shapes and joints.
 
-A level face (:mod:`pycram.models.level_faces`) is a surface if it is accessible from above or from a side, or if a
-joint gives access. A drawer is a part on a horizontal prismatic joint, with a surface in it or a handle on it. A door
-is a moving part that blocks access to a surface when closed: all rays from the surface end nearby, and hit the door
-first.
+A level face (:mod:`pycram.models.level_faces`) is a surface if the face is accessible from above or from a side, or if
+a joint gives access. A drawer is a part with a horizontal prismatic joint, and with a surface or a handle. A door is a
+moving part that blocks access to a surface when closed: all rays from the surface end nearby, and most hit the door.
 """
 
 from __future__ import annotations
@@ -74,9 +73,7 @@ def find_furniture(path: Path, urdf: Urdf) -> Furniture:
 def tops_of(path: Path, orientation: Quaternion) -> tuple[Surface, ...]:
     """Return the surfaces on top of a free object with closed joints, such as a plate, a tray or a box.
 
-    Args:
-        orientation: Orientation xyzw of the object in the world. If an object lies on its side, another face is its
-            top.
+    ``orientation`` is xyzw of the object in the world; the top of an object that lies on its side is another face.
     """
     urdf = stored_tree(path)
     turned = (0.0, 0.0, 0.0), orientation
@@ -101,9 +98,7 @@ def _is_usable(face: Face, floor: float, every: Sequence[Piece]) -> bool:
 class _Search:
     """The search for accessible faces of a model, and for the joints that give access.
 
-    Args:
-        poses: Poses of the links in the root link, with closed joints.
-        offered: Faces on which objects could stand.
+    ``poses`` are the poses of the links in the root link, with closed joints; ``offered`` are all level faces.
     """
 
     def __init__(self, urdf: Urdf, poses: Mapping[str, Pose], every: Sequence[Piece], offered: Sequence[Face]) -> None:
@@ -176,9 +171,8 @@ class _Search:
         by_joint = dict(zip(joints, distinct(names), strict=True))
         # numbers in names follow this order: from low to high in a container, otherwise by size
         order = sorted(range(len(kept)), key=lambda number: 0.0 if kept[number][1] else -kept[number][0].area)
-        named = dict(
-            zip(order, distinct(readable(kept[number][0].link, self._urdf.name) for number in order), strict=True)
-        )
+        links = (readable(kept[number][0].link, self._urdf.name) for number in order)
+        named = dict(zip(order, distinct(links), strict=True))
         surfaces = [
             surface_of(named[number], face, self._poses, by_joint.get(opened, ""))
             for number, (face, opened) in enumerate(kept)
@@ -194,16 +188,8 @@ class _Search:
 
     def _container(self, name: str, kind: str, joint: UrdfJoint, surfaces: Sequence[Surface]) -> Container:
         inside = tuple(surface.name for surface in surfaces if surface.container == name)
-        return Container(
-            name,
-            kind,
-            joint.child,
-            joint.name,
-            self._handle(joint),
-            closed_position(joint),
-            open_position(joint),
-            inside,
-        )
+        closed, opened = closed_position(joint), open_position(joint)
+        return Container(name, kind, joint.child, joint.name, self._handle(joint), closed, opened, inside)
 
     def _handle(self, joint: UrdfJoint) -> str:
         """Return the link that a joint moves and that is named like a handle; "" if there is no such link."""

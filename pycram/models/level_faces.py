@@ -1,8 +1,8 @@
 """Level faces of a model on which objects can stand, with the free height above each face.
 
-A grid divides the top of each link; its lines are the edges of convex pieces, so the result is exact for boxes. A cell
-is free if it belongs to the top and has enough free height. A face keeps its shape if nearly all of its cells are free;
-else it is divided into rectangles. The engine uses the convex hull of each piece, so objects stand on hulls.
+A grid divides the top of each link. The grid's lines are the edges of convex pieces, so the result is exact for boxes.
+A cell is free if it belongs to the top and has enough free height. A face keeps its shape if nearly all of its cells
+are free; else rectangles replace the face. The engine uses the convex hull of each piece, so objects stand on hulls.
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ class Least(NamedTuple):
 AREA: Final = 0.02  # minimum area in m^2 of a face of furniture
 FURNITURE: Final = Least(AREA, 0.06)  # width of a glass
 THINGS: Final = Least(0.0016, 0.04)  # sizes for a plate, a box, or another object that robots carry
-_CLEARANCES: Final = (0.25, 0.05)
-"""Minimum free heights in m, in the order of the search; with several heights, a lamp excludes only the area below."""
+_CLEARANCES: Final = (0.25, 0.05)  # free heights in m, first for most of a face, then also for the area below a lamp
 _LEVEL: Final = math.cos(math.radians(2.5))  # minimum z of the normal of a level face
 _THICK: Final = 0.004  # maximum difference in m between the heights of tops that form one face of a link
 _ROUGH: Final = 0.002  # maximum height in m of a bump that isn't an obstacle on a face
@@ -44,8 +43,8 @@ _GAP: Final = 0.001  # minimum distance in m of grid lines
 _FINE: Final = 0.02  # distance in m of grid lines if edges aren't parallel to the grid
 _ALONG: Final = 1e-3  # maximum component of a side's unit normal along a grid axis that is parallel to the side
 _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
-_PARALLEL: Final = 1e-9  # maximum component of a plane's unit normal along a line that counts as parallel to the plane
-_SIMPLE: Final = 16  # number of planes; for pieces with more planes, lines that miss the bounding box are skipped
+_PARALLEL: Final = 1e-9  # maximum component along a plane's unit normal of a line that is parallel to the plane
+_SIMPLE: Final = 16  # maximum number of planes of a simple piece; with others, only lines near the piece intersect
 _ROUNDING: Final = 1e-9  # maximum relative rounding error of an area
 _COLUMNS: Final = 8  # number of columns that BLAS multiplies in one call
 _SAME_PLANE: Final = 6  # decimal places in which planes of triangles on one side of a hull agree
@@ -249,10 +248,7 @@ class Piece:
 
 
 def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:
-    """Return the heights (n, m) at which vertical lines through points (n, 2) enter and leave m pieces.
-
-    If a line misses a piece, the heights are infinity and -infinity.
-    """
+    """Return the heights (n, m) where vertical lines through points (n, 2) enter and leave m pieces; see _through()."""
     origins = np.column_stack([points, np.zeros(len(points))])
     return _through(every, origins, np.array([[0.0, 0.0, 1.0]]))
 
@@ -265,12 +261,9 @@ def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tupl
 
 
 def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Array, Array]:
-    """Return the distances (n, m) at which lines enter and leave pieces; infinities for a line that misses.
+    """Return the distances (n, m) at which lines enter and leave m pieces; infinity and -infinity for a missed piece.
 
-    Args:
-        every: m pieces.
-        origins: (n, 3) points on the lines, m.
-        directions: (n, 3) or (1, 3) unit vectors.
+    The origins (n, 3) are points on the lines, m; the directions are unit vectors (n, 3) or (1, 3).
     """
     into = np.full((len(origins), len(every)), np.inf)
     out = -into
@@ -280,9 +273,8 @@ def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple
     for number, piece in enumerate(every):
         if len(piece.planes) > _SIMPLE and len(lines := _near(piece, origins, directions)):
             along = directions if len(directions) == 1 else directions[lines]
-            into[lines, number], out[lines, number] = (
-                ends[:, 0] for ends in _between_planes([piece], origins[lines], along)
-            )
+            ends = _between_planes([piece], origins[lines], along)
+            into[lines, number], out[lines, number] = ends[0][:, 0], ends[1][:, 0]
     return into, out
 
 

@@ -1,13 +1,9 @@
 """Loading models: from a user's file or a recording's attachments to a checked, canonical URDF in the store.
 
-PyBullet rejects some broken files without a reason, loads others without a shape, or crashes. This module checks every
-file first, also files of recordings, which a stranger may have written. A canonical URDF names its meshes
-``<sha256>/<file name>``, as the store names them (:mod:`pycram.models.store`).
-
-A bowl would be solid, because PyBullet uses the convex hull of a mesh for collisions. So a concave mesh gets a convex
-decomposition: the file ``NAME.collision.obj`` next to the mesh (one ``o`` group per convex piece), else by V-HACD. The
-table ``[NAME]`` of the file ``objects.toml`` next to the mesh may contain mass (kg), friction and coloured visual
-parts.
+Broken files make PyBullet crash or load no shape, so every file is checked first, also files of a stranger's recording.
+PyBullet uses the convex hull of a mesh for collisions, so a concave mesh is decomposed into convex pieces: the ``o``
+groups of ``NAME.collision.obj`` next to the mesh, else the result of V-HACD. The table ``[NAME]`` of ``objects.toml``
+next to the mesh may contain mass (kg), friction and coloured visual parts.
 """
 
 from __future__ import annotations
@@ -49,9 +45,9 @@ _CACHED_MESHES: Final = 1024
 _SIZES: Final = {"box": ("size",), "cylinder": ("radius", "length"), "sphere": ("radius",)}  # shapes with textures
 _START: Final = b"<robot "  # start of a canonical URDF, which has no declarations and no entities
 _MATERIALS: Final = re.compile(rb"^[ \t]*(?:mtllib|usemtl)\b", re.MULTILINE)
-_MAX_NAME: Final = 230  # maximum bytes of a file's name; file systems allow 255, and temporary files have longer names
+_MAX_NAME: Final = 230  # maximum bytes of a file's name; file systems allow 255, also for longer temporary names
 _MAX_LINE: Final = 8000  # maximum length of a URDF's lines in bytes; PyBullet breaks longer lines
-_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # the form in which recordings contain a byte that isn't UTF-8
+_ESCAPE: Final = re.compile(r"\\udc[89a-f][0-9a-f]")  # how recordings write a byte that isn't UTF-8
 _RESERVED: Final = ("", ".", "..")
 
 
@@ -126,18 +122,16 @@ def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ..
 def _file_names(source: Path, content: bytes, scale: float) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Check the links of a URDF; return the file names of the meshes, and of the textures."""
     root = canonical_urdf.read(source, content, scale)
-    meshes, textures = (
-        dict.fromkeys(element.get("filename", "") for element in root.iter(tag)) for tag in ("mesh", "texture")
-    )
-    textures.pop("", None)  # some exporters write textures without a name
-    return tuple(meshes), tuple(textures)
+    names = ({element.get("filename", ""): None for element in root.iter(tag)} for tag in ("mesh", "texture"))
+    meshes, textures = map(tuple, names)
+    return meshes, tuple(filter(None, textures))  # some exporters write textures without a name
 
 
 @lru_cache(maxsize=_CACHED_MODELS)
 def _cached_model(
     source: Path, content: bytes, stem: str, versions: tuple[tuple[str, _FileVersion], ...], scale: float
 ) -> Model:
-    """Return the model of a URDF, from certain versions of its files."""
+    """Return the model of a URDF and of given versions of its files."""
     root = canonical_urdf.read(source, content, scale)
     files = dict(versions)
     used: dict[str, AssetFile] = {}
@@ -191,7 +185,7 @@ def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: di
 def _color(
     link: ET.Element, visual: ET.Element, shown: ET.Element, parts: Sequence[_Painted], used: dict[str, AssetFile]
 ) -> None:
-    """Replace a visual by one for each colour of its mesh. As in RViz, meshes override colours of the URDF."""
+    """Replace a visual by visuals of one colour each. As in RViz, a mesh's colours override colours of the URDF."""
     place = list(link).index(visual)
     link.remove(visual)
     for at, (asset, rgba) in enumerate(parts):
@@ -310,7 +304,7 @@ def _check_mesh(path: Path) -> None:
     mesh.check(path)
 
 
-_MIN_CONVEXITY: Final = 0.9  # minimum share of its hull's volume (open mesh: area) that a convex mesh fills
+_MIN_CONVEXITY: Final = 0.9  # minimum share of the hull's volume (open mesh: area) that counts as a convex mesh
 _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 
@@ -336,10 +330,7 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
 
 
 def _files(file: Path, color: Sequence[float] | None, scale: float) -> Iterator[tuple[str, bytes, None]]:
-    """Yield name and content of the meshes, and then of the URDF.
-
-    The URDF has one link with convex collision shapes, mass, centre of mass and inertia. The keys are names of meshes.
-    """
+    """Yield name and content of each mesh, and then of the URDF, which has one link with inertia and these meshes."""
     shape = parse(file)
     if scale != 1.0:
         shape.vertices = shape.vertices * scale
@@ -396,8 +387,7 @@ def _collision(file: Path, shape: trimesh.Trimesh) -> tuple[str, bytes]:
 
 
 def _obj(shape: trimesh.Trimesh) -> bytes:
-    content = str(shape.export(file_type="obj", include_color=False, include_texture=False))
-    return content.encode()
+    return str(shape.export(file_type="obj", include_color=False, include_texture=False)).encode()
 
 
 def _decompose(content: bytes) -> bytes:

@@ -1,7 +1,7 @@
 """Meshes: checks of STL, OBJ and COLLADA files, and conversions for the engine and viewers.
 
-PyBullet loads a truncated or ASCII STL as a body without a shape, so every mesh is parsed here first. pycollada reads
-COLLADA three times as fast as trimesh. Most OBJ files are read without trimesh, whose import takes a second.
+PyBullet loads a truncated or ASCII STL as a body without a shape, so this module parses every mesh first. pycollada
+reads COLLADA three times as fast as trimesh. Most OBJ files are read without trimesh, because its import takes 1 s.
 """
 
 from __future__ import annotations
@@ -136,8 +136,7 @@ def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
     """Return the vertices of an OBJ as texts of coordinates, and the indices of each face's vertices.
 
     Raises:
-        ValueError: A face has a missing corner, or a line is too long. PyBullet would crash if a corner is missing or
-            if a line is too long.
+        ValueError: A face has a missing corner, or a line is too long; both would crash PyBullet.
     """
     known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
     vertices: list[list[bytes]] = []
@@ -253,8 +252,7 @@ def convert(file: Path) -> tuple[str, bytes]:
 def convert_collision(file: Path) -> tuple[str, bytes]:
     """Return file name and content of a collision mesh for the engine; see :func:`convert`.
 
-    The convex hull replaces a large mesh in one piece: the engine uses only the hull, and would compute it slowly at
-    each loading.
+    The convex hull replaces a large mesh in one piece, because the engine would compute the hull slowly at each load.
     """
     content = _bytes(file)
     kind = file.suffix.lower()
@@ -280,7 +278,7 @@ def is_convex(shape: trimesh.Trimesh, least: float) -> bool:
 
 
 def is_filled(file: Path) -> bool:
-    """Return whether the engine fills the hollow of a collision mesh: a mesh in one piece becomes its convex hull.
+    """Return whether the engine fills the hollow of a collision mesh, because the mesh has only one piece.
 
     Raises:
         AssetError: The file can't be read, or has no faces.
@@ -312,7 +310,7 @@ def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, by
     """Return file name, content and colour of each visual part of a mesh; a file without faces has no parts.
 
     The colour is RGBA 0..1, or None if the file has no colour. ``cover`` is the content of a texture for faces without
-    a material; faces without texture coordinates get its mean colour. The errors are those of :func:`convert`.
+    a material; faces without texture coordinates get the texture's mean colour. :func:`convert` lists the errors.
     """
     if file.suffix.lower() not in (".dae", ".obj"):
         image = None if cover is None else read_image(io.BytesIO(cover))
@@ -324,7 +322,7 @@ def convert_visual(file: Path, cover: bytes | None = None) -> list[tuple[str, by
 
 
 def check(file: Path) -> None:
-    """Raise an AssetError if a mesh is broken, or isn't a binary STL or an OBJ, the formats that we write."""
+    """Raise an AssetError if a mesh of a recording is broken, or is neither a binary STL nor an OBJ."""
     kind = file.suffix.lower()
     if kind == ".stl":
         _check_binary_stl(file, _bytes(file))
@@ -385,8 +383,7 @@ def _with_normals(content: bytes) -> bytes:
     normals = np.cross(b - a, c - a)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     numbers[missing, 0] = normals / np.maximum(lengths, 1e-30)
-    filled: bytes = content[:_STL_HEADER] + table.tobytes()
-    return filled
+    return bytes(content[:_STL_HEADER] + table.tobytes())
 
 
 def stl(triangles: Array) -> bytes:
@@ -395,5 +392,4 @@ def stl(triangles: Array) -> bytes:
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     table["numbers"][:, 0] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     table["numbers"][:, 1:] = triangles
-    content: bytes = b"\0" * 80 + struct.pack("<I", len(table)) + table.tobytes()
-    return content
+    return bytes(b"\0" * 80 + struct.pack("<I", len(table)) + table.tobytes())

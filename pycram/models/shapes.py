@@ -1,7 +1,7 @@
 """Shapes of a model: triangles, colours, bounding boxes, and the convex pieces that the engine uses for collisions.
 
-A canonical URDF is read only once, because a URDF with another content has another name. The engine uses the convex
-hull of each group of a collision mesh. The planes of a hull are half spaces, so lines can be intersected with a hull.
+A canonical URDF is read only once, because its name depends on its content. The engine uses the convex hull of each
+group of a collision mesh. Each plane of a hull bounds a half space, so lines can be intersected with a hull.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 Number = TypeVar("Number", np.float64, np.int64)
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"  # lowest and highest corner of a box, m
-_SMALL: Final = 300  # maximum number of values in an array that counts as small
 _SECTIONS: Final = 32  # number of sides of approximated cylinders and spheres
 _NO_AREA: Final = 1e-12  # area in m^2; in a solid 1 m high, a smaller triangle has two corners on the axis
 _CUBE: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))  # corners of a cube with edges of 1 m
@@ -47,9 +46,8 @@ class Shapes:
     """Shapes of a model, each in the frame of its link. Links without shapes are left out; k links remain."""
 
     links: tuple[str, ...]
-    #: Functions of a link's index; they compute values when a caller first needs them, because a camera sees few links.
-    triangles: Callable[[int], Array]  # returns (n, 3, 3) corners, m
-    colors: Callable[[int], Array]  # returns (n, 3) RGB 0..1 of the triangles
+    triangles: Callable[[int], Array]  # returns corners (n, 3, 3), m, for the index of a link
+    colors: Callable[[int], Array]  # returns RGB 0..1 (n, 3) of the triangles for the index of a link
     low: Array  # (k, 3) lowest corners of bounding boxes, m
     high: Array  # (k, 3) highest corners of bounding boxes, m
 
@@ -80,11 +78,8 @@ def _read(path: Path, role: str) -> dict[str, list[Shape]]:
 
 def bounds(corners: Array) -> tuple[Array, Array]:
     """Return the lowest and highest corner of a box around corners (..., 3)."""
-    if corners.size <= _SMALL:
-        few = corners.reshape(-1, 3)
-        return few.min(axis=0), few.max(axis=0)
-    x, y, z = (np.ascontiguousarray(corners[..., axis]) for axis in range(3))  # each axis alone is faster
-    return np.array([x.min(), y.min(), z.min()]), np.array([x.max(), y.max(), z.max()])
+    points = corners.reshape(-1, 3)
+    return points.min(axis=0), points.max(axis=0)
 
 
 def _ends(shape: Shape, folder: Path) -> Ends:
@@ -130,7 +125,7 @@ def _placed(shape: Shape, corners: Array) -> Array:
 
 
 def _groups(shape: Shape, folder: Path) -> Iterator[Array]:
-    """Yield corners (n, 3) or (n, 3, 3) of each group of a shape, in the shape's frame; an OBJ may have many groups."""
+    """Yield corners (n, 3) or (n, 3, 3) of each group of a shape, in the shape's frame; only OBJs have several."""
     if shape.kind == "box":
         yield _CUBE * shape.size
         return
@@ -186,17 +181,13 @@ def _triangles(shape: Shape, folder: Path) -> Array:
 def _revolved(profile: Array) -> Array:
     """Return the triangles of a solid of revolution about the z axis; seen from outside, they are counter-clockwise.
 
-    Args:
-        profile: (k, 2) points from bottom to top; their coordinates are the distance from the axis, and the height, m.
+    The profile (k, 2) has points from bottom to top: the distance from the axis, and the height, m.
     """
     angles = np.arange(_SECTIONS) * 2 * np.pi / _SECTIONS
     distance, height = profile.T
     rings = np.empty((_SECTIONS, len(profile), 3))
-    rings[..., 0], rings[..., 1], rings[..., 2] = (
-        np.outer(np.cos(angles), distance),
-        np.outer(np.sin(angles), distance),
-        height,
-    )
+    rings[..., 0], rings[..., 1] = np.outer(np.cos(angles), distance), np.outer(np.sin(angles), distance)
+    rings[..., 2] = height
     following = np.roll(rings, -1, axis=0)
     a, b, c, d = rings[:, :-1], following[:, :-1], following[:, 1:], rings[:, 1:]
     triangles = np.concatenate([np.stack(corners, axis=2).reshape(-1, 3, 3) for corners in ((a, b, c), (a, c, d))])
@@ -206,8 +197,6 @@ def _revolved(profile: Array) -> Array:
 
 @lru_cache(maxsize=1024)
 def _mesh_ends(file: Path) -> Array:
-    if file.suffix.lower() == ".stl":  # an STL's number format is also exact
-        return np.array(bounds(mesh.stl_faces(file.read_bytes())["numbers"][:, 1:]), dtype=np.float64)
     return np.array(bounds(_mesh(file)))
 
 
@@ -257,10 +246,9 @@ def solids_of(path: Path) -> Solids:
 
 
 def _planes(corners: Array, hull: Hull | None) -> Array:
-    """Return planes (n, 4) of a hull and of its corners' bounding box, which cuts off sharp edges."""
-    box = np.column_stack(
-        [np.vstack([np.eye(3), -np.eye(3)]), np.concatenate([corners.max(axis=0), -corners.min(axis=0)])]
-    )
+    """Return planes (n, 4) of a hull, and of the bounding box, which cuts off the padding at sharp edges."""
+    ends = np.concatenate([corners.max(axis=0), -corners.min(axis=0)])
+    box = np.column_stack([np.vstack([np.eye(3), -np.eye(3)]), ends])
     if hull is None:  # flat
         return box
     return distinct(np.vstack([box, hull.planes * [1.0, 1.0, 1.0, -1.0]]).round(_PLANE_DECIMALS), axis=0)
@@ -284,10 +272,8 @@ def convex_hulls(every: Iterable[Array]) -> Sequence[Hull | None]:
 
     SciPy computes the hulls of large sets. A cache keeps these hulls, because SciPy takes 0.25 s to import.
     """
-    sets = [
-        distinct(corners, axis=0) if _MAX_CHOSEN < len(corners) <= _MAX_CHOSEN * _SHARED else corners
-        for corners in every
-    ]
+    some = range(_MAX_CHOSEN + 1, _MAX_CHOSEN * _SHARED + 1)  # numbers of points that may repeat a few corners
+    sets = [distinct(corners, axis=0) if len(corners) in some else corners for corners in every]
     large = [np.ascontiguousarray(corners) for corners in sets if len(corners) > _MAX_CHOSEN]
     found = iter(_large_hulls(large) if large else ())
     return [next(found) if len(corners) > _MAX_CHOSEN else _small_hull(corners) for corners in sets]
@@ -297,7 +283,9 @@ def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
     """Yield the hulls of large sets of points from the cache; SciPy computes missing hulls."""
 
     def find() -> Sequence[tuple[str, bytes, None]]:
-        spatial, found = _spatial(), []
+        with needed():  # pictures of recordings work without SciPy
+            spatial: Any = LazyModule("scipy.spatial")
+        found = []
         for corners in every:
             try:
                 hull = spatial.ConvexHull(corners)
@@ -328,13 +316,6 @@ def _small_hull(corners: Array) -> Hull | None:
         return None
     every = np.column_stack([normals, offsets])
     return Hull(corners, np.concatenate([every[outwards], -every[inwards]]))
-
-
-@cache
-def _spatial() -> Any:
-    """Return scipy.spatial; pictures of recordings work without it."""
-    with needed():
-        return LazyModule("scipy.spatial")
 
 
 @cache

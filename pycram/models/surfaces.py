@@ -43,7 +43,7 @@ class Container:
     """A part of furniture that a robot opens to reach the objects inside, such as a drawer, a fridge or a cupboard."""
 
     name: str  # name, unique in the furniture
-    kind: str  # "drawer" if the contents move along, else "door"
+    kind: str  # "drawer" if the contents move with the part, else "door"
     link: str  # the moving part
     joint: str  # the joint that moves the part
     handle: str  # link of the handle; "" without a handle

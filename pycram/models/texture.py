@@ -1,8 +1,8 @@
 """Textures become colours of triangles, because the engine and the viewers support one colour per shape.
 
-A texture is reduced to a palette, and triangles are divided until each has about one colour. A box shows the texture
-upright on each face; a cylinder shows it once around its side, and a disc of it on both ends; a sphere shows it once
-around, from pole to pole.
+A texture is reduced to a palette, and triangles are divided until each triangle has about one colour. A box shows the
+texture upright on each face. A cylinder shows the texture once around its side, and a disc of the texture on both ends.
+A sphere shows the texture once around, from pole to pole.
 """
 
 from __future__ import annotations
@@ -70,14 +70,11 @@ def mean(image: Image.Image) -> Rgba:
 def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Array, Rgba]]:
     """Yield, for each visible colour, its triangles (m, 3, 3) and its RGBA 0..1.
 
-    Args:
-        triangles: (n, 3, 3) corners.
-        uv: (n, 3, 2) texture coordinates of the corners, measured from the lower left; outside of 0..1 the texture
-            repeats.
+    The texture coordinates ``uv`` (n, 3, 2) of the corners start at the lower left; outside of 0..1 the texture
+    repeats.
     """
-    reduced = (
-        image.reduce(max(1, max(image.size) // _MAX_SIDE)).convert("RGB").quantize(_COLORS, Image.Quantize.FASTOCTREE)
-    )
+    small = image.reduce(max(1, max(image.size) // _MAX_SIDE))
+    reduced = small.convert("RGB").quantize(_COLORS, Image.Quantize.FASTOCTREE)
     palette = np.array(reduced.getpalette(), dtype=np.float64).reshape(-1, 3) / 255
     pixels = np.asarray(reduced)
     triangles, uv = _divide(triangles, uv)

@@ -1,7 +1,7 @@
-"""Records of questions to a world and of their answers. A choice also has the rejected candidates.
+"""Questions to a world, recorded with their answers; the record of a choice also has the rejected candidates.
 
-Questions are reasoning queries, and choices of process modules, for example of a grasp or a place. While a question is
-answered, its world is locked and refuses changes.
+A question is a reasoning query, or the choice of a process module, for example of a grasp or a place. While a question
+is answered, its world is locked and refuses changes.
 """
 
 from __future__ import annotations
@@ -42,10 +42,8 @@ class Question:
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
         """Answer the question in the ``with`` block, with the world locked; record it at the end, also after an error.
 
-        ``trace`` decides whether the record contains an error's traceback.
-
-        Raises:
-            WorldClosed: The world has ended.
+        ``trace`` decides whether the record contains an error's traceback. WorldClosed is raised if the world has
+        ended.
         """
         with world.lock, self.recorded(lambda: (world.name, world.sim_step), trace=trace):
             transactions = world.transactions
@@ -104,7 +102,7 @@ class Choice(Question):
 
     @contextmanager
     def asked(self, world: BulletWorld, *, trace: bool = True) -> Iterator[None]:
-        """Choose in the ``with`` block, which the question's record follows; a fork may force a candidate."""
+        """Choose a candidate in the ``with`` block; the choice is recorded at its end. A fork may force a candidate."""
         self.forced = forced(f"choice {self.name}", self.arguments) or ""
         try:
             with super().asked(world, trace=trace):
@@ -115,7 +113,7 @@ class Choice(Question):
                 decides.missing(self.name, self.forced, list(self._rejected))
 
     def admits(self, candidate: str) -> bool:
-        """Return whether a candidate may be chosen; reject the candidate if a fork forces another one."""
+        """Return whether a candidate may be chosen; reject it if a fork forces another candidate."""
         if not self.forced or candidate == self.forced or candidate.startswith(f"{self.forced}, "):
             self._met = True
             return True
@@ -125,12 +123,7 @@ class Choice(Question):
         return False
 
     def reject(self, candidate: str, reason: Rejection, count: int = 1) -> None:
-        """Reject a candidate.
-
-        Args:
-            candidate: name of the candidate, such as "front".
-            count: number of similar candidates with this name, such as postures for one grasp.
-        """
+        """Reject a candidate by name; ``count`` is the number of similar candidates with the name, such as postures."""
         self._met |= candidate == self.forced
         if self.wanted:
             self._rejected[candidate] = reason, count
@@ -141,11 +134,7 @@ class Choice(Question):
         return [reason for reason, _ in self._rejected.values()]
 
     def take(self, candidate: str, answer: object = None, **evidence: object) -> None:
-        """Choose a candidate.
-
-        Args:
-            answer: answer of the question; None for the candidate's name.
-        """
+        """Choose a candidate by name; the question's answer is ``answer``, or else this name."""
         self._met |= candidate == self.forced
         self._rejected.pop(candidate, None)
         self.chosen = candidate
@@ -153,10 +142,9 @@ class Choice(Question):
         self.evidence = evidence
 
     def add_candidates(self, record: records.Query) -> Mapping[str, int]:
-        """Add the candidates to a record: groups of rejected candidates with a common reason, then the chosen one.
+        """Add groups of rejected candidates with a common reason to a record, then the chosen candidate.
 
-        Returns:
-            The index of the group of each candidate in the record.
+        The result has the index of each candidate's group in the record.
         """
         numbers: dict[str, int] = {}
         groups: dict[object, list[tuple[Rejection, str, int]]] = {}
@@ -183,7 +171,7 @@ class Choice(Question):
 
 
 def considering() -> Choice:
-    """Return a choice among candidates for a query; the query returns it with its answer."""
+    """Return a choice among candidates for a query, which returns this choice with its answer."""
     return Choice("", {}, wanted=journal.recording())
 
 
@@ -202,8 +190,8 @@ def choosing(name: str, world: BulletWorld, /, **arguments: object) -> Iterator[
                     choice.reject(side, Misfit(width, opening))
             choice.take("front", position=position)
 
-    The world is locked and refuses changes. Arguments that are None are omitted. The record of the surrounding task has
-    an error's traceback.
+    The world is locked and refuses changes. Arguments that are None are omitted. If an error is raised, the record of
+    the surrounding task has its traceback.
     """
     given = {key: value for key, value in arguments.items() if value is not None}
     choice = Choice(name, given, wanted=journal.recording())

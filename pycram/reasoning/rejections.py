@@ -82,7 +82,7 @@ class Misfit(Rejection):
     most: float  # width in m of the widest object that the fingers hold
 
     def miss(self) -> float:
-        """Return by how much the width exceeds the limit that it violates, m."""
+        """Return how far the width is outside its limits, m."""
         return 0.0 if self.width is None else max(self.width - self.most, self.least - self.width)
 
 
@@ -174,7 +174,7 @@ class Inferior(Rejection):
 
 @dataclass(frozen=True, slots=True)
 class Untried(Rejection):
-    """The candidate wasn't checked, because another candidate is good, or because all similar candidates fail."""
+    """The candidate wasn't checked: another candidate is good, or all similar candidates fail."""
 
 
 @dataclass(frozen=True, slots=True)

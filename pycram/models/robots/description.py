@@ -31,7 +31,7 @@ _STILL: Final = 1e-4  # maximum motion in m of a fixed link when the gripper clo
 _ALONG: Final = math.cos(math.radians(45))  # minimum share along y in the whole motion of a gripper's side
 _ACROSS: Final = 0.4  # minimum share of a finger's motion along y; with a smaller share, the finger is on no side
 _EVEN: Final = 0.01  # largest bias (:meth:`Gripper.bias`) at which both sides count as equally fast
-_AIR: Final = 2e-3  # distance in m that is kept from a fixed jaw; it is larger than the engine's padding of shapes
+_AIR: Final = 2e-3  # distance in m between an object and a fixed jaw, more than the engine's padding of shapes
 
 
 class Misfitting(UserWarning):
@@ -56,11 +56,7 @@ class RobotDescription:
 
     @classmethod
     def load(cls, path: str | Path) -> RobotDescription:
-        """Read a description from a TOML file.
-
-        Raises:
-            AssetError: The file can't be read, or an entry is missing, unknown or impossible.
-        """
+        """Read a description from a TOML file; raise an AssetError if the file or an entry is invalid."""
         return cls.parse(read_text(Path(path)), str(path))
 
     @classmethod
@@ -101,7 +97,7 @@ class RobotDescription:
         return self.arms[name]
 
     def arm_of(self, tool_frame: str) -> Arm | None:
-        """Return the arm with a certain ``tool_frame``; None if no arm has it."""
+        """Return the arm with a ``tool_frame``; None if no arm has this tool frame."""
         return next((arm for arm in self.arms.values() if arm.tool_frame == tool_frame), None)
 
     def check(self, urdf: Urdf) -> None:
@@ -180,11 +176,11 @@ def _misfit(urdf: Urdf, links: Iterable[str], joints: Mapping[str, Iterable[floa
 class Arm:
     """An arm."""
 
-    name: str  # Any name, such as "left", "right" or "panda".
+    name: str  # any name, such as "left", "right" or "panda"
     joints: tuple[str, ...]  # names of the joints from the shoulder to the wrist
     base_link: str  # parent link of the first joint
-    tool_frame: str  # link of the tool frame, whose x axis points out of the gripper; fingers close along y
-    tool_offset: Pose  # pose of the tool frame in the link ``tool_frame``
+    tool_frame: str  # link to which the tool frame is attached
+    tool_offset: Pose  # pose of the tool frame in this link: x points out of the gripper, fingers close along y
     hand: Gripper | None
     poses: Mapping[str, tuple[float, ...]]  # joint values of named postures, in the order of ``joints``
 
@@ -301,11 +297,10 @@ class MotionLimits:
 
 
 def find_description(urdf: Urdf) -> tuple[RobotDescription | None, Mapping[str, str]]:
-    """Return the description of a URDF's robot without its misfits, and these misfits with the reasons.
+    """Return the description of a URDF's robot without misfits, and the misfits (:meth:`RobotDescription.misfits`).
 
-    :meth:`RobotDescription.misfits` describes misfits. The description is None if no description has the robot's name,
-    or if no part matches. PyCRAM's descriptions are searched before those of other packages
-    (:mod:`pycram.foundation.plugins`).
+    The description is None if no description has the robot's name, or if no part matches. PyCRAM's descriptions are
+    searched before descriptions of other packages (:mod:`pycram.foundation.plugins`).
     """
     description = next((own for own in _own() if own.robot == urdf.name), None)
     if description is None and (other := plugins.load(plugins.ROBOTS, urdf.name)) is not None:
@@ -403,11 +398,10 @@ class Gripper:
         return {joint: closed + share * (opened - closed) for joint, closed, opened in ends}
 
     def wrong_ways(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> Iterator[str]:
-        """Yield reasons why the fingers don't close from both sides along the y axis of the tool frame.
+        """Yield reasons why the fingers don't close from both sides along the y axis of the arm's tool frame.
 
-        A fixed jaw counts as a side. Several fingers of a side may close at angles to y if their sum is along y, as in
-        hands with three fingers around a centre. Only the kinematics are checked here; ``pycram describe --check`` also
-        checks shapes. ``tool_frame`` and ``tool_offset`` belong to the arm.
+        A fixed jaw counts as a side. Several fingers of a side may close at angles to y if the sum of their motions is
+        along y, as in hands with three fingers around a centre. Shapes aren't checked.
         """
         if self.suction:
             return
@@ -432,10 +426,7 @@ class Gripper:
         return [finger for finger, way in ways.items() if math.hypot(*way) < _STILL or not _is_across(way)]
 
     def bias(self, urdf: Urdf, tool_frame: str, tool_offset: Pose) -> float:
-        """Return how unevenly the sides close, -1 to 1: 0 if both sides move equally far, 1 if only the +y side moves.
-
-        :meth:`wrong_ways` describes the arguments.
-        """
+        """Return how unevenly the sides close, -1 to 1: 0 if both sides move equally far, 1 if only +y moves."""
         ways = [0.0, *(y for _, y, _ in self._ways(urdf, tool_frame, tool_offset).values())]
         left, right = -min(ways), max(ways)
         bias = (left - right) / (left + right) if left + right > _STILL else 0.0

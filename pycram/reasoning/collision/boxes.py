@@ -85,10 +85,9 @@ class Boxes:
 
     @classmethod
     def swept(cls, path: Path, poses: Mapping[str, Sequence[Pose]]) -> Boxes:
-        """Return boxes, along the axes of a frame, around the space that the pieces of links sweep.
+        """Return boxes, along the axes of a frame, around the space that the pieces of links sweep between poses.
 
-        Args:
-            poses: poses of each link in the frame; between two poses, a straight line must be exact to 1 mm.
+        Between two poses of a link in the frame, a straight line must be exact to 1 mm.
         """
         names, low, high = _bounds(path)
         kept = [number for number, name in enumerate(names) if name in poses]
@@ -192,12 +191,8 @@ def overlapping_pairs(
 ) -> tuple[Indices, Indices]:
     """Return the overlaps among pairs of boxes, for many postures together; see :func:`overlaps` for shapes.
 
-    Args:
-        a: (m,) index of the first box of each pair.
-        b: (m,) index of the second box of each pair.
-
-    Returns:
-        Indices of postures and of pairs for each overlap, in order.
+    The boxes ``a`` and ``b`` (m,) are the indices of the first and second boxes of the pairs. The result has the
+    indices of postures and of pairs for each overlap, in order.
     """
     sizes = _world_extents(axes, half_extents)
     close = np.ones((len(centers), len(a)), dtype=bool)
@@ -241,10 +236,9 @@ def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> ND
 
 
 class MovingLinks:
-    """The links of a robot that joints move, with the objects that they hold.
+    """The links of a robot that joints move, with the objects that these links hold.
 
-    Args:
-        held: each held object, with the robot's link that holds it and the boxes around its pieces.
+    ``held`` contains, for each held object, the robot's link that holds it and the boxes around its pieces.
     """
 
     def __init__(
@@ -280,9 +274,7 @@ class MovingLinks:
         """Return, for each posture, the pairs of links with overlapping boxes, except neighbours.
 
         A held object has the same neighbours as its link. The first of two links moves, or belongs to a held object.
-
-        Args:
-            transforms: (n, joints + 1, 4, 4) transforms of links for each joint and posture, from the articulation.
+        The transforms (n, joints + 1, 4, 4) of links, for each posture and joint, come from the articulation.
         """
         a, b = self._structure.pairs
         found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]

@@ -121,11 +121,7 @@ class CollisionChecker:
             self._clone.invalidate(self.robot.name, *(body.name for body in self._link_of))
 
     def predict(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[PostureCandidate]:
-        """Return candidates for postures, computed together.
-
-        Args:
-            postures: joint positions in rad or m by name; other joints don't move.
-        """
+        """Return candidates for postures, computed together; joints without a position (rad or m) don't move."""
         transforms = self._links.articulation.transforms(postures)
         moved = transforms if base is None else self._carried([base]) @ transforms
         return self._overlapping(postures, [base] * len(postures), transforms, moved)
@@ -195,10 +191,8 @@ class CollisionChecker:
         """Yield the pairs of a candidate that touch, with their contact points; results are cached.
 
         Wheels of the robot don't collide with the floor. Held objects don't collide with the robot, nor with objects
-        that they overlapped at the grasp.
-
-        Args:
-            links: links of the robot to check, with the objects that they hold; None for all moving links.
+        that they overlapped at the grasp. Only ``links`` of the robot are checked, with the objects that they hold;
+        None for all links.
         """
         for pair in self.pairs(candidate):
             mover, link, body, _ = pair
@@ -355,10 +349,7 @@ def in_the_way(robot: Object, positions: Mapping[str, float]) -> list[CollisionP
 
 
 def newly_touched(robot: Object, positions: Mapping[str, float], base: Pose | None = None) -> list[CollisionPair]:
-    """Return the pairs of :func:`in_the_way`, ordered by object, without collisions of the present posture.
-
-    :func:`touched` describes the arguments.
-    """
+    """Return the pairs of :func:`in_the_way`, ordered by object, without collisions of the present posture."""
     now = robot.get_joint_positions()
     with CollisionChecker(robot, positions) as checker:
         (there,) = checker.predict([positions], base)

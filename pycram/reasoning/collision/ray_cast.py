@@ -54,8 +54,7 @@ class Scan:
 class RayCaster:
     """Casts rays at an object at its present pose; the caller holds the world's lock.
 
-    Args:
-        lean: rotation xyzw of a leaning object about the center of its bounds; the object is treated as upright.
+    With ``lean``, a rotation xyzw about the center of its bounds, the object is treated as upright.
     """
 
     def __init__(self, body: Object, lean: Quaternion | None = None) -> None:

@@ -190,10 +190,8 @@ class PhysicsClone(SimulationClone):
     def sync(self, bodies: Iterable[Object]) -> tuple[dict[str, LoadedBody], dict[str, list[PlacedPart]]]:
         """Update the clone to the present state of some objects and their attachments; move the other copies away.
 
-        Furniture without attached objects is divided into rigid parts, which take less time to simulate.
-
-        Returns:
-            The bodies of undivided objects, and the parts of divided objects, both by object name.
+        Furniture without attached objects is divided into rigid parts, which take less time to simulate. The result has
+        the bodies of undivided objects, and the parts of divided objects, both by object name.
         """
         wanted = list(bodies)
         for constraint, carrier, link, carried, robot in self._held:

@@ -148,12 +148,7 @@ class _Choice:
 
     The search takes the posture with the least known cost, and checks its next pair of links. The search ends when the
     cheapest posture is checked completely, because no other posture can cost less. All postures for a grasp have the
-    same pose of the hand, so the hand is checked only once. The cost of the hand's contacts is a lower bound for all
-    postures.
-
-    Args:
-        target: the object, which the open hand mustn't overlap.
-        hand: links that have the same pose in all postures for a grasp.
+    same pose of the hand, so the hand is checked only once, and its cost is a lower bound for these postures.
     """
 
     def __init__(

@@ -136,9 +136,7 @@ def close_around(
     """Return how a gripper closes on an object, from open until the first touch; None if it never touches the object.
 
     In a hand with many fingers, fingers without contact continue until they touch the object, as their motors would.
-
-    Args:
-        posture: joint positions by name, with the gripper at the object.
+    The ``posture`` has joint positions by name, with the gripper at the object.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")

@@ -316,10 +316,7 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice
 
 
 def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Quaternion:
-    """Return the orientation of the tool in the world for a grasp.
-
-    Args:
-        robot: the robot, whose heading defines the front.
+    """Return the orientation of the tool in the world for a grasp; the robot's heading defines the front.
 
     Raises:
         UnknownName: There is no such grasp.

@@ -108,10 +108,7 @@ class Handle:
         return found
 
     def grips(self, robot: Object, gripper: Gripper, base: Pose | None = None) -> Sequence[Grip]:
-        """Return the ways in which a gripper can hold the handle, the most natural way first.
-
-        ``base`` is an assumed pose of the robot's base; None for its present pose.
-        """
+        """Return the ways in which a gripper can hold the handle, the most natural way first."""
         low, high = self._box()
         middle = (low + high) / 2
         bar = int(np.argmax(high - low))

@@ -42,12 +42,9 @@ _LYING: Final = math.sin(math.radians(10))  # maximum upward component of the z 
 
 
 def resting_position(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
-    """Return the target at the height at which an object, on its way down, first touches something.
+    """Return the target (xyz, m) at the height at which an object, on its way down, first touches something.
 
-    Args:
-        body: the object; robots and their held objects can't support it.
-        target: xyz, m.
-        orientation: xyzw of the object at the target.
+    Robots and their held objects don't support the object.
 
     Raises:
         PlaceFailed: There is no room, or no support below the target.

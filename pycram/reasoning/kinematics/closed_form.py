@@ -157,10 +157,9 @@ class ClosedForm:
         )
 
     def miss(self, positions: Array, turns: Array | None) -> Array:
-        """Return a lower bound (m,) of the distance in m between the tool and targets; 0 if nothing is known.
+        """Return a lower bound (m,) of the distance in m between the tool and targets; see :meth:`postures`.
 
-        For targets with an orientation, the bound is for the wrist with the exact orientation. :meth:`postures`
-        describes the arguments.
+        For targets with an orientation, the bound is for the wrist with the exact orientation.
         """
         hand = self.wrist - self.tool[:3, 3]
         goals = positions if turns is None else positions + turns @ (self.tool[:3, :3].T @ hand)
@@ -324,10 +323,7 @@ def _dot(some: Array, others: Array) -> Array:
 
 
 def angle_between(axis: Array, start: Array, end: Array) -> Array:
-    """Return the angle about an axis through the origin from one vector to another: subproblem 1.
-
-    The parts of the vectors along the axis are ignored.
-    """
+    """Return the angle about an axis from one vector to another, without their parts along the axis: subproblem 1."""
     _, across, beside = _parts(axis, start)
     result: Array = np.arctan2(_dot(beside, end), _dot(across, end))
     return result
@@ -336,11 +332,7 @@ def angle_between(axis: Array, start: Array, end: Array) -> Array:
 def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:
     """Return two angles about two axes through the origin, not parallel, that turn a vector to another: subproblem 2.
 
-    Args:
-        first: the axis of the later turn.
-        second: the axis of the earlier turn.
-        start: the vector before the turns.
-        end: the vector after the turns; only its direction counts.
+    The vector ``start`` is turned about ``second`` and then about ``first``. Only the direction of ``end`` counts.
 
     Returns:
         Both solutions: angles (2, n) about the first axis, angles (2, n) about the second axis, and the strain (n,).
@@ -385,11 +377,7 @@ def twice(vectors: Array) -> Array:
 
 
 def hinge(axis: Array, start: Array, end: Array) -> Hinge:
-    """Return the part of subproblem 3 that doesn't depend on the distance.
-
-    Args:
-        start: the point that the axis turns.
-        end: the fixed point.
+    """Return the part of subproblem 3 that doesn't depend on the distance between a turned and a fixed point.
 
     Returns:
         Three arrays (n,) or (1,): the angle of the least distance, the mean of the squares of the least and the
@@ -404,14 +392,9 @@ def hinge(axis: Array, start: Array, end: Array) -> Hinge:
 
 
 def opened(hinge: Hinge, distance: Array) -> tuple[Array, Array]:
-    """Return the angles about an axis that move a point to a distance from another point: subproblem 3.
+    """Return the angles about an axis that move a point to distances (n,) in m from another point: subproblem 3.
 
-    Args:
-        hinge: the hinge of the axis and both points.
-        distance: (n,) distances between both points, m.
-
-    Returns:
-        Angles (2, n) of both solutions, and their strain (n,).
+    The angles (2, n) are both solutions; the other result is their strain (n,).
     """
     straight, mean, half = hinge
     cosine = (mean - distance * distance) / np.maximum(half, 1e-12)

@@ -130,12 +130,9 @@ class Chain:
         return inside
 
     def errors(self, postures: Array, goals: Array, turns: Array | None) -> Array:
-        """Return the distances (n, 2) of the tool from targets, in m and rad.
+        """Return the distances (n, 2) of the tool from targets, in m and rad, for postures (n, joints).
 
-        Args:
-            postures: (n, joints).
-            goals: (3,) for all postures or (n, 3), in the base link, m.
-            turns: (3, 3) or (n, 3, 3) orientations; None for any orientation.
+        A goal is (3,) or (n, 3) in the base link, m; a turn is (3, 3) or (n, 3, 3), or None for any orientation.
         """
         pose = self.poses(postures)
         errors = np.zeros((len(postures), 2))
@@ -258,10 +255,7 @@ class Articulation:
     def transforms(self, postures: Sequence[Mapping[str, float]]) -> Array:
         """Return the transforms (n, joints + 1, 4, 4) of each joint's links from their present pose to their new pose.
 
-        The last transform is for links that don't move.
-
-        Args:
-            postures: joint positions in rad or m by name; other joints don't move.
+        The last transform is for links that don't move. Joints without a position (rad or m) in a posture don't move.
         """
         now = self._now.tolist()
         values = [list(map(posture.get, self._joints, now)) for posture in postures]

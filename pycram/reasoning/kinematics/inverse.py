@@ -274,12 +274,8 @@ class ArmKinematics:
     def closed_form(self, targets: Sequence[Target], seed: Mapping[str, float]) -> list[list[Posture]]:
         """Return the solutions of the closed form for many targets, much faster than a search.
 
-        Args:
-            targets: as for :meth:`solve`.
-            seed: a posture; near postures come first.
-
-        Returns:
-            The postures that reach each target; if the list is empty, the target may still be reachable.
+        For the targets, see :meth:`solve`. Postures near the seed come first. If there is no posture for a target, the
+        target may still be reachable.
         """
         solved: list[list[Posture]] = [[] for _ in targets]
         if self._closed is None or not targets:
@@ -404,11 +400,7 @@ def postures(
 class Solver:
     """Inverse kinematics of a link of a robot in its present state, for targets in the world.
 
-    Args:
-        link: an arm's tool frame, which represents the tool; or any other link.
-
-    Raises:
-        UnknownName: The robot has no such link.
+    The tool frame of an arm represents the tool. UnknownName is raised if the robot has no such link.
     """
 
     def __init__(self, robot: Object, link: str) -> None:

@@ -79,8 +79,8 @@ def free_places(
     """Return places where an object can be put down on surfaces, best first.
 
     The motion `place` would put the object down at each place: the whole outline of the object is on the surface, and
-    fingers fit between it and other objects. Each place is checked when the caller requests it, and recorded as one
-    query. The world may change between requests.
+    fingers fit between this object and other objects. Each place is checked at the caller's request, and recorded as
+    one query. The world may change between requests.
 
     Args:
         body: the object, in an upright orientation; its present place doesn't matter.
@@ -89,8 +89,7 @@ def free_places(
         side: "front", "back", "left" or "right" of each surface from the robot's view; or (side, object) for a side of
             an object.
         orientation: xyzw of the object at the place; None for any orientation about the vertical.
-        reachable_for: a robot that must reach the place: from its present pose if it can't drive, otherwise from any
-            pose.
+        reachable_for: a robot that must reach the place; a robot that drives may reach the place from any pose.
         arms: names of the robot's arms that may reach the place; None for all arms.
         away: xyz or xy in m of a point, at least 0.4 m away.
         seed: seed of the draws; None for the run's seed.
@@ -179,7 +178,7 @@ class SurfaceSearch(Search):
             "arms": [arm.name for arm in arms] if robot is not None else None,
         }
         wanted = f"{body.name} on {' or '.join(surface.name for _, surface in surfaces)}"
-        super().__init__(body.world, wanted, arguments)
+        super().__init__(body.world, wanted, arguments, robot)
         self._body, self._orientation, self._near, self._away = body, orientation, near, away
         self._side, self._reference = side  # _reference is the object beside the place; None: the surface
         self._robot, self._arms, self._seed = robot, arms, seed
@@ -200,7 +199,7 @@ class SurfaceSearch(Search):
         return place
 
     def _draw(self, batch: Batch, number: int) -> tuple[SearchedSurface, Sequence[Spot]]:
-        """Return the most promising surface and places from its maps for a batch, whose number starts at 0."""
+        """Return the most promising surface, and places from its maps; the number of batches starts at 0."""
         left = [searched for searched in self._surfaces if searched.failed < _BATCHES]
         found = []
         for searched in left:
@@ -218,7 +217,7 @@ class SurfaceSearch(Search):
         spots = []
         for cell, (x, y) in draw_cells(grid, scores, _SPOTS, random):
             step = int(random.integers(_YAWS))
-            if self._stays() and step % 2:  # an arm puts an object down most easily in the orientation of the grasp
+            if self._stays and step % 2:  # an arm puts an object down most easily in its present orientation
                 step = 0
             yaw = start + 2 * math.pi * step / _YAWS
             turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
@@ -266,9 +265,9 @@ class SurfaceSearch(Search):
 
     @staticmethod
     def _inside(corners: Array, searched: SearchedSurface) -> Array:
-        """Return the corners (n, 3) that must be on a surface: all, or on an object's top the base's corners.
+        """Return the corners (n, 3) that must be on a surface; on the top of an object, only the corners of the base.
 
-        So the handle of a cup may stick out over the edge of a plate, but an object must not tip over.
+        So the handle of a cup may stick out over the edge of a plate. If the object would tip over, all corners count.
         """
         if not searched.on_object:
             return corners
@@ -279,7 +278,7 @@ class SurfaceSearch(Search):
 
     @staticmethod
     def _within(centers: Array, outline: Polygon, inner: float, outer: float) -> Array:
-        """Return scores: 0 where an object would stick out over the edge in all orientations, up to 1 where in none."""
+        """Return scores: 0 where an object sticks out over the edge in all orientations, 1 where it never does."""
         margins = np.full(len(centers), np.inf)
         for (ax, ay), (bx, by) in itertools.pairwise([*outline, outline[0]]):
             length = max(math.hypot(bx - ax, by - ay), 1e-9)
@@ -289,9 +288,9 @@ class SurfaceSearch(Search):
         return np.where(margins < inner, 0.0, 0.3 + 0.7 * ramp)
 
     def _obstacles(self, searched: SearchedSurface) -> maps.Footprints:
-        """Return the footprints of objects that are on a surface, or above it at less than the object's height.
+        """Return the footprints of other objects, from a surface up to the object's height.
 
-        Robots that can't drive count, too; other robots can drive away.
+        Robots that drive don't count, because these robots can make room.
         """
         clone = clone_of(self._body.world, "reach")
         carried = held(self._robot) if self._robot else ()
@@ -323,7 +322,7 @@ class SurfaceSearch(Search):
         return beside
 
     def _reach(self, grid: Grid) -> Array:
-        """Return the robot's scores of reaching each cell, from its present pose or from any pose if it drives."""
+        """Return scores of how well the robot reaches each cell; a robot that drives chooses the best place."""
         robot = self._robot
         assert robot is not None  # noqa: S101  the caller has checked that there is a robot
         (x, y, height), here = grid.origin, robot.get_position()
@@ -360,10 +359,8 @@ class SurfaceSearch(Search):
             self._done.append(spot.pose[0])
             excluded = self._excluded(spot, searched, outline, obstacles)
             if isinstance(excluded, FoundPlace):
-                batch.take(
-                    spot.name,
-                    {"position": excluded.position, "orientation": excluded.orientation, "arms": excluded.arms},
-                )
+                answer = {"position": excluded.position, "orientation": excluded.orientation, "arms": excluded.arms}
+                batch.take(spot.name, answer)
                 return excluded
             self._exclude(batch, spot, *excluded)
         return None
@@ -381,7 +378,7 @@ class SurfaceSearch(Search):
             return "room", NoRoom(failure.reason)
         if abs(rest[2] - z) > _RESTS:
             return "room", NoRoom(f"the object wouldn't rest on {searched.surface.name}")
-        reasons = {arm.name: self._unreached(arm, (rest, turn)) for arm in self._arms if self._stays()}
+        reasons = {arm.name: self._unreached(arm, (rest, turn)) for arm in self._arms if self._stays}
         missed = [reason for reason in reasons.values() if reason is not None]
         if reasons and len(missed) == len(reasons):
             return "reach", min(missed, key=lambda each: each.miss())
@@ -405,13 +402,6 @@ class SurfaceSearch(Search):
             return "room", NoRoom(TAKEN)
         return None
 
-    def _drives(self) -> bool:
-        return not self._stays()
-
-    def _stays(self) -> bool:
-        """Return whether the robot that must reach the place can't drive."""
-        return self._robot is not None and not drives(self._robot)
-
     def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
         """Return why an arm can't move the object to a pose while the base stays; None if it can."""
         robot = self._robot
@@ -422,10 +412,8 @@ class SurfaceSearch(Search):
             found = PutDownGoal(robot, PutDown(pose[0], pose[1], self._body)).reached(arm, base)
             return None if isinstance(found, str) else found
         moved = geometry.multiply(pose, geometry.invert(self._body.get_position_and_orientation()))
-        tools = [
-            geometry.multiply(moved, (grasp.position, grasp.orientation))
-            for grasp in candidates(self._body, robot, arm)
-        ]
+        grasps = [(grasp.position, grasp.orientation) for grasp in candidates(self._body, robot, arm)]
+        tools = [geometry.multiply(moved, grasp) for grasp in grasps]
         nearest: list[Rejection] = [OutOfReach(None)]
         for postures in Solver(robot, arm.tool_frame).search([(*tool, None) for tool in tools], quick=True):
             for posture in postures:

@@ -1,4 +1,4 @@
-"""Goals of an arm: whether an arm reaches its goal from a place, by the rules of the motion that would move there."""
+"""Goals of an arm: whether an arm reaches a goal from a place, by the rules of the motion to this goal."""
 
 from __future__ import annotations
 
@@ -78,9 +78,9 @@ class Goal(Protocol):
         """Return the name of the goal for messages."""
 
     def tools(self, arm: Arm, base: Pose) -> Sequence[Sequence[Pose]] | None:
-        """Return rough poses of the tool for each stage; the tool must reach one pose of each stage.
+        """Return rough poses of the tool, for each stage of the motion; the tool must reach one pose of each stage.
 
-        The robot's base is at the pose ``base``. None means that any pose is allowed.
+        ``base`` is the pose of the robot's base. If the result is None, any pose of the tool is allowed.
         """
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
@@ -116,8 +116,8 @@ def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
 def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Pose]) -> list[bool]:
     """Return, for poses of a robot's base, whether any arm roughly reaches a goal; all poses are checked together.
 
-    If the goal has no known poses of the tool, all answers are True without a check. The same holds if an arm has no
-    closed form and there are few poses.
+    All answers are True, without a check, if any pose of the tool is allowed, or for few poses and an arm without a
+    closed form.
     """
     within = np.zeros(len(bases), dtype=bool)
     for arm in arms:
@@ -282,10 +282,9 @@ class PullGoal:
         return found
 
     def _handle(self) -> Handle:
-        target = self._target
+        container, joint, link = self._target.container, self._target.joint, self._target.handle
         clone = clone_of(self._robot.world, "reach")
-        joint, link = target.joint, target.handle
-        return clone.cached(target.container, (Handle, joint, link), lambda: Handle(target.container, joint, link))
+        return clone.cached(container, (Handle, joint, link), lambda: Handle(container, joint, link))
 
     def reached(self, arm: Arm, base: Pose) -> str | Rejection:
         """Return "" if the arm can hold the handle during the whole motion, else the reason."""
@@ -322,8 +321,7 @@ class TouchGoal:
             return OutOfReach(postures[0].position_error)
         nearest: list[Rejection] = []
         with CollisionChecker(self._robot, solver.joints) as tried:
-            candidates = tried.predict([posture.positions for posture in postures], base)
-            for candidate in candidates:
+            for candidate in tried.predict([posture.positions for posture in postures], base):
                 pairs = tried.in_the_way(candidate)
                 if not pairs:
                     return ""

@@ -1,4 +1,4 @@
-"""Maps over a grid: each map has rough scores from 0 to 1 of all cells for a constraint. Places are drawn from maps."""
+"""Maps over a grid: a map has a rough score from 0 to 1 of each cell for one constraint. Places are drawn from maps."""
 
 from __future__ import annotations
 
@@ -119,9 +119,9 @@ class Footprints:
         return counted
 
     def _along(self, points: Array, counted: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
-        """Yield points (n, 2) in the frames of k rectangles, (k, 2, n) in m, and half extents (k, 2, 1).
+        """Yield points (n, 2) in the frames of the counted rectangles, (k, 2, n) in m, and half extents (k, 2, 1).
 
-        Only the counted rectangles are used; they come in parts that fit into the processor's cache.
+        The rectangles come in parts that fit into the processor's cache.
         """
         centers, axes, halves = (part[counted] for part in (self.centers, self.axes, self.halves))
         some = max(1, _AT_ONCE // max(1, len(points)))
@@ -154,9 +154,9 @@ def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> 
 
 
 def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:
-    """Return 0 where the inner circle of an outline touches an obstacle, up to 1 where the outer circle is free.
+    """Return scores: 0 where a circle within an outline touches an obstacle, 1 where a circle around it is free.
 
-    The circles are within and around the outline; ``inner`` and ``outer`` are their radii in m.
+    ``inner`` and ``outer`` are the radii of these circles in m.
     """
     distance = obstacles.distances(centers, outer)
     sure = _SURE * inner
@@ -192,10 +192,7 @@ class Grid:
 
 
 def random_generator(seed: int | None, name: str, *about: object) -> np.random.Generator:
-    """Return a generator that depends only on the seed and the question, not on earlier draws.
-
-    ``seed`` is None for the run's seed, and ``about`` has the question's arguments.
-    """
+    """Return a generator that depends only on the seed (None: the run's seed), the name and the other arguments."""
     text = f"{name} {run_seed() if seed is None else seed} {about}"
     return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
 
@@ -203,13 +200,9 @@ def random_generator(seed: int | None, name: str, *about: object) -> np.random.G
 def draw_cells(
     grid: Grid, scores: Array, count: int, random: np.random.Generator
 ) -> list[tuple[int, tuple[float, float]]]:
-    """Draw cells without replacement, with probabilities proportional to their scores.
+    """Draw cells without replacement, with probabilities proportional to their scores (cells,), which aren't negative.
 
-    Args:
-        scores: (cells,), not negative.
-
-    Returns:
-        The index of each drawn cell, and x and y in m of a random point in it; cells with high scores come first.
+    The result has the index of each drawn cell, and x and y in m of a random point in it; high scores come first.
     """
     possible = np.flatnonzero(scores > 0.0)
     # the greatest log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
@@ -228,9 +221,10 @@ def surroundings(robot: Object, *without: Object) -> Boxes:
 
 
 def room(robot: Object, centers: Array) -> Array:
-    """Return 0 where a robot would touch something in any heading, up to 1 where nothing is near.
+    """Return scores of the room for a robot's base at ``centers`` (cells, 2), m.
 
-    The robot's base is at ``centers`` (cells, 2) in m. Held objects don't count. The caller has synced the clone.
+    A score is 0 where the robot would touch something in any heading, and 1 where nothing is near. Held objects don't
+    count. The caller has synced the clone.
     """
     clone = clone_of(robot.world, "reach")
     others = surroundings(robot)
@@ -249,8 +243,8 @@ def room(robot: Object, centers: Array) -> Array:
 class ArmReach:
     """Scores of how well an arm reaches positions around the robot while its hand is level or points down.
 
-    Random postures of each arm are counted once (Zacharias, Borst, Hirzinger: Capturing robot workspace structure, IROS
-    2007). The scores are rough; only inverse kinematics decides whether an arm reaches a position.
+    The scores come from counts of random postures (Zacharias, Borst, Hirzinger: Capturing robot workspace structure,
+    IROS 2007). The scores are rough; only inverse kinematics decides whether an arm reaches a position.
     """
 
     def __init__(self, urdf: Urdf, arm: Arm) -> None:

@@ -1,4 +1,4 @@
-"""A search for places: it draws places from a map, checks them one by one, and yields good places one by one."""
+"""A search for places: the search draws places from a map, checks each place, and yields the good places."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class FoundPlace:
 
     position: Vector  # position of the robot's base or of the object, in the world, m
     orientation: Quaternion  # orientation of the robot's base or of the object, xyzw
-    arms: tuple[str, ...] = ()  # arms that reach the target from this place; for an object's place, arms that reach it
+    arms: tuple[str, ...] = ()  # arms that reach the target from the robot's place, or that reach the object's place
     score: float = 1.0  # score of the maps, 0 to 1
     surface: str = ""  # name of the surface below; "" for the ground
     grasps: Mapping[str, GraspSide] = field(default_factory=dict)  # sides from which arms take the target, by arm
@@ -72,12 +72,7 @@ class Batch(Choice):
         self._drawn: tuple[Grid, Array, Sequence[Spot]] | None = None
 
     def draw(self, grid: Grid, scores: Array, spots: Sequence[Spot]) -> Sequence[Spot]:
-        """Store the considered places for the record, and return them.
-
-        Args:
-            scores: (cells,) scores of the grid's cells, 0 to 1.
-            spots: the drawn places, best first.
-        """
+        """Store the scores (cells,) of a grid and the drawn places for the record, and return these places."""
         self._drawn = grid, scores, spots
         return spots
 
@@ -116,12 +111,14 @@ class Search(ABC):
 
     Args:
         arguments: arguments of the queries; None values are omitted.
+        robot: the robot that must stand at the place, or reach it; None without such a robot.
     """
 
     query: ClassVar[str]  # name of the queries
 
-    def __init__(self, world: BulletWorld, wanted: str, arguments: Mapping[str, object]) -> None:
+    def __init__(self, world: BulletWorld, wanted: str, arguments: Mapping[str, object], robot: Object | None) -> None:
         self._world, self._wanted = world, wanted
+        self._stays = robot is not None and not drives(robot)  # whether the robot can't drive
         self._arguments = {name: value for name, value in arguments.items() if value is not None}
         self._over = False  # whether the search has ended
         self._counts: dict[str, int] = {}  # number of excluded places by constraint
@@ -137,7 +134,7 @@ class Search(ABC):
                 clone_of(self._world, "reach").sync()
                 place = self._next(batch, number)
                 if place is None and self._over and not found:
-                    why = self._reasons.text(self._last, self._world.objects, drives=self._drives())
+                    why = self._reasons.text(self._last, self._world.objects, drives=not self._stays)
                     raise NoPlace(self._wanted, self._counts, self._last, _why=why)
             if place is not None:
                 found = True
@@ -171,10 +168,6 @@ class Search(ABC):
         self._last = constraint
         self._reasons.add(constraint, reason)
 
-    def _drives(self) -> bool:
-        """Return whether the robot of the search can drive."""
-        return True
-
 
 def drives(robot: Object) -> bool:
     """Return whether a robot's base drives; robots without a description drive."""
@@ -207,13 +200,13 @@ class Reasons:
         self._maps = ""  # why the maps left no place, with the remedy
 
     def add(self, constraint: str, reason: Rejection) -> None:
-        """Count a reason; of similar reasons, the one with the smallest miss is kept."""
+        """Count a reason; of similar reasons, only the reason with the smallest miss is kept."""
         group = self._found.setdefault(constraint, {})
         count, nearest = group.get(reason.group(), (0, reason))
         group[reason.group()] = count + 1, min(nearest, reason, key=lambda each: each.miss())
 
     def excluded_by_maps(self, constraint: str, *, alone: bool) -> None:
-        """Store the constraint that excluded all places of the maps; ``alone``: the other constraints admit places."""
+        """Store the constraint that excluded all places; ``alone`` is whether the other constraints admit places."""
         self._maps = _SURFACE.get(constraint, "")
         if not self._maps and alone and constraint.startswith(("near", "away-from", "side")):
             self._maps = f"there are places without {constraint}: change it or leave it out"
@@ -221,26 +214,21 @@ class Reasons:
     def text(self, constraint: str, objects: Sequence[Object], *, drives: bool) -> str:
         """Return the most frequent reason of a constraint and a remedy; "" if neither is known.
 
-        Args:
-            drives: Whether the robot can drive; if not, the target must move.
+        ``drives`` is whether the robot can drive; if not, a remedy moves the target.
         """
         group = self._found.get(constraint)
         if group is None:
             return self._maps
         _, reason = max(group.values(), key=lambda each: each[0])
         words = _words(reason)
-        others = [each for each in objects if constraint != f"reach {each.name}"]
-        remedy = _remedy(reason, others, drives=drives)
+        remedy = _remedy(reason, [each for each in objects if constraint != f"reach {each.name}"], drives=drives)
         return f"most often: {words}{remedy and '; ' + remedy}" if words else ""
 
 
 def _words(reason: Rejection) -> str:
     if isinstance(reason, OutOfReach):
-        return (
-            "the target is out of reach"
-            if reason.distance is None
-            else f"the target is out of reach by {_centimetres(reason)} cm or more"
-        )
+        by = "" if reason.distance is None else f" by {_centimetres(reason)} cm or more"
+        return f"the target is out of reach{by}"
     return rejection_text(type(reason).__name__, reason.data())
 
 

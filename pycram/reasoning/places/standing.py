@@ -20,7 +20,7 @@ from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.places import maps
 from pycram.reasoning.places.goals import PullGoal, TakeGoal, Target, description_of, goal_of, promising
 from pycram.reasoning.places.maps import Grid, arm_reach, draw_cells, random_generator, room, surroundings
-from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot, drives
+from pycram.reasoning.places.search import Batch, FoundPlace, Search, Spot
 from pycram.reasoning.queries.query import world_of
 from pycram.reasoning.queries.visibility import VISIBLE_SHARE, seen_share
 from pycram.reasoning.rejections import OutOfReach, Rejection, Touching, Unseen, Untried
@@ -36,9 +36,9 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _SPOTS: Final = (30, 120, 120)  # number of places in a batch, by the number of batches since the last found place
-_AT_FIRST: Final = 4  # number of places that are checked together; it doubles, as an early place is often good
-_TRIES: Final = 40  # number of places of a batch that are checked one by one; if these fail, others probably fail, too
-_FEWER: Final = 16  # number of places of a batch checked one by one if an arm has no closed form: searches are slow
+_AT_FIRST: Final = 4  # number of first places that are checked together; each next group is twice as large
+_TRIES: Final = 40  # number of places of a batch that are checked one by one
+_FEWER: Final = 16  # the same number if an arm has no closed form, because searches are slow
 _JITTER: Final = tuple(math.radians(angle) for angle in (6, 40, 60))  # turns in rad from the best heading, by batch
 _APART: Final = 0.07  # minimum distance in m between offered places
 _TRIED: Final = 0.02  # minimum distance in m between drawn places and rejected places
@@ -69,8 +69,8 @@ def standing_places(
     """Return places where a robot can stand with its arms in their present postures, best first.
 
     `moving` would reach each place, and from there an arm reaches the targets by `pick-up`, `place` or `accessing`.
-    Each place is checked when the caller requests it, and recorded as one query. The world may change between requests.
-    A robot that can't drive has one place.
+    Each place is checked at the caller's request, and recorded as one query. The world may change between requests. The
+    only place of a robot that can't drive is its present place.
 
     Args:
         reach: targets; the robot must reach all of them.
@@ -141,7 +141,7 @@ class StandingSearch(Search):
             "avoid": list(avoid) or None,
             "grasp": grasp,
         }
-        super().__init__(robot.world, f"{robot.name} to {self._purpose}", arguments)
+        super().__init__(robot.world, f"{robot.name} to {self._purpose}", arguments, robot)
         self._robot, self._goals, self._arms, self._both = robot, goals, arms, both
         self._see, self._near, self._seed = see, near, seed
         self._offered: list[Vector] = list(avoid)  # offered places, and the places to avoid
@@ -153,7 +153,7 @@ class StandingSearch(Search):
         spots = self._draw(batch, number)
         place = self._first(batch, spots)
         self._failed = 0 if place is not None else self._failed + 1
-        self._over = not spots or not drives(self._robot) or self._failed == self._batches
+        self._over = not spots or self._stays or self._failed == self._batches
         return place
 
     def _draw(self, batch: Batch, number: int) -> Sequence[Spot]:
@@ -171,7 +171,7 @@ class StandingSearch(Search):
         near = self._near is None or math.dist(here[0][:2], self._near[:2]) <= _ROOM
         if near and not any(math.dist(here[0][:2], each[:2]) < _APART for each in known):
             spots.append(Spot(_HERE, here, geometry.to_rpy(turn)[2], 1.0))
-        if drives(robot):
+        if not self._stays:
             random = random_generator(self._seed, self.query, number, repr(self._arguments), here)
             base = BaseFrame.of(here)
             jitter = _JITTER[self._failed]
@@ -201,7 +201,7 @@ class StandingSearch(Search):
                 between = maps.Footprints(surroundings(robot, *target), z, z + _LEVEL)  # obstacles as high as the goal
                 straight = maps.straight(centers[cells], (x, y), between)
                 factors.append((self._purpose, maps.scattered(straight, cells, len(centers))))
-        if drives(robot):
+        if not self._stays:
             factors.append(("collision", maps.scattered(room(robot, centers[cells]), cells, len(centers))))
         if self._near is not None:
             factors.append(("near", maps.near(centers, self._near, _NEAR, _ROOM)))
@@ -230,11 +230,9 @@ class StandingSearch(Search):
         best, yaws = np.full(len(centers), -1.0), facing.copy()
         for offset in _OFFSETS if self._goals else (0.0,):
             score = np.full(len(centers), 1.0 - _FACING * abs(offset) / (math.pi / 2))
-            for number, point in enumerate(points):
-                if self._goals:
-                    score *= self._by_arms(
-                        point[2] - ground, distances[:, number], bearings[:, number] - facing - offset
-                    )
+            for number, point in enumerate(points if self._goals else ()):
+                turned = bearings[:, number] - facing - offset
+                score *= self._by_arms(point[2] - ground, distances[:, number], turned)
             if self._see is not None:
                 good, far = _SIGHT
                 away = np.hypot(*(np.asarray(center(self._see)[:2]) - centers).T)
@@ -244,7 +242,7 @@ class StandingSearch(Search):
         return best, yaws
 
     def _by_arms(self, height: float, distance: Array, bearing: Array) -> Array:
-        """Return scores of how well one arm reaches points, or of how well all arms reach them."""
+        """Return scores of how well the best arm reaches points; if both arms must reach, of the worst arm."""
         every = []
         base_T_world = geometry.invert(self._robot.get_position_and_orientation())
         for arm in self._arms:
@@ -286,9 +284,6 @@ class StandingSearch(Search):
             batch.take(spot.name, {"position": spot.pose[0], "orientation": spot.pose[1], "arms": place.arms})
         return place
 
-    def _drives(self) -> bool:
-        return drives(self._robot)
-
     def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
         """Count a place that a constraint excludes; it won't be drawn again."""
         self._rejected.append(spot.pose[0])
@@ -305,7 +300,7 @@ class StandingSearch(Search):
         return found
 
     def _struck(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:
-        """Return the collisions of the moved drawer or door with the robot at each place, for a goal to pull."""
+        """Return the collisions of a moved drawer or door with the robot at each place; None for other goals."""
         return goal.struck(self._arms, bases) if isinstance(goal, PullGoal) else [None] * len(bases)
 
     def _out_of_reach(self, goal: Goal, bases: Sequence[Pose]) -> Sequence[Rejection | None]:

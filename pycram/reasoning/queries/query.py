@@ -94,11 +94,11 @@ _CHECKS: Final[Mapping[str, Callable[[str, Any], object]]] = {
 def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
     """Turn a function, which answers a question about a world, into a query.
 
-    The function receives checked arguments, and results instead of futures. The names of the function's parameters
-    define the
-    checks: ``object``, ``object1``, ``object2``, ``robot`` and ``ignoring`` must be in one world, which must be
-    ``world`` if ``world`` is given; ``gripper_name`` must be a link of the robot. With a ``camera``, ``robot`` is the
-    owner of its frame, and None means the world's robot. All arguments except ``world`` are recorded in order.
+    The function receives checked arguments, and results instead of futures. The names of its parameters define the
+    checks: ``object``, ``object1``, ``object2``, ``robot`` and ``ignoring`` must be in one world, which is ``world`` if
+    ``world`` is given. ``gripper_name`` must be a link of the robot. In a function with the parameter ``camera``,
+    ``robot`` is the owner of the camera's frame; None means the world's robot. Records have all arguments in order,
+    except ``world``.
 
     A :class:`pycram.failures.UsageError` from the function is recorded as a refusal.
     """

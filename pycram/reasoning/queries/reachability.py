@@ -51,21 +51,11 @@ def reachable(
     target = unwrap(pose)
     if grasp is not None and orientation is not None:
         raise BadArgument("grasp", grasp, "either a grasp or an orientation")
+    given = (target, robot, gripper_name, world, threshold)
     if isinstance(target, list | tuple) or hasattr(target, "__array__"):
         turn = orientation if grasp is None else grasp_orientation(grasp, robot)
-        return reachable_pose(
-            target, robot, gripper_name, world, threshold, orientation=turn, collision_free=collision_free
-        )
-    return reachable_object(
-        target,
-        robot,
-        gripper_name,
-        world,
-        threshold,
-        grasp=grasp,
-        orientation=orientation,
-        collision_free=collision_free,
-    )
+        return reachable_pose(*given, orientation=turn, collision_free=collision_free)
+    return reachable_object(*given, grasp=grasp, orientation=orientation, collision_free=collision_free)
 
 
 @query
@@ -130,9 +120,9 @@ def reachable_poses(
     """Answer :func:`reachable_pose` for many targets or many poses of the robot, much faster than one by one.
 
     Args:
-        poses: positions xyz in the world, m. One position may be used with several bases, and one base with several
-            positions; otherwise both numbers must be equal.
-        bases: positions and orientations of the robot's base; None for its present pose.
+        poses: positions xyz in the world, m: one for each base, or a single position for all bases.
+        bases: positions and orientations of the robot's base: one for each position, or a single base for all
+            positions; None for the present pose of the base.
         orientations: xyzw of the link at the targets, one for all or one for each; None for any orientation.
         collision_free: whether the robot, with its base at each pose, may not touch any object.
         ignoring: objects that the robot may touch, such as the object to grasp.
@@ -201,7 +191,7 @@ def _reach(
     threshold: float,
     ignored: Sequence[Object] | None,
 ) -> Verdict:
-    """Return whether a robot reaches a target. The robot may touch the ``ignored`` objects; None for all objects."""
+    """Return whether a robot reaches a target. It may touch the ``ignored`` objects, or all objects if None."""
     solver = Solver(robot, link)
     (postures,) = solver.search([(position, orientation, None)], thorough=ignored is not None, threshold=threshold)
     with _checker(robot, solver, ignored) as checker:
@@ -215,11 +205,11 @@ def _judge(
     oriented: str | None,
     base: Pose | None = None,
 ) -> Verdict:
-    """Return whether a posture reaches the target (within ``threshold`` m) without a collision.
+    """Return whether a posture reaches the target, within ``threshold`` m and without a collision.
 
-    If the first posture doesn't reach the target, no posture does. Without a ``checker``, collisions don't matter. If a
-    link ``oriented`` is given, it has the same orientation in all postures. The evidence has the good posture, or the
-    first bad posture with its collisions.
+    If the first posture misses the target, all postures miss it. If ``checker`` is None, the robot may touch anything.
+    The link ``oriented`` has the same orientation in all postures; None without such a link. The evidence has the good
+    posture, or the first bad posture with its collisions.
     """
     postures = [posture for posture in found if posture.reaches(threshold)]
     evidence = (postures or found)[0].evidence()
@@ -269,7 +259,7 @@ def blocking(
         UnknownName: There is no such grasp, or the robot has no such link.
     """
     if grasp is not None:
-        grasp_orientation(grasp, robot)  # this call raises an error for unknown grasps
+        grasp_orientation(grasp, robot)  # raises UnknownName
     considered = considering()
     plan = choice.best_grasp(object, robot, gripper_name, None if grasp is None else (grasp,), choice=considered)
     if plan.grasp is not None:

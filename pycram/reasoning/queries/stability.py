@@ -1,15 +1,9 @@
 """Stability: whether an object stays in place in a simulation (thesis 4.4.1).
 
 An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. The simulation ends early if
-the limit is exceeded, or if all relevant bodies are at rest and stand firmly: the center of mass of a body and of all
-bodies on it is well within the support polygon. The support polygon contains the points where a body's underside and
-the tops of its supports overlap, and the contacts that friction holds. A ball never stands firmly, because only time
-shows whether it rolls.
-
-A clone is simulated, because PyBullet can't restore a world exactly. The clone computes contacts anew. In disorderly
-piles, one answer in 25 depends on contacts that the engine of the world has kept. All bodies that could reach the
-object in time are simulated. A robot is simulated only if a free body leans on the robot, or if the robot is attached
-to the object. If there are many bodies, bodies that are at rest and stand firmly sleep until another body comes near.
+all bodies that could reach the object in time are at rest and stand firmly: the center of mass of a body and of all
+bodies on it is well within the support polygon. A ball never stands firmly. A clone is simulated, because PyBullet
+can't restore a world exactly; in disorderly piles, one answer in 25 depends on contacts that only the world has kept.
 """
 
 from __future__ import annotations
@@ -46,8 +40,8 @@ MOVED: Final = 0.01  # largest motion in m of a stable object
 TURNED: Final = math.radians(5)  # largest rotation of a stable object
 _PERIOD: Final = 6  # number of steps between samples of the speeds
 _DECISIONS: Final = (4, 6, 8, 16, 32, 64)  # number of samples after which the slow check of firm standing is made
-_EARLY: Final = 1  # samples after which bodies may sleep beside an object at rest; steps of awake bodies are slow
-_FALLING: Final = 0.1  # speed in m/s that only a falling body reaches after the first sample
+_EARLY: Final = 1  # number of samples after which bodies may sleep; the engine simulates awake bodies slowly
+_FALLING: Final = 0.1  # minimum speed in m/s of a falling body after the first sample
 _LEANING: Final = 0.005  # largest distance in m of a body that leans on a robot: a gap of 0.5 mm, and some settling
 _CARRYING: Final = 0.3  # minimum vertical component of the normal of a contact that carries a body
 _FLAT: Final = 0.002  # largest difference in m between the heights of a body's corners that count as one level
@@ -61,9 +55,8 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     """Return whether an object stays in place in a simulation (thesis 4.4.1).
 
     Returns:
-        a false value if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has
-        the motion in m and rad, the number of steps after which the motion exceeded a limit, and the number of
-        simulated steps.
+        False if the object would move more than 1 cm or turn more than 5 degrees within 2 s. The evidence has the
+        motion in m and rad, the number of simulated steps, and the number of steps until the motion exceeded a limit.
     """
     if object.fixed:
         return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
@@ -103,7 +96,10 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
 
 
 def _participants(body: Object) -> list[Object]:
-    """Return the object and all bodies that may move it within the time."""
+    """Return the object and all bodies that may move it in time.
+
+    A robot is simulated only if a free body leans on the robot, or if the robot is attached to the object.
+    """
     world = body.world
     robots = {other for other in world.objects if other.is_robot and other is not body}
     roots = {other: attachment.root_of(other) for other in world.objects}
@@ -160,11 +156,7 @@ def _simulate(
     standing: Sequence[LoadedBody],
     sleepers: _Sleepers | None = None,
 ) -> Verdict:
-    """Simulate until the answer is certain.
-
-    The simulation ends when the ``movable`` bodies are at rest and the ``standing`` bodies stand firmly, as ``firm``
-    returns. Without ``sleepers``, all bodies stay awake.
-    """
+    """Simulate until the body moves too far, or ``movable`` bodies rest and ``standing`` bodies are ``firm``."""
     start = engine.pose(body)
     speeds: list[list[float]] = []  # speeds of all bodies in each sample, as multiples of the limit for rest
     decisions = _DECISIONS if sleepers is None else (_EARLY, *_DECISIONS)
@@ -196,11 +188,9 @@ def _simulate(
 
 
 class _Sleepers:
-    """The sleeping bodies of a clone, which are at rest and stand firmly.
+    """The sleeping bodies of a clone: bodies at rest that stand firmly, and have no joints and no attachments.
 
-    Args:
-        standing: bodies that may sleep; they have no joints and no attachments.
-        steady: yields, for each body that it is given, whether the body stands firmly.
+    ``steady`` yields, for each given body, whether the body stands firmly.
     """
 
     def __init__(
@@ -265,10 +255,7 @@ class Solid:
 
 
 class SolidPart(Solid):
-    """A rigid part of furniture, in which the engine doesn't distinguish links.
-
-    ``furniture`` is the object with the part; it has the same state in its world and in the clone.
-    """
+    """A rigid part of furniture, in which the engine doesn't distinguish links; ``furniture`` is the whole object."""
 
     def __init__(self, furniture: Object, placed: PlacedPart) -> None:
         super().__init__(furniture.world.engine, furniture.handle, furniture.model.path)
@@ -281,7 +268,7 @@ class SolidPart(Solid):
         self._turns = geometry.to_matrices(orientations)
 
     def link(self, contact: Contact) -> str:
-        """Return the link whose box is nearest to a contact; the smallest box, if several contain the contact."""
+        """Return the link whose box is nearest to a contact; if several boxes contain it, the link of the smallest."""
         if len(self._links) == 1:
             return self._links[0]
         within = np.einsum("kji,kj->ki", self._turns, contact.position - self._positions)
@@ -293,9 +280,10 @@ class SolidPart(Solid):
 def stand_firmly(
     engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[LoadedBody], gravity: Vector
 ) -> Iterator[bool]:
-    """Yield whether each body stands firmly; the answer is False if that isn't certain.
+    """Yield whether each body certainly stands firmly, immediately after a simulation.
 
-    The bodies must have been simulated immediately before. Bodies that aren't in ``standing`` are immovable supports.
+    Bodies that aren't in ``standing`` count as immovable. The support polygon contains the contacts that friction
+    holds, and the points where the underside of a body and the top of its support overlap.
     """
     strength = math.hypot(*gravity)
     if not strength:

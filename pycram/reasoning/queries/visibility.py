@@ -1,8 +1,8 @@
 """Visibility: the part of an object that a camera sees (thesis 4.4.3, 4.4.4).
 
-An image of the object alone is compared pixel by pixel with an image of all objects that may be in front of it. The
-images show only the part of the image plane that can contain the object, so a few thousand pixels give a precise share.
-Pixels of the object outside of the camera's picture aren't seen.
+An image of the object alone is compared pixel by pixel with an image of the objects in front of it. Both images show
+only the part of the image plane that can contain the object, so a few thousand pixels give a precise share. Pixels of
+the object outside of the camera's picture aren't seen.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of v
 _MAX_NAMES: Final = 250  # maximum number of named objects in a picture
 _MARGIN: Final = 0.05  # margin around the object as a share of the part's size
 _RAY: Final = 1e-3  # half the width of a ray at a distance of 1 m
-_AT: Final = 0.05  # distance in m in front of a point; objects within it, such as a board, don't hide the point
+_AT: Final = 0.05  # distance in m from a point; nearer objects, such as the board under it, don't hide the point
 
 
 @query
@@ -53,14 +53,14 @@ def visible(
     """Return whether an object is visible (thesis 4.4.3).
 
     Args:
-        camera: a position in m of a camera that points at the object; a pair of position and orientation of an optical
-            frame; or the name of a robot's camera frame, with its present direction and its field of view.
+        camera: a position in m of a camera that points at the object; the position and orientation of a camera's
+            optical frame; or the name of a camera frame of the robot.
         robot: the owner of the camera frame; None for the world's robot.
         threshold: share of the object's pixels above which the object is visible.
 
     Returns:
-        The answer. The evidence has the share, the pixels, the share outside of the picture, and the hiding objects. If
-        such an object has several links, it also has the link that hides most.
+        The answer. The evidence has the share, the numbers of pixels, the share outside of the picture, the hiding
+        objects, and for a hiding object with several links, the link that hides most.
 
     Raises:
         NoWorld: The camera is the name of a frame, but the world has no robot.
@@ -182,11 +182,10 @@ def _pixels(
     body: Object, others: Sequence[Object], alone: Rendering, before: Rendering
 ) -> tuple[list[str], NDArray[np.uint8]]:
     """Return the names of the bodies in a picture, and the number of the body at each pixel."""
-    owners = np.where(
-        before.depth < alone.depth, before.bodies + 1, alone.bodies
-    )  # the number 0 stands for the object, -1 for no object
+    # the number 0 stands for the object, -1 for no object
+    owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)
     near = [int(owner) for owner in distinct(owners) if owner > 0][:_MAX_NAMES]
-    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # numbers by owner; the last is for owner -1: no object
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # numbers by owner; the last number is for no object
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
     return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]
