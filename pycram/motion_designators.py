@@ -23,7 +23,7 @@ def moving(
     target: Sequence[float] | LocationDesignator,
     orientation: Sequence[float] | None = None,
 ) -> MotionDesignator:
-    """Moves the robot and the objects that it holds to a pose; rejects a pose in collision.
+    """Moves the robot and the objects that it holds to a pose without collisions.
 
     Args:
         target: [x, y, z] in m, world frame.
@@ -78,7 +78,7 @@ def accessing(
     arm: str | None = None,
     distance: float | None = None,
 ) -> MotionDesignator:
-    """Grips a handle, and opens the drawer or door with its contents by a distance; a distance of 0 means closed.
+    """Grips the handle of a drawer or door, and opens it by a distance; a distance of 0 means closed.
 
     Args:
         drawer_joint: A name.

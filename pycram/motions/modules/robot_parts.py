@@ -41,7 +41,7 @@ from recorder.geometry import Vector
 
 
 class Navigation(SimulatedModule):
-    """Moves the robot and the objects that it holds to a pose; rejects a pose in collision."""
+    """Moves the robot and the objects that it holds to a pose without collisions."""
 
     failures = (InCollision, NotDrivable)
     failures_in_time = (NoPath, *FOLLOWING)
