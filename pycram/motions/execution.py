@@ -374,7 +374,7 @@ def _upright(
 
 def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal: Pose) -> None:
     """Raise Blocked if the arm would touch an object on its way that it doesn't touch at the start."""
-    with CollisionChecker(robot, way[0]) as checker:
+    with CollisionChecker(robot, way[0], single_links=True) as checker:
         first, *others = checker.predict(way)
         known = checker.touched(first)
         for candidate in others:
@@ -440,7 +440,7 @@ def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
                 positions = each.trajectory.at(each.time + time)[0]
                 posture |= dict(zip(each.trajectory.joints, positions, strict=True))
             postures.append(posture)
-        with CollisionChecker(robot, postures[0]) as checker:
+        with CollisionChecker(robot, postures[0], single_links=True) as checker:
             touching = [checker.self_collisions(candidate) for candidate in checker.predict(postures)]
         first, *rest = ({(pair.mover, pair.link, pair.body_link) for pair in pairs} for pairs in touching)
         return any(pairs - first for pairs in rest)
@@ -537,7 +537,7 @@ def _is_free(
     ignored_links: Sequence[tuple[Object, str]] = (),
 ) -> bool:
     every = [{**start, **posture} for posture in postures]
-    with CollisionChecker(robot, start, ignored, ignored_links=ignored_links) as checker:
+    with CollisionChecker(robot, start, ignored, ignored_links=ignored_links, single_links=True) as checker:
         return not any(
             checker.touched(candidate) or checker.self_collisions(candidate) for candidate in checker.predict(every)
         )

@@ -94,7 +94,9 @@ def joint_motion(
         moved = _Moved(robot, now, wanted)
         others = {name: value for name, value in changed.items() if name not in wanted}
         names = dict.fromkeys((*wanted, *others))
-        with CollisionChecker(robot, names, ignored, ignored_links=ignored_links, margin=MARGIN) as checker:
+        with CollisionChecker(
+            robot, names, ignored, ignored_links=ignored_links, margin=MARGIN, single_links=True
+        ) as checker:
 
             def predict(rows: Array) -> list[PostureCandidate]:
                 return checker.predict([moved.posture(row) for row in rows])
@@ -342,7 +344,7 @@ def base_motion(
         begin, end = np.array(_row(here)), np.array(_row((target, turn)))
         frame = BaseFrame.of(here)
         end = nearest_turns(begin, end, np.array([np.inf, np.inf, -np.inf]), np.full(3, np.inf))
-        with CollisionChecker(robot, (), all_links=True, margin=MARGIN) as checker:
+        with CollisionChecker(robot, (), all_links=True, margin=MARGIN, single_links=True) as checker:
 
             def predict(rows: Array) -> list[PostureCandidate]:
                 return checker.predict_at([frame.pose(row) for row in rows.tolist()])

@@ -24,6 +24,7 @@ MARGIN: Final = 5e-3  # least distance in m between the robot and other objects
 _DEEPER: Final = 1e-3  # depth in m by which an overlap may exceed the overlap at the start or goal
 _SLACK: Final = 0.01  # additional allowed overlap in m of hulls of the robot's own links, if there is no other path
 _BATCH: Final = 64  # number of configurations that are checked together
+_FEW: Final = 4  # number of configurations of a batch that are checked first
 _FIRST_BATCH: Final = 16  # number of configurations on an edge that are checked first; they find most blocked edges
 
 
@@ -142,10 +143,15 @@ class Clearance:
     def _touches(self, rows: Array) -> bool:
         """Return whether a configuration of (n, d) isn't free. Own links come last: most edges end at objects."""
         self.checks += len(rows)
-        candidates = self._predict(rows)
-        found = [(each, self._checker.pairs(each)) for each in candidates]
-        found.sort(key=lambda each: self._last not in each[1])
-        return any(True for each in found for _ in self._touched(*each)) or any(
+        candidates: list[PostureCandidate] = []
+        for part in (rows[:_FEW], rows[_FEW:]):
+            predicted = self._predict(part) if len(part) else []
+            found = [(each, self._checker.pairs(each)) for each in predicted]
+            found.sort(key=lambda each: self._last not in each[1])
+            if any(True for each in found for _ in self._touched(*each)):
+                return True
+            candidates += predicted
+        return any(
             True
             for each, own in zip(candidates, self._checker.self_pairs(candidates), strict=True)
             for _ in self._touched(each, own)

@@ -55,6 +55,14 @@ class PostureCandidate:
     touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # contact points of the checked pairs
 
 
+@dataclass(slots=True)
+class _Single:
+    copy: LoadedBody  # the body in the clone
+    driver: int  # index of the joint that moves it; -1 for none
+    frame: NDArray[np.float64]  # (4, 4) present pose of the link, or of the held object's link
+    candidate: PostureCandidate | None = None  # the candidate whose pose it has
+
+
 class CollisionChecker:
     """Checks postures of a robot for collisions, in a ``with`` block; the caller holds the world's lock.
 
@@ -63,6 +71,7 @@ class CollisionChecker:
         ignored: objects that the robot may touch.
         ignored_links: links of objects that the robot may touch, such as links that move along.
         margin: distance in m up to which links that don't touch are checked, too.
+        single_links: whether links are placed one by one: faster for many postures, and as exact up to rounding.
     """
 
     def __init__(
@@ -74,8 +83,10 @@ class CollisionChecker:
         all_links: bool = False,
         ignored_links: Collection[tuple[Object, str]] = (),
         margin: float = 0.0,
+        single_links: bool = False,
     ) -> None:
         self.robot = robot
+        self._single_links = single_links
         self._margin = margin
         self._clone = clone = clone_of(robot.world, "reach")
         clone.sync()
@@ -112,12 +123,13 @@ class CollisionChecker:
         self._other_owners = list(itertools.compress(owners, counted))
         self._base = links.base_pose  # present pose of the robot in the clone
         self._placed: PostureCandidate | None = None
+        self._singles: dict[tuple[Object, str], _Single] = {}  # checked links and held objects of the robot
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        if self._placed is not None:
+        if self._placed is not None or self._singles:
             self._clone.invalidate(self.robot.name, *(body.name for body in self._link_of))
 
     def predict(self, postures: Sequence[Mapping[str, float]], base: Pose | None = None) -> list[PostureCandidate]:
@@ -278,12 +290,33 @@ class CollisionChecker:
         """Return the contact points of two links; this moves the clone's robot."""
         touches = candidate.touches.get(pair)
         if touches is None:
-            self._place(candidate)
             mover, link, body, other = pair
-            a, b = self._copy(mover, link), self._copy(body, other)
+            if self._single_links:
+                own = body.name in self._own
+                a = self._single(candidate, mover, link)
+                b = self._single(candidate, body, other) if own else self._copy(body, other)
+            else:
+                self._place(candidate)
+                a, b = self._copy(mover, link), self._copy(body, other)
             apart = 0.0 if body.name in self._own else self._margin
             touches = candidate.touches[pair] = self._clone.engine.link_closest_points(a, link, b, apart, link_b=other)
         return touches
+
+    def _single(self, candidate: PostureCandidate, body: Object, link: str) -> LoadedBody:
+        """Return the clone's body of one of the robot's links, or of a held object, at its pose in a candidate."""
+        single = self._singles.get((body, link))
+        if single is None:
+            copy = self._clone.link(body, link) if len(body.links) > 1 else self._clone.body(body.name)
+            frame = geometry.pose_matrix(body.world.engine.link_pose(body.handle, link))
+            driver = self._links.articulation.of_links[self._link_of.get(body, link)]
+            single = self._singles[body, link] = _Single(copy, driver, frame)
+        if single.candidate is not candidate:
+            moved = candidate.transforms[single.driver] @ single.frame
+            if candidate.base is not None:
+                moved = self._carried([candidate.base])[0] @ moved
+            self._clone.engine.set_pose(single.copy, (moved[:3, 3].tolist(), geometry.from_matrix(moved[:3, :3])))
+            single.candidate = candidate
+        return single.copy
 
     def _copy(self, body: Object, link: str) -> LoadedBody:
         """Return the clone's body with a link of an object; furniture has a body for each link."""

@@ -246,6 +246,7 @@ class Articulation:
 
     def __init__(self, engine: Engine, body: LoadedBody, moved: Drivers) -> None:
         self._joints, self._parents = moved.joints, moved.parents
+        self.of_links = moved.of_links  # index of the joint that moves each link; -1 for none
         points, orientations = engine.link_frames(body, moved.children)
         axes = np.einsum("jab,jb->ja", geometry.to_matrices(orientations), moved.axes)
         self._parts = constant_parts(axes, points, moved.slides)

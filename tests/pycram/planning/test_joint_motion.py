@@ -184,6 +184,23 @@ def test_without_a_path_the_failure_has_the_nearest_configuration_and_the_obstac
         joint_motion(arm, goal)
 
 
+def test_links_that_are_placed_one_by_one_overlap_as_in_the_whole_robot(shared_scene: BulletWorld) -> None:
+    robot, milk = shared_scene.robot, shared_scene.get_object("milk")
+    arm = robot.description.arm("left")
+    x, y, _ = milk.get_position()
+    milk.set_position(robot.get_link_position(arm.tool_frame))
+    robot.attach(milk, arm.tool_frame)
+    postures = [arm.posture("park") | {arm.joints[0]: 0.1 * turn, arm.joints[1]: 0.1 * turn} for turn in range(12)]
+    found = []
+    for single in (False, True):
+        with checker.CollisionChecker(robot, arm.joints, margin=0.01, single_links=single) as checked:
+            every = checked.predict(postures, ([x - 0.5, y, 0.0], geometry.from_rpy(0, 0, 0.1)))
+            pairs = [[*checked.pairs(each), *checked.self_pairs([each])[0]] for each in every]
+            found.append([checked.depth(each, pair) for each, of in zip(every, pairs, strict=True) for pair in of])
+    assert max(found[0]) > 0.0
+    assert found[1] == pytest.approx(found[0], abs=1e-5)
+
+
 def test_joints_without_limits_go_to_the_nearest_equivalent_angle(shared_scene: BulletWorld) -> None:
     robot = shared_scene.robot
     robot.set_joint_position("l_wrist_roll_joint", 3.0)
