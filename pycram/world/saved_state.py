@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Final
 
 from pycram.foundation.failures import BadArgument, ObjectsChanged, WorldClosed
+from pycram.physics.body import Snapshot
 from pycram.world import attachment
 from pycram.world.object import Object
-from pycram.world.transaction import Transaction, update
+from pycram.world.transaction import Transaction, take_snapshot, update
 from recorder import records
 from recorder.records.beliefs import Key
 from recorder.tracing.journal import Journal
@@ -36,6 +38,7 @@ class SavedState:
     command: records.Restore  # the record that restores the state
     #: Steps of the records from which robots learned the beliefs, if this process wrote these records.
     steps: Mapping[Key, Steps] = field(default_factory=dict)
+    snapshots: Mapping[Object, Snapshot] = field(default_factory=dict)  # states of the objects without joints
 
     def __repr__(self) -> str:
         return f"<state of {self.world.name} at {self.command.sim_step / records.STEPS_PER_SECOND:.3f} s>"
@@ -55,7 +58,8 @@ def save(world: BulletWorld) -> SavedState:
             robot=world.robot.name if world.robot else "",
             beliefs=world.beliefs.records(),
         )
-        return SavedState(world, tuple(world.objects), command, world.beliefs.saved())
+        snapshots = {body: take_snapshot(body) for body in world.objects if not body.handle.joints}
+        return SavedState(world, tuple(world.objects), command, world.beliefs.saved(), snapshots)
 
 
 def restore(world: BulletWorld, saved: SavedState) -> None:
@@ -67,7 +71,7 @@ def restore(world: BulletWorld, saved: SavedState) -> None:
     """
     if not isinstance(saved, SavedState) or saved.world is not world:
         raise BadArgument("saved", saved, f"a state that {world.name}.save() has returned")
-    put_back(world, saved.command, saved.objects, saved.steps)
+    put_back(world, saved.command, saved.objects, saved.steps, saved.snapshots)
 
 
 def put_back(
@@ -75,6 +79,7 @@ def put_back(
     command: records.Restore,
     objects: Collection[Object] | None = None,
     steps: Mapping[Key, Steps] | None = None,
+    snapshots: Mapping[Object, Snapshot] = MappingProxyType({}),
 ) -> None:
     """Restore a recorded state of a world.
 
@@ -106,7 +111,8 @@ def put_back(
                 else:
                     attachment.end(held, transaction)
         for state in command.bodies:
-            _put(bodies[state.body], state, transaction)
+            body = bodies[state.body]
+            _put(body, state, snapshots.get(body), transaction)
         for pair, wanted in saved.items():
             if kept.get(pair) != wanted:
                 attachment.put_back(bodies[wanted.carrier], bodies[wanted.body], wanted, transaction)
@@ -155,9 +161,9 @@ def _state_of(body: Object) -> records.SavedBody:
     )
 
 
-def _put(body: Object, state: records.SavedBody, transaction: Transaction) -> None:
+def _put(body: Object, state: records.SavedBody, was: Snapshot | None, transaction: Transaction) -> None:
     """Restore an object's state; if the state doesn't differ, the solver keeps its cached contacts."""
-    if _state_of(body) == state:
+    if was is take_snapshot(body) or _state_of(body) == state:  # nothing has changed the body, or not for good
         return
     engine, handle = body.world.engine, body.handle
     x, y, z = state.position
