@@ -39,6 +39,9 @@ TIMEOUT: Final = 5  # maximum simulated time in s until all objects are at rest
 LEVEL: Final[ContextVar[bool]] = ContextVar("pycram_level", default=False)
 """Whether motions keep held objects upright; see :func:`pycram.motions.process_module.execution_environment`."""
 
+LESS_PATIENCE: Final = 0.25
+"""Patience of a search after another one has failed: an obstacle before one posture mostly is before others, too."""
+
 LEAN: Final = math.radians(15)
 """Largest angle in rad by which the tool may lean more than at the start of a level motion."""
 
@@ -91,6 +94,7 @@ class Execution:
         opened: Mapping[str, float] | None = None,
         ignored: Sequence[Object] = (),  # noqa: ARG002
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
+        patience: float = 1.0,  # noqa: ARG002
     ) -> Step:
         """Move an arm to a posture; the last centimetres are a straight line.
 
@@ -100,6 +104,7 @@ class Execution:
             opened: Positions of the gripper's joints at the beginning of the motion.
             ignored: Objects that the hand may touch on the straight line.
             ignored_links: Links that the hand may touch on the straight line, with the objects on them.
+            patience: Budget of the search for a path, as a multiple of the usual budget.
         """
         return _all([partial(robot.set_joint_positions, each) for each in (opened, posture) if each is not None])
 
@@ -242,6 +247,7 @@ class ContinuousExecution(Execution):
         opened: Mapping[str, float] | None = None,
         ignored: Sequence[Object] = (),
         ignored_links: Sequence[tuple[Object, str]] = (),
+        patience: float = 1.0,
     ) -> Step:
         """Open the gripper, move to a few centimetres before the posture, and continue on a straight line."""
         now = robot.get_joint_positions()
@@ -266,9 +272,9 @@ class ContinuousExecution(Execution):
         line = _line(robot, arm, end, ways, ignored, ignored_links)
         if line is None:  # the open fingers may have room around the object
             goal = {joint: posture[joint] for joint in arm.joints}
-            way = _joint_plan(robot, goal, start=start, ignored_links=ignored_links)
+            way = _joint_plan(robot, goal, start=start, ignored_links=ignored_links, patience=patience)
             return _all((*steps, _following(robot, way)))
-        steps.append(_following(robot, _joint_plan(robot, line[-1], start=start)))
+        steps.append(_following(robot, _joint_plan(robot, line[-1], start=start, patience=patience)))
         return _all((*steps, partial(_along, (robot, line[::-1]))))
 
     def grip(self, robot: Object, positions: Mapping[str, float]) -> Step:

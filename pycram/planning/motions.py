@@ -62,7 +62,7 @@ def joint_motion(
     ignored: Iterable[Object] = (),
     ignored_links: Collection[tuple[Object, str]] = (),
     seed: int | None = None,
-    patience: int = 1,
+    patience: float = 1.0,
     earlier: Iterable[PlannedMotion] = (),
 ) -> PlannedMotion:
     """Return a motion of joints to a goal. The robot and held objects touch only objects that they touch at the start.

@@ -49,7 +49,7 @@ class Query:
     rates: Rates  # limits of the motion
     seed: int | None  # seed of the search; None for the run's seed
     wider: Space | None = None  # space of the second search; None for the same space
-    patience: int = 1  # budget as a multiple of MAX_CHECKS
+    patience: float = 1.0  # budget as a multiple of MAX_CHECKS
 
     def drawn_seed(self, attempt: int) -> int:
         """Return the seed of an attempt, from 1 to 2**31. The seed depends only on the run's seed and the query."""
@@ -95,7 +95,7 @@ def find_path(
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])
     reached = [query.start]  # the start, followed by the nearest configuration of each search
-    most = query.patience * MAX_CHECKS
+    most = int(query.patience * MAX_CHECKS)
     rooms = (True, query.space, most // 2), (False, query.wider or query.space, most)
     ways = _nearest(query, earlier)
     for clearance.strict, space, budget in rooms:

@@ -20,7 +20,7 @@ from pycram.foundation.failures import (
 )
 from pycram.models.robots.description import Arm
 from pycram.motions.designator import Designator
-from pycram.motions.execution import Step
+from pycram.motions.execution import LESS_PATIENCE, Step
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
@@ -72,8 +72,10 @@ class PickUp(SimulatedModule):
                 along += [held.body for held in body.carried if held.loose]  # the other hand also holds these objects
                 stood, opened = body.get_position_and_orientation(), arm.gripper.positions("open")
 
-                def approach(posture: Mapping[str, float]) -> Step:
-                    return self.execution.approach(robot, arm, posture, _BEHIND, opened=opened, ignored=[body])
+                def approach(posture: Mapping[str, float], patience: float) -> Step:
+                    return self.execution.approach(
+                        robot, arm, posture, _BEHIND, opened=opened, ignored=[body], patience=patience
+                    )
 
                 sides = None if side is None else (side,)
                 reach, closed = _plan(robot, arm, body, sides, approach, choice, giver)
@@ -165,7 +167,7 @@ def _plan(
     arm: Arm,
     body: Object,
     names: Sequence[str] | None,
-    approach: Callable[[Mapping[str, float]], Step],
+    approach: Callable[[Mapping[str, float], float], Step],
     choice: Choice,
     giver: Arm | None,
 ) -> tuple[Step, Mapping[str, float]]:
@@ -187,7 +189,7 @@ def _plan(
             choice.reject(str(grasp), Touching(pairs))
             continue
         try:
-            reach = approach(posture.positions)
+            reach = approach(posture.positions, LESS_PATIENCE if searched else 1.0)
         except NoPath as no_path:
             failures.append(no_path)
             choice.reject(str(grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))

@@ -20,7 +20,7 @@ from pycram.foundation.failures import (
 )
 from pycram.models.robots.description import Arm
 from pycram.motions.designator import Designator
-from pycram.motions.execution import TIMEOUT, Step
+from pycram.motions.execution import LESS_PATIENCE, TIMEOUT, Step
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision import checker
@@ -78,9 +78,9 @@ class Place(SimulatedModule):
                     "placement", robot.world, object=body, arm=arm.name, target=target, orientation=orientation
                 ) as choice:
 
-                    def lower(posture: Mapping[str, float], tool: Pose) -> Step:
+                    def lower(posture: Mapping[str, float], tool: Pose, patience: float) -> Step:
                         above = geometry.rotate(geometry.invert(tool)[1], _ABOVE)
-                        return self.execution.approach(robot, arm, posture, above)
+                        return self.execution.approach(robot, arm, posture, above, patience=patience)
 
                     plan = _plan(robot, arm, body, target, orientation, lower, choice)
             plan.lower()
@@ -132,7 +132,7 @@ def _plan(
     body: Object,
     target: Sequence[float],
     orientation: Sequence[float] | None,
-    lower: Callable[[Mapping[str, float], Pose], Step],
+    lower: Callable[[Mapping[str, float], Pose, float], Step],
     choice: Choice,
 ) -> _Plan:
     """Return the first plan without a collision, even while the fingers open; the caller holds the world's lock.
@@ -140,7 +140,7 @@ def _plan(
     Args:
         target: xyz in m.
         orientation: xyzw; None for upright.
-        lower: Plans the way of the arm to a posture, from the pose of the tool.
+        lower: Plans the way of the arm to a posture, from the pose of the tool and the patience of the search.
 
     Raises:
         PlaceFailed: There is no free posture, or no room for the object.
@@ -149,7 +149,9 @@ def _plan(
     """
     refusals = Refusals()
     for placement in placements(robot, arm, body, target, orientation, refusals, choice):
-        step = _way(partial(lower, placement.posture, placement.tool), placement.name, refusals, choice)
+        patience = LESS_PATIENCE if refusals.no_path else 1.0
+        way = partial(lower, placement.posture, placement.tool, patience)
+        step = _way(way, placement.name, refusals, choice)
         if step is not None:
             position, turn = placement.pose
             choice.take(placement.name, position=short(position), orientation=short(turn))
