@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from recorder.records import Mutation
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
 from replay.cli.minimise import add_trials
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from replay.fix.trials import Trials
 
 _BUDGET: Final = 80
+_FIRST: Final = 4  # number of other choices that are forced before edits are tried
 _MAX_OTHERS: Final = 3  # maximum number of candidates with other failures that are listed
 
 
@@ -47,9 +49,14 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     found, chance = SearchResult(""), LastChance()
     with Trials(log, allow_effects=options.allow_effects) as trials:
         print_message(f"{trials.program.name} runs again, up to {options.budget} times; {AGAIN}")
+        by_fork = any(each.by_fork for each in log.records(Mutation))
         try:
-            chance = other_choice(trials, log, folder, options.holds, options.budget)
-            search(trials, log, folder, found, holds=options.holds, budget=options.budget - chance.runs)
+            few = options.budget if by_fork else min(_FIRST, options.budget // 4)
+            chance = other_choice(trials, log, folder, options.holds, few)
+            if by_fork:
+                print_message("a fork changed the world in this run, so only other choices are tried, and no edits")
+            else:
+                search(trials, log, folder, found, holds=options.holds, budget=options.budget - chance.runs)
             found.runs += chance.runs
         except KeyboardInterrupt:
             print_message("interrupted; these are the results until then")
@@ -100,11 +107,15 @@ def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResu
         yield f"the plan also succeeds with another choice, {chance.choice}:"
         yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}"
         yield f"  its run: {chance.recording}"
-    asked = f"asked: {found.asked}" if found.asked else "nothing was tried"
+    if not found.asked:  # no edits were tried
+        if not chance.choice:
+            yield f"no repair found; tried {phrases.plural(len(chance.others), 'other choice')}"
+            yield from (f"  {each}" for each in chance.others[:_MAX_OTHERS])
+        return
     count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"
     if not found.repairs:
         yield f"no repair found; tried {count}"
-        yield asked
+        yield f"asked: {found.asked}"
         for what, failure in [*found.others.items()][:_MAX_OTHERS]:
             yield f"  {what}: {phrases.one_line(failure)}"
         return
@@ -120,7 +131,7 @@ def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResu
         else:
             yield "  it wasn't run with other seeds, or with loose objects elsewhere"
     yield ""
-    yield f"{asked}; tried {count}"
+    yield f"asked: {found.asked}; tried {count}"
 
 
 def difference(trials: Trials, text: str) -> Iterator[str]:

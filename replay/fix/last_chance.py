@@ -39,7 +39,6 @@ from replay.retrace.prove import Prover
 
 _ALTERNATIVES: Final = 2  # maximum number of other candidates of a choice, except places, that are forced
 _SHARES: Final = (2, 1, 3)  # places at these quarters of the order of distances from the taken place are forced
-_FIRST: Final = 4  # number of choices that are forced before a repair is searched
 _PROBES: Final = 2  # number of forks that check whether the bisection was right
 
 
@@ -105,10 +104,10 @@ def last_chance(
 
 
 def other_choice(trials: Trials, log: Recording, folder: Path, holds: Sequence[str], budget: int) -> LastChance:
-    """Force a few other choices before the failed motion, the latest first, until the whole plan succeeds."""
+    """Force other choices before the failed motion, the latest first, until the whole plan succeeds."""
     found = LastChance(runs=trials.runs)
     if log.why().task is not None:
-        chances = _Chances(trials, log, folder, found, holds, min(_FIRST, budget // 4))
+        chances = _Chances(trials, log, folder, found, holds, budget)
         try:
             chances.find_choice()
         finally:
@@ -130,7 +129,10 @@ class _Chances:
         self._tasks = {each.task: each for each in log.records(Task) if each.phase == Task.STARTED}
         #: The step at which objects are put back: the start of the failed motion, or else the step before the failure.
         self._end = why.step - 1 if why.case is None or why.case.motion is None else why.case.began
+        self._step = why.step
         self._source = PlanSource(log)
+        #: The last change of the world by a fork; -1 without one. A fork before this step wouldn't repeat the change.
+        self._by_fork = max((each.seq for each in log.records(Mutation) if each.by_fork), default=-1)
 
     def stop(self) -> None:
         """Stop all forks, and delete their recordings."""
@@ -243,7 +245,9 @@ class _Chances:
         closed = self._found.closed
         if closed is not None:
             yield from self._skipped(closed)
-        for record in self._log.backwards(self._end if closed is None else closed, (Query, Task)):
+        for record in self._log.backwards(self._step if closed is None else closed, (Query, Task)):
+            if record.seq <= self._by_fork + 1:
+                return
             texts: list[str] = []
             step = record.seq - 1
             if isinstance(record, Query):
