@@ -129,7 +129,7 @@ class _MonitorSink(NullSink):
                 raise error
 
     def record(self, record: Check) -> None:
-        """Append a record of a property; the journal writes it after the record that it is writing now."""
+        """Append a record of a property; the journal writes this record after the record that led to the call."""
         record.by_run, record.only_record = self._by_run, self._only_record
         record.thread = current_name()
         record.task = record.task or journal.task_id()

@@ -56,14 +56,14 @@ class Rendering:
     def picture_before(
         self, behind: NDArray[np.uint8], depth: NDArray[np.float64], up: Sequence[float]
     ) -> NDArray[np.uint8]:
-        """Return a colour image of this picture in front of the image ``behind``, whose pixels have ``depth`` in m."""
+        """Return the colour image ``behind`` with this picture in front of it. ``behind`` has the ``depth`` in m."""
         nearer = self.depth < depth
         image = behind.copy()
         image[nearer] = self._lit(up)[self.seen[nearer]]
         return image
 
     def _lit(self, up: Sequence[float]) -> NDArray[np.uint8]:
-        """Return the colours of the triangles, RGB; only those of visible triangles are computed."""
+        """Return the colours of the triangles, RGB; only the colours of visible triangles are computed."""
         used = np.zeros(len(self.triangles) + 1, dtype=bool)
         used[self.seen] = True
         used[-1] = False  # the sky
@@ -337,7 +337,7 @@ def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.
 
 
 def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return the triangles behind the near plane, without the parts in front of it, and their original indices."""
+    """Return the parts of triangles behind the near plane, as triangles, with the indices of the original triangles."""
     beyond = triangles[:, :, 2] > near
     count = beyond.sum(axis=1)
     numbers = np.arange(len(triangles))

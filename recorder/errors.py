@@ -62,7 +62,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 
 
 def similar_files(path: Path, others: Iterable[str] = ()) -> str:
-    """Return "; did you mean ...?" with the most similar names to a missing file, from its folder and ``others``."""
+    """Return "; did you mean ...?" with names like that of a missing file, from the file's folder and ``others``."""
     names = list(others)
     with suppress(OSError):
         near = (file for file in islice(path.parent.iterdir(), _MAX_FILES) if file.suffix == path.suffix)
@@ -98,7 +98,7 @@ def until_closed() -> Iterator[None]:
 
 
 def discard(stream: TextIO) -> None:
-    """Discard the buffered text and all later text of a stream. Otherwise Python reports an error when it exits."""
+    """Discard the buffered text and all later text of a stream. Otherwise, Python reports an error at its exit."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     with suppress(AttributeError, io.UnsupportedOperation):  # a plan may have replaced the stream
         os.dup2(nowhere, stream.fileno())

@@ -194,7 +194,7 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
 def look_at(eye: Numbers, target: Numbers) -> Quaternion:
     """Return the orientation of an optical frame (z forward, x right, y down) that looks from ``eye`` at ``target``.
 
-    Points are xyz in m. The z axis of the world points up in the picture, unless it is parallel to the view.
+    Points are xyz in m. The z axis of the world points up in the picture, unless the view is vertical.
 
     Raises:
         ValueError: eye and target coincide.

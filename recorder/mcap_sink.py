@@ -193,11 +193,9 @@ class McapSink:
                     self._flush()
 
     def _channel(self, key: _Key) -> int:
-        channel = self._channels.get(key)
-        if channel is None and len(self._channels) >= _MAX_CHANNELS:
-            key = (key[0], "", 0)  # worlds beyond the limit share a channel
-            channel = self._channels.get(key)
-        return self._register(*key) if channel is None else channel
+        if len(self._channels) >= _MAX_CHANNELS:  # further worlds share a channel
+            return self._channels.get((key[0], "", 0)) or self._register(key[0])
+        return self._register(*key)
 
     def attach(self, asset: AssetFile) -> None:
         """Attach a file."""

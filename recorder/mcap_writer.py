@@ -78,7 +78,7 @@ class McapWriter:
         self._write(_packed(Header(profile="", library=library)))
 
     def move(self, file: BinaryIO, start: bytes) -> None:
-        """Continue in another file, after writing ``start`` into it: the content so far."""
+        """Write ``start``, the content so far, into another file, and continue in this file."""
         file.write(start)
         file.flush()
         self._file = file

@@ -37,7 +37,7 @@ _EXTRAS: Final = {
 _RECORDED: Final = (
     "pycram", "pybullet", "mcap", "protobuf", "numpy", "trimesh", "example-robot-data", "ompl", "toppra", "rerun-sdk",
 )  # fmt: skip
-#: Releases that simulate bit for bit alike: each release has verified recordings of the others.
+#: Releases that simulate bit for bit alike: each release has verified recordings of the other releases.
 _SAME_ENGINE: Final = {"3.2.7", "3.2.7 (pybullet-arm64)", "3.2.8 (pybullet-arm64)"}
 
 

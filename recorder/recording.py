@@ -31,7 +31,7 @@ from recorder.tracing.journal import Journal, Sink
 from recorder.tracing.output import recorded_output
 from recorder.viewer.live import RerunSink
 
-_MAX_ERRORS: Final = 1000  # the traceback of an error that ends a plan or thread has at most this many errors
+_MAX_ERRORS: Final = 1000  # maximum number of errors in the traceback of an error that ends a plan or thread
 
 
 @dataclass(frozen=True, slots=True, repr=False)
@@ -82,8 +82,7 @@ def record(
             doesn't delay the plan.
         name: Name of the plan, by default the name of the program or notebook.
         arguments: Arguments of the plan, by default the arguments of the program.
-        source: The plan's file, which the recording contains. By default, it is the file of the program, if there is
-            one.
+        source: The plan's file, by default the program's file. The recording contains this file.
         seed: The plan's seed. ``record`` only writes this seed and the following inputs into the file.
         output: Record printed and logged lines, too.
         locals: Record the local variables of the plan's functions with failures.

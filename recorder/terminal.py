@@ -113,7 +113,7 @@ class _Pager(io.TextIOBase):
 
 @contextlib.contextmanager
 def paged() -> Iterator[None]:
-    """Run a block; if its output on a terminal exceeds the screen, it is shown in ``$PAGER`` (less)."""
+    """Run a block. If its output on a terminal exceeds the screen, ``$PAGER`` (less) shows the output."""
     terminal, command = sys.stdout, os.environ.get("PAGER", _PAGER)
     if not (terminal.isatty() and sys.stdin.isatty() and command.strip()) or os.environ.get("TERM") == "dumb":
         yield

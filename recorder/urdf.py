@@ -94,7 +94,7 @@ class Urdf:
         return min(max(mimic.multiplier * leader + mimic.offset, joint.lower), joint.upper)
 
     def value(self, joint: str, positions: Mapping[str, float]) -> float:
-        """Return the position of a joint (rad or m): the given position, or else that of a mimicking joint, or 0."""
+        """Return a joint's position (rad or m): the given position, or the position by the joint's rule, or else 0."""
         value = positions.get(joint)
         if value is not None:
             return value
@@ -227,7 +227,7 @@ class UrdfJoint:
     type: str  # type of the joint: "fixed", "revolute", "continuous" or "prismatic"
     parent: str  # name of the parent link
     child: str  # name of the child link
-    origin: Pose = IDENTITY  # pose of the joint in the parent link; at value 0, it is also the pose of the child
+    origin: Pose = IDENTITY  # pose of the joint in the parent link, and of the child link at value 0
     axis: Vector = (1.0, 0.0, 0.0)  # axis: a unit vector in the joint's frame
     lower: float = 0.0  # lower limit in rad or m; -inf if continuous, 0 if fixed
     upper: float = 0.0  # upper limit in rad or m; inf if continuous, 0 if fixed
@@ -254,7 +254,7 @@ class UrdfJoint:
 
 
 def read_joint(robot: str, element: ET.Element, *, chains: bool = False) -> UrdfJoint:
-    """Parse the element of a joint; raise UrdfError if it is invalid. ``chains`` accepts planar and floating joints."""
+    """Parse a joint's element, or raise UrdfError. ``chains`` means that planar and floating joints are accepted."""
     name = element.get("name", "")
     kind = element.get("type", "")
     if kind not in _KINDS and not (chains and kind in _CHAINS):

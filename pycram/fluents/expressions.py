@@ -156,7 +156,7 @@ class Operation(Expression):
         return state[self]
 
     def text(self, depth: int = 0) -> str:
-        """Return the name, in parentheses if it is an operand; "..." if it is nested too deeply."""
+        """Return the name, in parentheses for an operand; "..." for an operand that is nested too deeply."""
         if depth > _MAX_NAME_DEPTH:
             return "..."
         text = self.form.format(*(operand.text(depth + 1) for operand in self.operands))
@@ -198,7 +198,7 @@ class _Seen:
             state, before = seen.state, seen.before  # read each attribute once, because another thread may clear both
             if state is None:
                 continue
-            # if a function of the network fails, these results are kept; it may succeed in the next state
+            # if a function of the network fails, these results are kept; the function may succeed in the next state
             value, count = (None, 0) if before is None else (before.value, before.count)
             try:
                 now = of.value(state)
@@ -347,7 +347,7 @@ class Variable(Leaf):
     def __init__(self, value: Value, name: str | None = None, source: str = "", bodies: tuple[str, ...] = ()) -> None:
         super().__init__((), value)
         self.name = f"fluent_{next(_numbers)}" if name is None else name
-        self.source = source  # the quantity of a world ("pose", "joint", ...) that it follows; "" if a plan sets it
+        self.source = source  # the followed quantity of a world ("pose", "joint", ...); "" if a plan sets the variable
         self.bodies = bodies  # names of the followed objects
         self.json: str | None = None  # the value as JSON for records; None if it isn't known
         self.set_by = ""  # name of the branch or thread that set the value last; "" before the first setting
@@ -416,7 +416,7 @@ def pulse_unchanged(expression: Expression) -> None:
 
 
 def end(leaves: Collection[Leaf], ended: Ended) -> None:
-    """Close these operands: reading or awaiting them is an error from now on."""
+    """Mark leaves as ended: from now on, reading or awaiting them raises WorldClosed."""
     with lock:
         all_ended = (*leaves, *counters_on(leaves))
         for leaf in all_ended:

@@ -369,7 +369,7 @@ class StateStream:
     def state_changed(self) -> None:
         """Append the present state; the caller holds the lock."""
         self._states.append({leaf: leaf.held for leaf in self._expression.leaves})
-        self._news.notify_all()  # notify even if states are left: the waiting branch takes them without the lock
+        self._news.notify_all()  # also if older states remain, because the waiting branch takes states without the lock
 
     def states(self, limit: Deadline | None = None) -> Iterator[State]:
         """Yield the states in order until the deadline, even if new states still come."""

@@ -58,7 +58,7 @@ class UsageError(PycramError):
 
 
 def kept_as(convert: Callable[[Given], object], **default: Given | None) -> Given:
-    """Return a field of a dataclass error that converts its value by ``convert`` (list, dict, ...); None stays None."""
+    """Return a field of a dataclass error; ``convert`` (list, dict, ...) converts the value, but None stays None."""
     return cast("Given", field(**default, metadata={"convert": convert}))  # type: ignore[call-overload]  # ``default`` is the only keyword
 
 

@@ -47,7 +47,7 @@ class Policy:
 
 
 class Block:
-    """A block: ``s`` in ``with par as s``. The list ``failures`` collects its failures; without a list, it raises."""
+    """A block: ``s`` in ``with par as s``. Its failures go into the list ``failures``; without a list, it raises."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
@@ -146,7 +146,7 @@ class Block:
         self._take(branch)
 
     def _take(self, branch: Branch) -> None:
-        """Schedule a branch; in a sequential block, run it here; in a decided block, cancel it."""
+        """Schedule a branch; in a sequential block, run the branch here; in a decided block, cancel the branch."""
         branch.span.parent = self._span.id
         self._taken += 1
         if self.state is not State.RUNNING:
@@ -166,7 +166,7 @@ class Block:
                 self._scheduler.begin(name, branch.context, partial(self._run, branch), branch.abandon, site, label)
             else:
                 branch.runs_in = current_name()
-                branch.context.run(enter_branch, current_branch())  # a ReadBlock's body may add it in another branch
+                branch.context.run(enter_branch, current_branch())  # another branch may have added this branch
                 branch.context.run(self._run, branch)
         ends_body = self.policy.propagates or not isinstance(branch.error, PlanFailure)
         if branch.error is not None and ends_body and not self.policy.concurrent:
@@ -252,7 +252,7 @@ class Block:
         errors = (interrupt, error if error is not interrupt else None, *[branch.error for branch in self.branches])
         failures = self.failures
         bugs = [e for e in errors if e is not None and not isinstance(e, (PlanFailure, Cancelled))]
-        if bugs:  # the program has an error, or the user interrupts it
+        if bugs:  # the program has an error, or the user interrupts the program
             self.state = State.FAILED
             bugs.sort(key=lambda bug: isinstance(bug, Retry))  # if the Retry came first, it would hide the other errors
             return chained(bugs[0], [*bugs[1:], *failures])
@@ -290,7 +290,7 @@ class Block:
                 body.finish(failure)
 
     def _join(self, interrupt: BaseException | None) -> BaseException | None:
-        """Wait for all branches. After an error, cancel them; return the last error, or else ``interrupt``."""
+        """Wait for all branches. After an error, cancel the branches; return the last error, or else ``interrupt``."""
         own = self._scheduler
         while True:
             joining, own.joining = own.joining, own.joining or interrupt is not None
@@ -377,7 +377,7 @@ class ReadBlock(Block):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> bool:
         if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
-            self.scope.cancel()  # the program has an error, or the user interrupts it
+            self.scope.cancel()  # the program has an error, or the user interrupts the program
         self._body_error = error if isinstance(error, Exception) else None
         self._entered.close()
         if isinstance(error, Cancelled):  # if the decided block cancelled its body, the plan continues after the block

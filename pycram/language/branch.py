@@ -53,8 +53,8 @@ def _nothing() -> None:
 class Branch:
     """One action of a block, and its outcome.
 
-    A branch runs in a copy of the context that added it. At its end, a branch releases its action and its context,
-    because they may refer to the block.
+    A branch runs in a copy of the context that added the branch. At its end, a branch releases its action and its
+    context, because both may refer to the block.
 
     Args:
         changed: Condition of the block, notified when the branch ends.

@@ -60,7 +60,7 @@ class OutlivesTimeout(UsageError):
 class BranchesFailed(PlanFailure):
     """A block of the plan language failed; this failure contains the failures of all branches.
 
-    It is an instance of all types that the branches' failures have in common. If all branches failed with
+    This failure is an instance of all types that the branches' failures have in common. If all branches failed with
     ``Unreachable``, ``except Unreachable`` catches the block's failure, which has the fields of the first failure.
     """
 
@@ -133,7 +133,7 @@ class NotCleanedUp(PlanFailure):
 
 
 class Retry(BaseException):
-    """Ends an attempt: ``retry`` raises it, and only the attempt catches it."""
+    """Ends an attempt: ``retry`` raises this error, and only the attempt catches the error."""
 
     def __init__(self, attempt: object, number: int, changed: Mapping[str, Any], error: BaseException | None) -> None:
         super().__init__(f"attempt {number} ended by retry()")
@@ -143,7 +143,7 @@ class Retry(BaseException):
 
 
 def leaves_uncleaned(failure: BaseException) -> bool:
-    """Return whether a failure is a failed cleanup of a cancelled branch, or contains one."""
+    """Return whether a failure is or contains a failed cleanup of a cancelled branch."""
     leaves = failure.leaves if isinstance(failure, BranchesFailed) else (failure,)
     return any(isinstance(leaf, NotCleanedUp) for leaf in leaves)
 

@@ -140,7 +140,7 @@ def in_block(host: BlockBody | None) -> Binding[BlockBody | None]:
 
 
 def leave_body() -> None:
-    """Make the present context that of a branch: its actions run in order, and it can't end outer scopes."""
+    """Turn the present context into a branch's context: actions run in order, and code can't end outer scopes."""
     body_context.set(None)
     nothing_open()
 

@@ -161,7 +161,7 @@ def before_change(change: str) -> None:
 
 
 def checkpoint() -> None:
-    """Let other branches run first. Raise Cancelled if the branch is cancelled, or LockHeld if it holds a lock."""
+    """Let other branches run first. Raise Cancelled in a cancelled branch, or LockHeld if the thread holds a lock."""
     scheduler().yield_turn()
     raise_if_cancelled()
 
@@ -239,7 +239,7 @@ def join(condition: Condition, predicate: Callable[[], bool], reason: Reason = u
 
 
 class Clock(Protocol):
-    """A simulated clock; a wait lets it run when no branch of its thread is ready."""
+    """A simulated clock; a wait lets the clock run when no branch of the wait's thread is ready."""
 
     def may_pass(self) -> bool:
         """Return whether simulated time may pass now."""
@@ -249,7 +249,7 @@ class Clock(Protocol):
 
 
 class Limit(Condition, ABC):
-    """A deadline of a part of the plan, which notifies waits when it comes."""
+    """A deadline of a part of the plan. When the deadline comes, waits are notified."""
 
     clock: Clock | None = None  # the simulated clock by which the deadline is measured; None for wall-clock time
 

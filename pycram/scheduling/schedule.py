@@ -481,10 +481,10 @@ class Scheduler:
         """Return whether a deadline, or a thread or signal handler of the plan, may wake a wait of this thread."""
         if self.awaits_strike() or threads_of_plan() or interrupts.has_handlers():
             return True
-        return not self._bell.locked()  # this check comes last, because a thread may wake this one and end
+        return not self._bell.locked()  # checked last, because another thread may wake this thread and end
 
     def _fail_deadlocked(self) -> None:
-        """Raise DeadlockedBranches outside of the branches; if their cleanup code still waits, raise it in a branch."""
+        """Raise DeadlockedBranches outside of the branches, or in a branch if cleanup code of branches still waits."""
         error = DeadlockedBranches(self._blocked())
         inside = next((each for each in self._parked if each.branch is not None), None)
         if not self._deadlocked or inside is None:
@@ -494,7 +494,7 @@ class Scheduler:
         inside.fail(error)
 
     def _blocked(self) -> list[BlockedWait]:
-        """Return the waits of all branches, and of the code outside unless it waits only for these branches."""
+        """Return the waits of the branches, and of the code outside if that code doesn't only wait for the branches."""
         waits = {each.branch: each for each in self._parked}
         names = {each.name: each.label() or each.name for each in self.branches}
         blocked: list[BlockedWait] = []
@@ -578,7 +578,7 @@ journal.looks = lambda: scheduler().polls
 
 
 def schedule_alone() -> None:
-    """Give this thread of a forked child process a new scheduler without branches, which continues the order."""
+    """Give this thread of a forked child process a new scheduler, which has no branches, but continues the order."""
     before, _local.scheduler = _local.scheduler, Scheduler()
     _local.scheduler.continue_order(before)
 

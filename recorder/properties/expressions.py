@@ -77,7 +77,7 @@ class NoValue(LookupError):
 
 @dataclass(frozen=True, order=True, slots=True)
 class Truth:
-    """Whether a condition holds, and the condition's margin. Calculations with conditions fail: this isn't a tuple."""
+    """Whether a condition holds, and its margin. The class isn't a tuple, so that calculations with conditions fail."""
 
     margin: float
     holds: bool

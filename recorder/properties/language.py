@@ -38,7 +38,7 @@ class Property:
     body: PropertyExpression
     until: PropertyExpression | None = None  # for "until": the body must hold until this expression holds
     stays: float = 0.0  # time in s for which the body must hold without interruption
-    within: float | None = None  # only this first part of each episode counts, s; None for whole episodes
+    within: float | None = None  # length in s of the first part of each episode, which alone counts; None: the whole
     during: Moments | None = None
     after: Moments | None = None
     before: Moments | None = None

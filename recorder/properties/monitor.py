@@ -70,7 +70,7 @@ class PropertyVerdict:
     values: dict[str, Any]  # values of the quantities at the moment ``closest``
     violations: list[Violation]
     episodes: int  # number of episodes
-    note: str = ""  # why the property never applied; "" if it did
+    note: str = ""  # why the property never applied; "" if the property applied
 
     @property
     def holds(self) -> bool:
@@ -273,7 +273,7 @@ class _Watch:
                 yield from self._end(episode, moment, f"not within {within:g} s")
 
     def _follow_end(self, moment: CheckedMoment, value: Truth) -> None:
-        """Find the start of the last period in which the body doesn't hold; if it never held, its last change."""
+        """Find the start of the last period in which the body doesn't hold; if the body never held, its last change."""
         if value.holds:
             self._since, self._seen, self._held = None, None, True
         elif self._seen is None or (not self._held and self._changed(value.margin, *self._seen)):

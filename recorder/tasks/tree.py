@@ -1,6 +1,6 @@
 """The tree of tasks: the parts and the outcome of each task, and the path to the task that failed.
 
-A tree is computed from task records. Plans and readers use the same class for this, so their trees are equal.
+A tree is computed from task records. Plans and readers use the same class, so their trees are equal.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class State(IntEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> State | None:
-        """Return a status that only a newer release knows; its name is its number."""
+        """Return a status that only a newer release knows; the number is also the name."""
         if not isinstance(value, int):
             return None
         unknown = int.__new__(cls, value)
@@ -146,7 +146,7 @@ class Node:
 
     @property
     def error(self) -> tuple[str, str] | None:
-        """Type and message of the task's failure; None if it didn't fail."""
+        """Type and message of the task's failure; None if the task didn't fail."""
         return (self.finished.failure.type, self.finished.failure.message) if self.finished and self.failed else None
 
     @property
@@ -399,7 +399,7 @@ class Lanes:
         self._taken: dict[int, set[int]] = {}  # occupied numbers of lanes, by depth
 
     def follow(self, record: Task) -> Lane | None:
-        """Return the lane of a task at its start or end; None if it is another record."""
+        """Return the lane of a task at the task's start or end; None for other records."""
         if record.phase == Task.STARTED:
             parent = self._running.get(record.parent)
             depth = parent[0] + 1 if parent is not None else 1

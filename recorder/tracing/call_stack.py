@@ -1,7 +1,7 @@
 """The plan's frames: call stacks of tasks, and the local variables of raised errors.
 
 A call stack contains the plan's lines that called one another, outermost first. In a thread that runs a part of a task,
-the call stack continues the request's call stack, so it begins where the plan begins. Local variables are described
+the call stack continues the request's call stack, and so begins where the plan begins. Local variables are described
 without calling users' code.
 """
 
@@ -53,7 +53,7 @@ class CallStack(NamedTuple):
 
 
 def walk(frame: FrameType | None, outer: CallStack | None = None) -> CallStack:
-    """Return the call stack of running code. ``frame`` is its frame, or the frame of a function that it has called."""
+    """Return the call stack of running code, from the frame of the code or of a function that the code called."""
     frame, line = _innermost(frame)
     thread = current_ident()
     inherited: tuple[CallSite, ...] = ()
@@ -99,7 +99,7 @@ def recorded_file(file: str) -> str:
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """Return the plan's innermost frame among a frame and its callers, and the innermost foreign frame below it."""
+    """Return the plan's innermost frame of a frame and its callers, and the innermost foreign frame that it called."""
     foreign = None
     known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER  # faster than globals
     while frame is not None:

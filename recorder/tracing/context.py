@@ -21,7 +21,7 @@ from recorder.records import escaped
 class BranchIdentity(NamedTuple):
     """The identity of a branch of a plan."""
 
-    thread: int  # ident of the branch's thread; threads that the branch starts may have its context
+    thread: int  # ident of the branch's thread; a thread that the branch starts may have the branch's context
     ident: int  # a negative number, because idents of threads are positive
     name: str
 
@@ -113,7 +113,7 @@ FOR_RECORD: Final = 40  # a record needs at most this many stack frames, with th
 FOR_TASK: Final = 120  # a task needs at most this many stack frames for its records, its block and its end
 
 _COUNTED: Final = 4  # maximum number of times that Python counts a frame, because C functions count, too
-_outside = 0  # maximum number of frames below a greenlet; Python counts them for the greenlet, too
+_outside = 0  # maximum number of frames below a greenlet; Python counts these frames for the greenlet, too
 
 
 def require_stack_room(frames: int) -> None:

@@ -17,8 +17,8 @@ _ATTEMPTS: Final = 5  # maximum number of earlier attempts that are printed
 def format_folded(error: BaseException, ours: type[BaseException]) -> str:
     """Return an error and its causes as text, with the frames of the plan and of the libraries that it calls.
 
-    Errors other than ``ours`` keep PyCRAM's innermost frames, because they may be bugs of PyCRAM. Causes that PyCRAM
-    has raised and handled are left out.
+    Errors of other types than ``ours`` keep PyCRAM's innermost frames, because such an error may be a bug of PyCRAM.
+    Causes that PyCRAM has raised and handled are left out.
     """
     token = tracebacks.formatter.set(lambda each: _formatted(each, ours))
     try:
@@ -55,7 +55,7 @@ def _plan_line(error: BaseException) -> tuple[str, int] | None:
 
 
 def _is_internal(error: BaseException, ours: type[BaseException]) -> bool:
-    """Return whether PyCRAM has raised and handled an error, so that the plan gets only the next one."""
+    """Return whether PyCRAM has raised and handled an error, so that the plan gets only the next error."""
     return isinstance(error, ours) and error.__traceback__ is not None and _plan_line(error) is None
 
 

@@ -1,4 +1,4 @@
-"""Ctrl-C interrupts the plan's own Python immediately. Elsewhere, it is deferred so that no state is broken.
+"""Ctrl-C interrupts the plan's own Python immediately. Elsewhere, Ctrl-C is deferred, so that no state is broken.
 
 Python raises KeyboardInterrupt in the main thread between any two instructions. Ctrl-C waits for the end of a section
 (:class:`Uninterrupted`), which is a change or a record. In branches and in the plan language (:class:`Host`), Ctrl-C

@@ -1,4 +1,4 @@
-"""The journal: numbers records, orders them, and passes them to sinks.
+"""The journal numbers records, and passes records and files to sinks.
 
 Lock order: first a world's lock, then a journal's lock. A journal that holds its lock calls no user code and no world.
 Callers of :func:`emit` hold the lock of the changed world, so the log has the world's order of changes. Functions that
@@ -35,7 +35,7 @@ class Sink(Protocol):
         """Take a record and its serialized form. Raise RecordingError if the record can't be kept."""
 
     def attach(self, asset: AssetFile) -> None:
-        """Take a file. If several files have the same content, only one is passed."""
+        """Take a file. If several files have the same content, the journal passes only one of these files."""
 
     def flush(self) -> None:
         """Write all buffered records. Raise RecordingError if writing fails."""
@@ -96,7 +96,7 @@ class Journal:
         self._expected: set[str] = set()
 
     def add_sink(self, sink: Sink) -> None:
-        """Add a sink: it receives all later records, and is closed with the other sinks."""
+        """Add a sink, which receives all later records, and is closed with the other sinks."""
         with self._lock:
             self._sinks = (*self._sinks, sink)
 
@@ -121,7 +121,7 @@ class Journal:
             self._strikes.append(strike)
 
     def attach(self, assets: Iterable[AssetFile]) -> None:
-        """Attach files; of files with the same content only one."""
+        """Attach files; if several files have the same content, attach only one of these files."""
         for asset in assets:
             self._take(asset)
 
@@ -342,7 +342,7 @@ def register(source: RecordedWorld) -> None:
 
 
 def announce(source: RecordedWorld) -> None:
-    """Make an unrecorded world known. Open journals record its state now, and other journals when they are opened."""
+    """Make an unrecorded world known. Open journals record the world's state now, later journals when they open."""
     register(source)
     for journal in listening():
         source.record_keyframe(journal)

@@ -1,8 +1,7 @@
 """Printed and logged lines of a plan as records. Each record has a line, and the place in the plan that printed it.
 
 Output of native code isn't recorded. Parts of a line are joined, separately for each thread and branch. If a progress
-bar overwrites a line, only its last text is recorded. Messages of ``logging`` are recorded once, before handlers print
-them.
+bar overwrites a line, only the line's last text is recorded. Messages of ``logging`` are recorded once.
 """
 
 from __future__ import annotations
@@ -101,7 +100,7 @@ class _Origin(NamedTuple):
 class RecordedStream:
     """A text stream that passes all text to another stream, and records the lines.
 
-    Its other attributes are those of the other stream. If the reader of the output has gone, as after ``| head``, lines
+    All other attributes are attributes of the other stream. If the output's reader has gone, as after ``| head``, lines
     are only recorded.
     """
 

@@ -60,7 +60,7 @@ class Cancelled(BaseException):
 
 
 def tree() -> Tree:
-    """Return the growing tree of the latest 20,000 tasks: of the latest recording, or before that of the process."""
+    """Return the growing tree of the latest recording's last 20,000 tasks; without a recording, of the process."""
     return _tree
 
 
@@ -73,7 +73,7 @@ class Span:
     parent: int = field(default_factory=journal.task_id)  # id of the task around this one; 0 if there is none
     parameters: Mapping[str, object] = field(default_factory=dict)
     attempt: int = 0  # number of the attempt, from 1; 0 for other kinds of tasks
-    source: CallStack | None = None  # call stack of the request; None to use that of the start
+    source: CallStack | None = None  # call stack of the request; None to use the call stack of the start
     id: int = field(default_factory=_ids.__next__)  # id of the task, unique in this process, from 1
     solution: Mapping[str, object] = field(default_factory=dict)  # the resolved solution
     result: object = None

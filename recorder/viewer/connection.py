@@ -129,8 +129,8 @@ END_TIMEOUT: Final = 2.0  # time in s to wait for the end of a viewer after its 
 class ViewerWindow:
     """The open viewer of this user on this machine, or a new viewer that outlives this process.
 
-    The viewer's server answers before the window opens. Without a screen, the viewer ends when it would open its
-    window. Callers that lose the connection therefore call :meth:`check`.
+    The viewer's server answers before the window opens. A viewer without a screen ends later, so callers that lose the
+    connection call :meth:`check`.
 
     Raises:
         ViewerGone: The viewer ended immediately, or another user's program took its port.

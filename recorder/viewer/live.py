@@ -254,7 +254,7 @@ class LiveQueue:
         return taken
 
     def close(self) -> None:
-        """Close the queue; items can still be taken from it."""
+        """Close the queue; callers can still take items."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -328,7 +328,7 @@ def _end_with_parent(absent: threading.Event, linger: float) -> None:
 
 
 class _Batches:
-    """The batches of the recording. Batches are read in a thread, so a slow viewer doesn't delay it."""
+    """The batches of the recording. Batches are read in a thread, so a slow viewer doesn't delay the recording."""
 
     def __init__(self, connection: Connection) -> None:
         self._connection = connection

@@ -1,4 +1,4 @@
-"""Rerun streams, to a viewer or into an ``.rrd`` file: they buffer rows of components, and send them as columns.
+"""Rerun streams, to a viewer or into an ``.rrd`` file; streams buffer rows of components, and send columns.
 
 Every row is on three time lines: ``step number`` (of the record), ``sim`` (simulated time) and ``wall`` (the clock). A
 later row at the same time replaces an earlier row. All colours are readable on the viewer's dark and light backgrounds.
@@ -77,7 +77,7 @@ def sim_ns(sim_step: int) -> int:
 
 
 class Series:
-    """Buffered rows of an entity; they are sent as columns."""
+    """Buffered rows of an entity, which are sent as columns."""
 
     def __init__(self, maker: ColumnMaker) -> None:
         self.maker = maker

@@ -1,7 +1,7 @@
 """Bodies in the viewer's 3D scene: their shapes at the recorded poses.
 
 The entity of a link has the link's transform between frames with the names of ``/tf``; the entities below it have the
-shapes. If a body is removed, its frames stay, because the viewer needs their path to the root.
+shapes. If a body is removed, its frames stay, because the viewer needs the path from a frame to the root.
 """
 
 from __future__ import annotations
