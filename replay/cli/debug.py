@@ -83,17 +83,9 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "The commands are those of pdb; type help for a list. A script on stdin can contain commands, too."
     parser.add_argument("step", metavar="STEP", nargs="?", help=f"first step (default: the failure, or 0): {HINT}")
     parser.add_argument("--plan", metavar="FILE", help="the plan's file, if it was moved after the recording")
-    parser.add_argument(
-        "--no-checkpoints", action="store_true", help="keep no copies of the process; to step back, the plan runs again"
-    )
-    parser.add_argument(
-        "--dap",
-        action="store_true",
-        help="serve an editor by the Debug Adapter Protocol; the editor names the recording",
-    )
-    parser.add_argument(
-        "--port", type=int, help="with --dap: listen on this port of this machine (0: any), instead of stdin and stdout"
-    )
+    parser.add_argument("--no-checkpoints", action="store_true", help="run the plan again from its start to step back")
+    parser.add_argument("--dap", action="store_true", help="serve an editor by the Debug Adapter Protocol")
+    parser.add_argument("--port", type=int, help="with --dap: listen on this port of this machine (0: any port)")
     add_source_and_arguments(parser)
 
 

@@ -140,7 +140,7 @@ class Adapter:
                 if self._recording is not None:
                     self._recording.send_signal(signal.SIGINT)
                 if self._prompt is not None:
-                    self._prompt.session.plan.pause(wanted=True)
+                    self._prompt.session.plan.copies.pause_wanted = True
             elif request.get("command") in ("disconnect", "terminate"):
                 self._end()
             self._requests.put(request)
@@ -152,7 +152,7 @@ class Adapter:
         if self._recording is not None:
             self._recording.terminate()
         if self._prompt is not None:
-            self._prompt.session.plan.kill()
+            self._prompt.session.plan.copies.killed = True
 
     def _send(self, kind: str, **content: object) -> None:
         self._sent += 1
@@ -310,7 +310,7 @@ class Adapter:
         return {"targets": [{"id": step, "label": f"step {step}", "line": line} for step in found.steps]}
 
     def _on_pause(self, _: Message) -> None:
-        self._session.plan.pause(wanted=False)  # the previous request has already reported its stop
+        self._session.plan.copies.pause_wanted = False  # the previous request has already reported its stop
 
     def _move(self, move: Callable[[], Halt], reason: str, title: str = "") -> None:
         """Move the plan; tell the editor the position and the reason of the stop."""

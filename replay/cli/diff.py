@@ -24,9 +24,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("first", metavar="STEP|LOG", help=f"the first step ({HINT}), or the other recording or folder")
     parser.add_argument("second", metavar="STEP", nargs="?", help="the second step")
     parser.add_argument("--all", action="store_true", help="also print every joint, and small moves of objects")
-    parser.add_argument(
-        "--tolerance", type=_tolerance, default=0.0, metavar="X", help="ignore differences of numbers up to X"
-    )
+    parser.add_argument("--tolerance", type=_tolerance, default=0.0, metavar="X", help="ignore differences up to X")
 
 
 def _tolerance(text: str) -> float:

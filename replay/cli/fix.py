@@ -32,9 +32,7 @@ _MAX_OTHERS: Final = 3  # maximum number of candidates with other failures that 
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Exit code 0: a repair was found. 1: none was found. To copy a damaged file, see repair."
-    parser.add_argument(
-        "--holds", metavar="PROPERTY", action="append", default=[], help="a repaired run must have this property"
-    )
+    parser.add_argument("--holds", metavar="PROPERTY", action="append", default=[], help="require this property")
     parser.add_argument("--apply", action="store_true", help="write the best repair into the plan; PLAN.orig is kept")
     parser.add_argument("--keep", metavar="DIR", default=".", help="folder for the recordings of repairs (default: .)")
     add_trials(parser, _BUDGET)

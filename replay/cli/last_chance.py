@@ -24,9 +24,7 @@ _MAX_OTHERS: Final = 3  # maximum number of choices that don't help and are list
 
 def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Exit code 0: a last chance was found. 1: none was found. To repair the plan, see fix."
-    parser.add_argument(
-        "--holds", metavar="PROPERTY", action="append", default=[], help="a successful run must have this property"
-    )
+    parser.add_argument("--holds", metavar="PROPERTY", action="append", default=[], help="require this property")
     parser.add_argument("--keep", metavar="DIR", default=".", help="folder for the successful recording (default: .)")
     add_trials(parser, _BUDGET)
 

@@ -214,12 +214,8 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         count = "?" if name == _DEBUG else None  # an editor may name the recording in a later message
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
-            add_cached(
-                name,
-                _FILES.get(name, name.replace("-", "_")),
-                verb,
-                lambda parser: _verb(parser.prog.split()[-1]).add(parser),
-            )
+            module = _FILES.get(name, name.replace("-", "_"))
+            add_cached(name, module, verb, lambda parser: _verb(parser.prog.split()[-1]).add(parser))
         elif name in arguments:
             _verb(name).add(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")

@@ -25,11 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-o", dest="file", metavar="FILE", help="file of the picture, or folder of several (default: LOG_STEP.png)"
     )
-    parser.add_argument(
-        "--camera",
-        metavar="FRAME",
-        help="draw the view from this frame of the robot, such as wide_stereo_optical_frame",
-    )
+    parser.add_argument("--camera", metavar="FRAME", help="view from this frame, such as wide_stereo_optical_frame")
     parser.add_argument(
         "--from",
         dest="eye",

@@ -155,9 +155,7 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         "limit, 'timeout(...)=30'; a call that isn't made, 'remove(milk)=skip'; repeatable",
     )
     parser.add_argument("--seed", metavar="N", type=int, help="seed of random numbers and branch orders after the step")
-    parser.add_argument(
-        "--control", action="store_true", help="also run without the changes, and compare this run with the recording"
-    )
+    parser.add_argument("--control", action="store_true", help="also retrace the plan without the changes")
     parser.add_argument("-o", dest="target", metavar="FILE", help="the new recording (default: LOG.fork.mcap)")
     add_source_and_arguments(parser)
 

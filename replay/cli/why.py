@@ -31,11 +31,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "step", metavar="STEP", nargs="?", help=f"a step of the failed task (default: the failure of the plan): {HINT}"
     )
-    parser.add_argument(
-        "--pictures",
-        metavar="DIR",
-        help="write two pictures of the failure: the robot's view, and a view from the side",
-    )
+    parser.add_argument("--pictures", metavar="DIR", help="write the robot's view of the failure, and a side view")
     parser.add_argument(
         "--origins",
         action="store_true",

@@ -92,31 +92,13 @@ class GuidedPlan:
             raise Damaged(log.path, "its beginning", "no record is left to guide the plan")
         # durations are those of the recording, because the machine may now be slower
         spacing = max(log[-1].monotonic_ns // _PARTS, _SHORTEST)
-        self._copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
+        self.copies = PlanCopies(process, spacing if checkpoints and hasattr(os, "fork") else None)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._copies.close()
-
-    def pause(self, *, wanted: bool) -> None:
-        """Stop the plan from another thread, as Ctrl-C does. ``wanted=False`` withdraws an earlier request."""
-        self._copies.pause_wanted = wanted
-
-    def kill(self) -> None:
-        """End the plan from another thread. After that, :meth:`go` raises `PlanEnded`."""
-        self._copies.killed = True
-
-    @property
-    def checkpoints(self) -> list[int]:
-        """The steps of the waiting copies."""
-        return sorted(each.step for each in self._copies.waiting)
-
-    @property
-    def runs(self) -> int:
-        """How many times the plan was started from its beginning."""
-        return self._copies.runs
+        self.copies.close()
 
     def go(self, step: int, watched: Sequence[WatchedExpression] = (), *, through: bool = False) -> Arrival:
         """Move the plan to a step, forwards or back.
@@ -130,7 +112,7 @@ class GuidedPlan:
                 its previous step.
             ReplayError: The first record already differs, so this is another plan.
         """
-        copies = self._copies
+        copies = self.copies
         if copies.now is None and watched:
             self.go(self.step)
         now = copies.now
@@ -187,7 +169,7 @@ class GuidedPlan:
             ReplayError: The question has no answer.
             KeyboardInterrupt: The user pressed Ctrl-C; nothing has changed.
         """
-        answer = self._copies.ask({"do": what, **arguments})
+        answer = self.copies.ask({"do": what, **arguments})
         if "error" in answer:
             raise ReplayError(answer["error"])
         return answer["answer"]
@@ -228,7 +210,7 @@ class PlanCopies:
         self._root: subprocess.Popen[bytes] | None = None
         self._ending = False
         self._interrupts = 0  # number of times that Ctrl-C was pressed since the last message to the plan
-        self.pause_wanted = False  # whether another thread wants the plan to stop
+        self.pause_wanted = False  # whether another thread wants the plan to stop, as after Ctrl-C
         self.killed = False  # whether another thread wants the plan to end
         with ExitStack() as undoing:
             folder = tempfile.TemporaryDirectory(prefix="pycram-debug-", ignore_cleanup_errors=True)
@@ -244,6 +226,10 @@ class PlanCopies:
         """End all processes."""
         self.end_all()
         self._open.close()
+
+    def checkpoints(self) -> list[int]:
+        """Return the steps of the waiting copies."""
+        return sorted(each.step for each in self.waiting)
 
     # --- commands ---------------------------------------------------------------------------------------------------
 

@@ -172,7 +172,7 @@ class Session:
         """
         end = before - 1
         while end > max(after, 0):
-            start = last_before(self.plan.checkpoints, end) or 0
+            start = last_before(self.plan.copies.checkpoints(), end) or 0
             self.plan.go(start)
             changes = [each for each in self.plan.go(end, watched, through=True).changes if each[0] > after]
             if changes:

@@ -65,20 +65,18 @@ def fork(
     """Run a plan again to a step of its recording, and continue from there into a new recording.
 
     Effects of the plan outside of its worlds (files, network) happen again. Output up to the step is dropped. Output
-    after the step goes to stderr. The plan gets no input.
+    after the step goes to stderr. The plan gets no input. :class:`.PlanProcess` explains the choice of the plan, its
+    arguments and its source.
 
     Args:
         step: The last step that both runs have in common.
         file: The new recording, which replaces an existing file.
-        plan: An edited plan instead of the recorded plan.
-        arguments: Arguments of the plan instead of the recorded arguments.
         settings: Values after the step, such as ``milk.position=1,2,0.9`` (:mod:`replay.retrace.changes`).
         world: The world of the settings; by default the last opened world.
         answers: Answers for the next matching queries after the step, such as ``reachable_object(milk)=false``.
         seed: The seed of random numbers and of the order of branches after the step.
         control: Also run the plan to its end without the changes. If the control run repeats the recording, all
             differences of the fork come from the changes.
-        recorded_source: Run the source in the recording instead of the files on the disk.
         begun: A function that is called after all checks, before the plan runs.
 
     Raises:

@@ -73,14 +73,10 @@ def retrace(
     """Run a recorded plan again in another process, and compare records up to the first difference.
 
     Effects outside of the plan's worlds (files, network) happen again. The plan has no input, and its output isn't
-    shown.
+    shown. :class:`.PlanProcess` explains the choice of the plan, its arguments and its source.
 
-    Args:
-        plan: A file to run instead of the recorded plan.
-        arguments: The plan's arguments, instead of the recorded arguments.
-        answers: "asked" repeats reasoning queries, and compares their answers. "recorded" takes the answers from the
-            recording, which is faster. In this case only the queries and their moments are compared.
-        recorded_source: Whether to run the source that is attached to the recording, instead of the files on the disk.
+    With ``answers="asked"``, reasoning queries are repeated, and their answers are compared. With "recorded", the
+    answers come from the recording, which is faster; only the queries and their moments are compared.
 
     Raises:
         CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.

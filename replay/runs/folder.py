@@ -108,8 +108,7 @@ class Folder:
         found = {}
         with os.scandir(self.path) as entries:
             for entry in entries:
-                ours = entry.name.endswith(".mcap") and not entry.name.startswith((".", _MODELS))
-                if not ours:
+                if not entry.name.endswith(".mcap") or entry.name.startswith((".", _MODELS)):
                     continue
                 if entry.is_symlink():  # a broken link is reported as an unreadable file
                     if not Path(entry.path).is_dir():

@@ -42,12 +42,15 @@ def _table(name: str, meaning: str, *columns: tuple[str, str, str]) -> Table:
 
 
 _STEP: Final = ("step", "whole", "step of the record")
-_TASK: Final = ("task", "whole", "id of the task that made the record; 0: no task")
-_PATH: Final = ("path", "text", "names of the task and the tasks around it, outermost first, in the form `a/b/c`")
+_RECORD: Final = (
+    _STEP,
+    ("task", "whole", "id of the task that made the record; 0: no task"),
+    ("path", "text", "names of this task and of the tasks around it, outermost first, in the form `a/b/c`"),
+)
 _WORLD: Final = ("world", "text", "name of the world")
-_SECONDS: Final = ("seconds", "number", "time in s since the recording began")
 _SIM: Final = ("sim_seconds", "number", "simulated time in s")
 _SOURCE: Final = ("source", "text", "the plan's line, in the form `file:line`")
+_WHEN: Final = (("seconds", "number", "time in s since the recording began"), _SIM, _SOURCE)
 _ERROR: Final = ("failure", "text", "type of the raised error; empty: no error")
 
 TABLES: Final = (
@@ -111,9 +114,7 @@ TABLES: Final = (
     _table(
         "queries",
         "a reasoning query, or a choice",
-        _STEP,
-        _TASK,
-        _PATH,
+        *_RECORD,
         ("name", "text", "name of the query"),
         ("label", "text", "name of the query, with the objects among the arguments, such as `reachable_object(milk)`"),
         _WORLD,
@@ -130,9 +131,7 @@ TABLES: Final = (
     _table(
         "choices",
         "a candidate of a query, or several candidates that were rejected for the same reason",
-        _STEP,
-        _TASK,
-        _PATH,
+        *_RECORD,
         ("query", "text", "name of the query"),
         ("label", "text", "name of the query with its objects"),
         ("candidate", "text", "names of the candidates, such as `front`"),
@@ -144,24 +143,18 @@ TABLES: Final = (
     _table(
         "mutations",
         "a change of a world",
-        _STEP,
-        _TASK,
-        _PATH,
+        *_RECORD,
         _WORLD,
         ("command", "text", "`move_body`, `attach_body`, `simulate`, ..."),
         ("body", "text", "name of the changed object; empty: no object"),
         ("text", "text", "the change in words"),
         ("changed", "whole", "number of bodies that changed"),
-        _SECONDS,
-        _SIM,
-        _SOURCE,
+        *_WHEN,
     ),
     _table(
         "events",
         "an event, or a fluent's change",
-        _STEP,
-        _TASK,
-        _PATH,
+        *_RECORD,
         ("kind", "text", "`event` or `fluent`"),
         ("name", "text", "name of the event or fluent"),
         ("label", "text", "name of the event or fluent, with the objects among the arguments"),
@@ -170,16 +163,12 @@ TABLES: Final = (
         ("arguments", "text", "arguments of the event, as JSON"),
         ("value", "text", "value of the fluent after the change, as JSON"),
         ("handlers", "whole", "number of called handlers of the event"),
-        _SECONDS,
-        _SIM,
-        _SOURCE,
+        *_WHEN,
     ),
     _table(
         "checks",
         "a property that was watched in the run, or a violation of a property",
-        _STEP,
-        _TASK,
-        _PATH,
+        *_RECORD,
         ("property", "text", "text of the property"),
         ("violated", "yes/no", "whether the row is a violation"),
         ("at_step", "whole", "step at which the property is violated; null: no violation"),
@@ -192,9 +181,7 @@ TABLES: Final = (
     _table(
         "failures",
         "a failure of the task in which it began, of a query, or of the run; or a refusal",
-        _STEP,
-        _TASK,
-        _PATH,
+        *_RECORD,
         ("of", "text", "`task`, `query`, `refusal`, `run` or `thread`"),
         ("type", "text", "type of the error"),
         ("message", "text", "message of the error"),
@@ -202,9 +189,7 @@ TABLES: Final = (
         ("pairs", "texts", "links that would have collided, such as `l_gripper_palm_link / counter`"),
         ("cause", "text", "cause of the failure, without numbers"),
         ("root", "yes/no", "whether the failure explains how the run ended"),
-        _SECONDS,
-        _SIM,
-        _SOURCE,
+        *_WHEN,
     ),
     _table(
         "joints",

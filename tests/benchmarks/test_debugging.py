@@ -60,7 +60,7 @@ def test_going_back_in_the_demo(run: tuple[Session, float]) -> None:
     session, whole = run
     session.go(last(session))
     plan = sorted(descendants(os.getpid()), key=lambda each: private_megabytes(each, "Anonymous"))
-    copies = len(session.plan.checkpoints)
+    copies = len(session.plan.copies.checkpoints())
     alone = private_megabytes(plan[-1], "Anonymous")
     each = (sum(private_megabytes(process, "Pss_Anon") for process in plan) - alone) / copies
     print(f"\n{copies} copies of a plan of {alone:.0f} MB: {each:.1f} MB each")

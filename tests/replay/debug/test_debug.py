@@ -113,7 +113,7 @@ def test_back_is_the_same_picture_as_on_the_way_there(plan_log: Path, *, checkpo
         back = [picture(session, step) for step in reversed(steps)]
         assert back[::-1] == forwards
         assert any("NameError" not in each for each in forwards)
-        assert (plan.runs == 1) == checkpoints
+        assert (plan.copies.runs == 1) == checkpoints
 
 
 def test_commands_lead_to_steps_of_the_task_tree(plan_log: Path, debug: Debug) -> None:
@@ -232,7 +232,7 @@ def test_a_watch_misses_nothing_where_copies_wait(plan_log: Path) -> None:
         up = moves(log, "milk")
         for step in range(len(log) - 1, up[0] - 1, -1):
             session.go(step)
-        assert len(plan.checkpoints) > 2
+        assert len(plan.copies.checkpoints()) > 2
         session.set_watch("lifted", 0)
         assert [session.forward().arrival.step for _ in up[1:]] == up[1:]
         assert [session.back().arrival.step for _ in up[1:]] == [up[1], 0]

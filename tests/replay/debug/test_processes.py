@@ -68,7 +68,7 @@ def test_a_plan_that_is_killed_is_told_and_run_again(plan_log: Path) -> None:
             plan.ask("where")
         assert plan.go(12).step == 12
         assert plan.ask("where")
-        assert plan.runs == 2
+        assert plan.copies.runs == 2
 
 
 DEADLINE = """\
