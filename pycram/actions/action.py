@@ -44,8 +44,6 @@ Result_co = TypeVar("Result_co", covariant=True)
 #: A function that is called with an action's slots; it yields values for the open slots.
 Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
 
-# --- checks of slots -------------------------------------------------------------------------------------------------
-
 
 def _anything(name: str, value: Any) -> Any:  # noqa: ARG001  a check
     if isinstance(value, Designator):
@@ -140,8 +138,6 @@ _COMMON: Final = (
     Slot("budget", _BUDGET, text=_SPENT),
     Slot("projected", _FLAG, text="whether to try the best choices in projections first; False by default"),
 )
-
-# --- types of actions ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)

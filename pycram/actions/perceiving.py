@@ -190,8 +190,6 @@ class _Search:
                     yield from self._from_before(access, hidden)
                 self._close(access, opened)
 
-    # --- one look ----------------------------------------------------------------------------------------------------
-
     def _look(self, point: _Point) -> None:
         try:
             perform(MotionDesignator(type="looking", target=point.position))

@@ -44,7 +44,7 @@ class JointTree:
     def __init__(self, urdf: Urdf) -> None:
         self.urdf = urdf
         self._next: dict[str, list[UrdfJoint]] = {"": []}
-        self._above: dict[str, UrdfJoint | None] = {}
+        self._above: dict[str, UrdfJoint | None] = {}  # the nearest movable joint above each joint
         for link in urdf.links[1:]:  # parents come before their children
             joint = urdf.parent_joint(link)
             if joint is None or not self._moves(joint):
@@ -70,14 +70,10 @@ class JointTree:
             joint = self.urdf.parent_joint(joint.parent)
         return joint
 
-    def above(self, joint: UrdfJoint) -> UrdfJoint | None:
-        """Return the nearest movable joint above a joint."""
-        return self._above[joint.name]
-
     def within(self, arm: ArmChain, joint: UrdfJoint) -> list[UrdfJoint]:
         """Return the joints of an arm's hand from the palm to a joint of a finger."""
         hand, found = {each.name for each in arm.fingers}, [joint]
-        while (above := self.above(found[0])) is not None and above.name in hand:
+        while (above := self._above[found[0].name]) is not None and above.name in hand:
             found.insert(0, above)
         return found
 
@@ -135,7 +131,7 @@ class JointTree:
             joint = self.moved_by(link)
             ends = joint is not None and joint.child == link and joint.name in of_arms
             while joint is not None and joint.name not in of_arms:
-                joint = self.above(joint)
+                joint = self._above[joint.name]
             carrier = of_arms[joint.name] if joint is not None and joint == of_arms[joint.name].joints[-1] else None
             if carrier is arm and not ends:
                 found.append(link)

@@ -53,8 +53,7 @@ _MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
     """Return the checked <robot> element of a URDF in metres, without elements that URDF doesn't define.
 
-    Args:
-        scale: Number of metres in the file's unit of length.
+    ``scale`` is the number of metres in the file's unit of length.
 
     Raises:
         AssetError: The text isn't XML, isn't a URDF, or has a link that the engine can't use.

@@ -38,8 +38,7 @@ def get(
 ) -> Sequence[Piece]:
     """Return the pieces of a converted mesh: file name, content and colour RGBA 0..1 of each piece.
 
-    Args:
-        beside: Other files that the conversion reads if they exist.
+    The conversion also reads the files ``beside`` if they exist.
 
     Raises:
         AssetError: The mesh can't be read or converted.

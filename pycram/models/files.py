@@ -67,8 +67,7 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
 def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -> Urdf:
     """Return the tree of links and joints of a URDF.
 
-    Args:
-        chains: Whether the caller will replace planar and floating joints with chains of single joints.
+    If ``chains`` is true, the URDF may have planar and floating joints, which the caller will replace.
 
     Raises:
         AssetError: The text isn't a URDF, its links aren't one tree, or a joint copies its own position.

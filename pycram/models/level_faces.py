@@ -202,12 +202,8 @@ class Rectangle(NamedTuple):
 def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, area: float) -> Iterator[Rectangle]:
     """Yield disjoint rectangles of free cells: each is the largest rectangle of the remaining cells.
 
-    Args:
-        free: (n, m) whether each cell is free.
-        rows: (n + 1,) ascending grid lines, m.
-        columns: (m + 1,) ascending grid lines, m.
-        side: Minimum length of a side, m.
-        area: Minimum area, m^2.
+    The flags ``free`` (n, m) are between grid lines, rows (n + 1,) and columns (m + 1,), ascending, m. ``side`` in m
+    and ``area`` in m^2 are the minimum sizes.
     """
     left = free.copy()
     while (found := _largest(left, rows, columns, side)) is not None and found[0] >= area:

@@ -243,14 +243,10 @@ def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple
 
 
 def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
-    """Load a model from a recording's attachments.
-
-    Args:
-        files: Names (``<sha256>/<file name>``) and contents of attachments: the URDF first, then the other files.
+    """Load a model from the names (``<sha256>/<file name>``) and contents of a recording's attachments, the URDF first.
 
     Raises:
-        AssetError: The name of a file doesn't match the hash of its content, the URDF names another file, or a file is
-            broken.
+        AssetError: A name doesn't match the hash of its content, the URDF names another file, or a file is broken.
     """
     model, *others = [_file(key, content) for key, content in files]
     beside = [file for file in others if file.name.endswith(corrections.SUFFIX)]

@@ -55,11 +55,9 @@ class ColoredPart(NamedTuple):
 
 @lru_cache(maxsize=2)  # loading uses most meshes twice: first for collision, then for visuals
 def read_parts(file: Path, content: bytes, cover: bytes | None = None) -> tuple[ColoredPart, ...]:
-    """Return the triangles of a .dae or .obj file, grouped by colour.
+    """Return the triangles of a .dae or .obj file, grouped by colour; textures and materials are next to the file.
 
-    Args:
-        file: The file; textures and materials are next to the file.
-        cover: Content of a texture for faces without a material.
+    ``cover`` is the content of a texture for faces without a material.
 
     Raises:
         AssetError: The content can't be parsed, or a number isn't finite or is too large.

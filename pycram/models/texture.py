@@ -104,9 +104,7 @@ def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
 def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[Array, Rgba]]:
     """Return the triangles (m, 3, 3) of each colour of a shape, with the colour; [] without a readable image.
 
-    Args:
-        kind: "box", "cylinder" or "sphere".
-        size: Edges of the box, radius and length of the cylinder, or radius of the sphere, m.
+    The size of a "box" are its edges, of a "cylinder" radius and length, and of a "sphere" the radius, m.
     """
     image = read_image(picture)
     if image is None:

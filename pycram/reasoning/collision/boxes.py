@@ -25,8 +25,6 @@ from recorder.geometry import Pose
 from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
-    from pycram.physics.body import LoadedBody
-    from pycram.physics.engine import Engine
     from pycram.world.object import Object
 
     Array = NDArray[np.float64]
@@ -60,10 +58,10 @@ class Boxes:
     half_extents: Array  # (k, 3) half extents along the axes, m
 
     @classmethod
-    def around(cls, engine: Engine, body: LoadedBody, model: Object) -> Boxes:
-        """Return the boxes of a body at its pose in an engine; ``model`` is the object that has the body's shapes."""
-        names, low, high = _bounds(model.model.path)
-        positions, orientations = engine.link_frames(body, names)
+    def around(cls, body: Object) -> Boxes:
+        """Return the boxes of an object at its pose in its world."""
+        names, low, high = _bounds(body.model.path)
+        positions, orientations = body.world.engine.link_frames(body.handle, names)
         axes = geometry.to_matrices(orientations)
         centers = np.einsum("kij,kj->ki", axes, (low + high) / 2) + positions
         return cls(names, centers, axes, (high - low) / 2 + _MARGIN)
@@ -157,10 +155,8 @@ def _world_extents(axes: Array, half_extents: Array) -> Array:
 def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) -> tuple[Indices, Indices, Indices]:
     """Return the overlaps between moving boxes and other boxes, for many postures together.
 
-    Args:
-        centers: (n, k, 3) centers of the moving boxes in each posture, in the world, m.
-        axes: (n, k, 3, 3) axes of the moving boxes.
-        half_extents: (k, 3) half extents of the moving boxes, m.
+    The k moving boxes have centers (n, k, 3) in the world, m, and axes (n, k, 3, 3) in each posture, and half extents
+    (k, 3), m.
 
     Returns:
         Indices of postures, moving boxes and other boxes for each overlap, in order.
@@ -243,8 +239,6 @@ class MovingLinks:
 
     def __init__(
         self,
-        engine: Engine,
-        body: LoadedBody,
         robot: Object,
         boxes: Boxes,
         held: Sequence[tuple[Object, str, Boxes]],
@@ -257,6 +251,7 @@ class MovingLinks:
         fixed = _structure(robot.model.path, robot.name, boxes.links, joints, all_links, held_links, may_touch)
         self.moving, self.owners, self.drivers = fixed.moving, fixed.owners, fixed.drivers
         self.joint_counts = joint_counts(robot.model.path, joints)  # number of moving joints above each link
+        engine, body = robot.world.engine, robot.handle
         positions = dict(zip(robot.joints, engine.joints(body)[0], strict=True))
         self.positions = {name: positions[name] for name in joints}  # present positions of the joints, rad or m
         self.base_pose = engine.pose(body)

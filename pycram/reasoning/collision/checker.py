@@ -97,8 +97,6 @@ class CollisionChecker:
             robot,
             (MovingLinks, names, all_links, states),
             lambda: MovingLinks(
-                robot.world.engine,
-                robot.handle,
                 robot,
                 clone.boxes(robot),
                 [(body, link, clone.boxes(body)) for body, link, _ in self._held],

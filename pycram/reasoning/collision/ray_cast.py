@@ -79,11 +79,9 @@ class RayCaster:
         self._planes[:, 3] = solids.offsets + (normals * positions[solids.pieces]).sum(axis=1) + _PADDING
 
     def extents(self, scans: Sequence[Scan], count: int | Sequence[int], zs: Sequence[float]) -> Array:
-        """Return the extents of the object along the y axes of frames.
+        """Return the extents of the object along the y axes of frames, over all z coordinates ``zs``, m.
 
-        Args:
-            scans: lines parallel to the y axes, at coordinates along the x axes.
-            zs: z coordinates of the lines, m; the result has the extreme points over all z.
+        The lines of each scan are parallel to the y axis of its frame, at coordinates along the x axis.
 
         Returns:
             An array (len(scans), greatest count, 2) in m: lowest and highest y in the frame at each x; nan outside of
@@ -95,11 +93,10 @@ class RayCaster:
         return np.where(found[:, :, :1] <= found[:, :, 1:], found, np.nan)
 
     def walls(self, scans: Sequence[Scan], count: int, ys: Sequence[float]) -> Array:
-        """Return the walls of a hollow object along the x axes of frames.
+        """Return the walls of a hollow object along the x axes of frames, over all y coordinates ``ys``, m.
 
-        Args:
-            scans: lines parallel to the x axes, at coordinates along the z axes; the lines start in the hollow.
-            ys: y coordinates of the lines, m; the result has the extreme points over all y.
+        The lines of each scan start in the hollow, parallel to the x axis of its frame, at coordinates along the z
+        axis.
 
         Returns:
             (len(scans), count, 2), m: x of the inner and the outer surface of the wall at each z. The inner surface is

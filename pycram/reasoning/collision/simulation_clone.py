@@ -156,7 +156,7 @@ class PosingClone(SimulationClone):
 
     def boxes(self, body: Object) -> Boxes:
         """Return the boxes around an object's pieces in the world."""
-        return self.cached(body, "boxes", lambda: Boxes.around(body.world.engine, body.handle, body))
+        return self.cached(body, "boxes", lambda: Boxes.around(body))
 
     def all_boxes(self, bodies: Iterable[Object]) -> tuple[Boxes, Sequence[Object]]:
         """Return the boxes around the pieces of objects in the world, and the owner of each box."""

@@ -73,9 +73,7 @@ def best_grasp(
 ) -> GraspPlan:
     """Return the grasp with the least contact. A grasp off the center is chosen only if no other grasp is free.
 
-    Args:
-        link: an arm's tool frame, or another link, which only has to reach the target's center.
-        names: the allowed sides; None for all sides.
+    A ``link`` without a gripper only has to reach the target's center. ``names`` are the allowed sides; None for all.
     """
     arm = robot.description.arm_of(link) if robot.description else None
     takes = arm if arm is not None and arm.hand is not None else None

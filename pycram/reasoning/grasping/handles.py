@@ -193,11 +193,10 @@ def plan_path(
     quick: bool = False,
     choice: Choice = UNRECORDED,
 ) -> HandlePath | DeadEnd:
-    """Return the path of an arm that holds a handle while the handle's joint moves through positions.
+    """Return the path of an arm that holds a handle while the handle's joint moves through positions, rad or m.
 
-    Args:
-        values: positions of the handle's joint, rad or m; the first is the joint's present position.
-        others: assumed positions of other joints, such as the torso, rad or m; joints without a value don't move.
+    The first of these ``values`` is the joint's present position. ``others`` are assumed positions of other joints,
+    such as the torso, rad or m; joints without a position don't move.
     """
     moved = attachment.moved_links(handle.container.urdf, [handle.joint])
     ignored = {(handle.container, link) for link in moved}

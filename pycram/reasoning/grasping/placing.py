@@ -182,10 +182,8 @@ def placements(
 ) -> Iterator[Placement]:
     """Yield ways in which an arm can put down its held object without a collision, also when the fingers open.
 
-    Args:
-        target: xyz in m.
-        orientation: xyzw; None for upright with a natural yaw.
-        rests: resting positions by orientation, or why there is none; new results are added.
+    The target is xyz in m; an orientation of None means upright with a natural yaw. ``rests`` has the resting positions
+    by orientation, or why there is none; new results are added.
     """
     body_T_tool = geometry.multiply(
         geometry.invert(body.get_position_and_orientation()),

@@ -133,10 +133,8 @@ class ClosedForm:
     def closer(self, position: Array, turn: Array, misses: Array) -> tuple[Array, Array]:
         """Return postures (n, 7) for positions of joint 1 between the samples of :meth:`postures`, and strains (n,).
 
-        Args:
-            position: (3,) position of the tool in the base link, m.
-            turn: (3, 3) orientation of the tool.
-            misses: (k, 7) postures that may be near solutions.
+        The target has a position (3,) in the base link, m, and an orientation (3, 3). ``misses`` (k, 7) are postures
+        that may be near solutions.
         """
         step = float(self.upper[0] - self.lower[0]) / (_SAMPLES - 1)  # angle between samples of joint 1, rad
         values = (misses[:, :1] + np.linspace(-step, step, _SAMPLES_AROUND_A_MISS)).ravel()

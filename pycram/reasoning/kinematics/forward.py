@@ -33,14 +33,10 @@ _CACHED: Final = 64
 
 
 class Chain:
-    """A chain of joints with a tool at its end.
+    """A chain of joints with a tool at its end; ``base_link`` is the frame of all poses.
 
-    Args:
-        base_link: the frame of all poses.
-        tool_link: the last link.
-        joints: names of the moving joints, in order.
-        fixed: positions of the chain's other joints; 0 if they aren't given.
-        tool: pose of the tool in the last link.
+    The chain's other joints have the positions ``fixed``, by default 0. ``tool`` is the pose of the tool in the last
+    link.
     """
 
     def __init__(
@@ -166,12 +162,8 @@ def norms(vectors: Array) -> Array:
 def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
     """Return matrices (joints, 4, 4, 4) whose weighted sums are the transforms of joints.
 
-    The weights are 1, the cosine and the sine of the joint position, and the joint position.
-
-    Args:
-        axes: (joints, 3) unit vectors.
-        points: (joints, 3) points on the axes, m.
-        slides: (joints,) whether each joint is prismatic.
+    The weights are 1, the cosine and the sine of the joint position, and the joint position. The axes (joints, 3) are
+    unit vectors through points (joints, 3), m; ``slides`` (joints,) is whether each joint is prismatic.
     """
     x, y, z = axes.T
     zero = np.zeros_like(x)
@@ -190,11 +182,9 @@ def constant_parts(axes: Array, points: Array, slides: Flags) -> Array:
 
 
 def transforms(parts: Array, values: Array) -> Array:
-    """Return the transforms (joints, n, m, m) of joints.
+    """Return the transforms (joints, n, m, m) of joints at positions (joints, n), rad or m.
 
-    Args:
-        parts: (joints, 3 or 4, m, m) matrices; only prismatic joints need the fourth.
-        values: (joints, n) joint positions, rad or m.
+    ``parts`` are matrices (joints, 3 or 4, m, m); only prismatic joints need the fourth matrix.
     """
     joints, terms, m, _ = parts.shape
     factors = np.empty((*values.shape, terms))

@@ -29,10 +29,8 @@ def aim_camera(
 ) -> tuple[dict[str, float], Vector]:
     """Return the joint positions that turn the camera's axis (z of its frame) to a point, or close to it.
 
-    Args:
-        joints: names of the pan joint and the tilt joint, of one of them, or empty.
-        point: a point in the robot's root link, m.
-        now: present positions of all joints, rad or m.
+    The joints are a pan joint, a tilt joint, both in this order, or none. The point is in the robot's root link, m;
+    ``now`` has the present positions of all joints, rad or m.
 
     Returns:
         Joint positions within the limits, and the point in the turned camera's frame, m.

@@ -225,8 +225,6 @@ class SurfaceSearch(Search):
             spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, geometry.yaw_of(turn), float(scores[cell])))
         return searched, batch.draw(grid, scores, spots)
 
-    # --- maps: all places together -----------------------------------------------------------------------------------
-
     def _maps(self, searched: SearchedSurface) -> tuple[Grid, list[tuple[str, Array]]]:
         """Return the cells of a surface, and the maps (cells,) with the names of their constraints."""
         outline = searched.outline()
@@ -254,7 +252,7 @@ class SurfaceSearch(Search):
         if self._side is not None:
             factors.append((f"side {self._side}", self._beside(centers, searched)))
         if self._robot is not None:
-            factors.append(("reach", self._reach(grid)))
+            factors.append(("reach", self._reach(grid, self._robot)))
         factors.append(("tried", maps.away(centers, self._done, _APART)))
         return grid, factors
 
@@ -321,10 +319,8 @@ class SurfaceSearch(Search):
         beside: Array = np.where(along > across, near, 0.0)
         return beside
 
-    def _reach(self, grid: Grid) -> Array:
+    def _reach(self, grid: Grid, robot: Object) -> Array:
         """Return scores of how well the robot reaches each cell; a robot that drives chooses the best place."""
-        robot = self._robot
-        assert robot is not None  # noqa: S101  the caller has checked that there is a robot
         (x, y, height), here = grid.origin, robot.get_position()
         low, high = (x, y), (x + grid.shape[1] * grid.resolution, y + grid.shape[0] * grid.resolution)
         lift = float(np.ptp(self._corners[:, 2])) / 2  # arms grasp objects at about half of their height, m
@@ -349,8 +345,6 @@ class SurfaceSearch(Search):
         column, row = ((grid.centers() - low) / coarse.resolution).astype(np.intp).T
         spread_out: Array = best.reshape(coarse.shape)[row, column]
         return spread_out
-
-    # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot], searched: SearchedSurface) -> FoundPlace | None:
         outline = searched.outline()

@@ -280,12 +280,10 @@ class ArmReach:
         return z, rho, sector
 
     def scores(self, height: float, distance: Array, bearing: Array) -> Array:
-        """Return scores of how well the hand reaches points.
+        """Return scores of how well the hand reaches points at a height above the arm's base link, m.
 
-        Args:
-            height: height of the points above the arm's base link, m.
-            distance: (...) distance of the points from the robot's axis, m.
-            bearing: (...) bearing of the points from the robot's heading, counterclockwise, rad.
+        ``distance`` (...) is the distance of the points from the robot's axis, m; ``bearing`` (...) is their direction
+        from the robot's heading, counterclockwise, rad.
         """
         every = np.full(distance.shape, height)
         found: Array = self._scores[self._cells(every, distance, bearing, self._scores.shape)]

@@ -109,9 +109,8 @@ class Batch(Choice):
 class Search(ABC):
     """A search that yields places; each place is the answer of its own query.
 
-    Args:
-        arguments: arguments of the queries; None values are omitted.
-        robot: the robot that must stand at the place, or reach it; None without such a robot.
+    ``arguments`` are the queries' arguments; None values are omitted. ``robot`` is the robot that must stand at the
+    place or reach it; None without such a robot.
     """
 
     query: ClassVar[str]  # name of the queries

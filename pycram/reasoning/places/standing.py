@@ -180,8 +180,6 @@ class StandingSearch(Search):
                 spots.append(Spot(f"[{x:.2f}, {y:.2f}]", base.pose((x, y, yaw)), yaw, float(scores[cell])))
         return batch.draw(grid, scores, spots)
 
-    # --- maps: all places together -----------------------------------------------------------------------------------
-
     def _maps(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
         """Return the cells, the maps (cells,) with their constraints' names, and the best yaws (cells,) in rad."""
         robot = self._robot
@@ -250,8 +248,6 @@ class StandingSearch(Search):
             every.append(arm_reach(self._robot, arm).scores(height - shoulder[2], distance, bearing))
         together: Array = np.min(every, axis=0) if self._both else np.max(every, axis=0)
         return together
-
-    # --- checks: one place after the other ---------------------------------------------------------------------------
 
     def _first(self, batch: Batch, spots: Sequence[Spot]) -> FoundPlace | None:
         quick = all(Solver(self._robot, arm.tool_frame).in_closed_form for arm in self._arms)
