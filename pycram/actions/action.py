@@ -235,11 +235,7 @@ def action(
 def replaced(
     name: str, function: Callable[..., Any], *, choices: Choices | None = None
 ) -> Iterator[Callable[..., Any]]:
-    """Let a function perform the actions of a type during the ``with`` block.
-
-    Raises:
-        BadArgument: The function lacks slots of the replaced action.
-    """
+    """Let a function perform the actions of a type in the ``with`` block; raise BadArgument if the function lacks slots."""
     before = TYPES.get(name)
     taken = {slot_name(parameter) for parameter in inspect.signature(function).parameters}
     lacks = [slot.name for slot in (before.slots if before else ()) if slot not in _COMMON and slot.name not in taken]

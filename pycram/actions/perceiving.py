@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
@@ -129,13 +129,7 @@ def searching(object: Any) -> Object:  # noqa: A002  the slot's name
     if not has_camera():
         return detected(bodies)
     search = _Search(bodies)
-    steps: tuple[Callable[[], Iterator[None]], ...] = (
-        search.where_believed,
-        search.from_here,
-        search.from_elsewhere,
-        search.in_containers,
-    )
-    for step in steps:
+    for step in (search.where_believed, search.from_here, search.from_elsewhere, search.in_containers):
         for _ in step():  # each iteration looks at one point on the surfaces
             if search.found is not None:
                 return search.found

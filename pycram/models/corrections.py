@@ -143,11 +143,7 @@ def _known(corrections: Corrections, where: str, key: str, value: str | None, kn
 
 
 def correct(found: Furniture, corrections: Corrections, urdf: Urdf) -> Furniture:
-    """Return the corrected furniture.
-
-    Raises:
-        AssetError: A corrected surface or container wasn't found, or two surfaces or containers have the same name.
-    """
+    """Return the corrected furniture; raise an AssetError for a correction of unknown furniture, or for equal names."""
     return _Correction(corrections, urdf).apply(found)
 
 

@@ -177,19 +177,14 @@ class _Search:
             surface_of(named[number], face, self._poses, by_joint.get(opened, ""))
             for number, (face, opened) in enumerate(kept)
         ]
-        containers = [
-            self._container(name, DRAWER if joint in drawers else DOOR, self._urdf.joints[joint], surfaces)
-            for joint, name in by_joint.items()
-        ]
-        return Furniture(
-            MappingProxyType({surface.name: surface for surface in surfaces}),
-            MappingProxyType({container.name: container for container in containers}),
-        )
-
-    def _container(self, name: str, kind: str, joint: UrdfJoint, surfaces: Sequence[Surface]) -> Container:
-        inside = tuple(surface.name for surface in surfaces if surface.container == name)
-        closed, opened = closed_position(joint), open_position(joint)
-        return Container(name, kind, joint.child, joint.name, self._handle(joint), closed, opened, inside)
+        containers = {}
+        for opener, name in by_joint.items():
+            joint, kind = self._urdf.joints[opener], DRAWER if opener in drawers else DOOR
+            inside = tuple(surface.name for surface in surfaces if surface.container == name)
+            ends = closed_position(joint), open_position(joint)
+            containers[name] = Container(name, kind, joint.child, joint.name, self._handle(joint), *ends, inside)
+        by_name = {surface.name: surface for surface in surfaces}
+        return Furniture(MappingProxyType(by_name), MappingProxyType(containers))
 
     def _handle(self, joint: UrdfJoint) -> str:
         """Return the link that a joint moves and that is named like a handle; "" if there is no such link."""

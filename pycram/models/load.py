@@ -314,9 +314,7 @@ def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> byte
     Raises:
         AssetError: The mesh or a file next to it is broken, or the object is too large for the engine.
     """
-    kind = f"object {None if color is None else [float(part) for part in color]}"
-    if scale != 1.0:
-        kind = f"{kind} scale {scale!r}"
+    kind = f"object {None if color is None else [float(part) for part in color]} scale {float(scale)!r}"
     parts = [file.parent / str(part["mesh"]) for part in _colored(_properties(file)) or ()]
     beside = [_pieces(file), _table(file), *parts]
     *meshes, (_, urdf, _) = conversion_cache.get(kind, file, lambda: [*_files(file, color, scale)], beside)

@@ -276,11 +276,7 @@ def is_convex(shape: trimesh.Trimesh, least: float) -> bool:
 
 
 def is_filled(file: Path) -> bool:
-    """Return whether the engine fills the hollow of a collision mesh, because the mesh has only one piece.
-
-    Raises:
-        AssetError: The file can't be read, or has no faces.
-    """
+    """Return whether the engine fills the hollow of a collision mesh, because the mesh has only one piece."""
     if file.suffix.lower() == ".obj" and _HAS_PIECES.search(_bytes(file)):
         return False
     return not is_convex(parse(file), _HOLLOW)

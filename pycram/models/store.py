@@ -62,10 +62,8 @@ def _holds(lock: int) -> bool:
     """Return whether this process got a lock; True on a file system without locks."""
     try:
         system.lock(lock)
-    except BlockingIOError:
-        return False
-    except OSError:
-        return True
+    except OSError as error:
+        return not isinstance(error, BlockingIOError)
     return True
 
 

@@ -61,11 +61,7 @@ class RobotDescription:
 
     @classmethod
     def parse(cls, text: str, source: str = "robot description") -> RobotDescription:
-        """Read a description from TOML text; errors name the ``source``.
-
-        Raises:
-            AssetError: The text isn't TOML, or an entry is missing, unknown or impossible.
-        """
+        """Read a description from TOML text; an AssetError names the ``source`` and the invalid entry."""
         table = parse_toml(text, source)
         try:
             keys = "robot", "base_link", "drives", "may_touch", "arms", "head", "camera", "torso", "limits", "without"
@@ -101,12 +97,7 @@ class RobotDescription:
         return next((arm for arm in self.arms.values() if arm.tool_frame == tool_frame), None)
 
     def check(self, urdf: Urdf) -> None:
-        """Check the description against the robot's URDF.
-
-        Raises:
-            AssetError: A joint or link doesn't exist, the joints of an arm aren't a chain, a value is outside limits,
-                or fingers don't close around the tool frame.
-        """
+        """Check the description against the robot's URDF; raise an AssetError for the first of the :meth:`misfits`."""
         for reason in self.misfits(urdf).values():
             raise AssetError(self.source, reason)
 

@@ -275,9 +275,8 @@ class MovingLinks:
         found: list[dict[tuple[Owner, Owner], None]] = [{} for _ in transforms]
         if not len(a):
             return found
-        centers, axes = (
-            np.repeat(each[None], len(transforms), axis=0) for each in (self._all_boxes.centers, self._all_boxes.axes)
-        )
+        centers = np.repeat(self._all_boxes.centers[None], len(transforms), axis=0)
+        axes = np.repeat(self._all_boxes.axes[None], len(transforms), axis=0)
         centers[:, self._swung], axes[:, self._swung] = self._swung_boxes.moved(
             transforms[:, self._structure.all_drivers[self._swung]]
         )

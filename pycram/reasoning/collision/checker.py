@@ -359,21 +359,14 @@ def link_name(body: Object, link: str) -> str:
 def touched(
     robot: Object, positions: Mapping[str, float], base: Pose | None = None, *, all_links: bool = False
 ) -> dict[Object, Collision]:
-    """Return the collisions of a robot in another posture or at another pose; the deepest collision is first.
-
-    Args:
-        positions: joint positions in rad or m by name; other joints don't move.
-    """
+    """Return the collisions of a robot with other joint positions (rad or m) or another base, the deepest first."""
     with CollisionChecker(robot, positions, all_links=all_links) as checker:
         (candidate,) = checker.predict([positions], base)
         return checker.touched(candidate)
 
 
 def in_the_way(robot: Object, positions: Mapping[str, float]) -> list[CollisionPair]:
-    """Return the deepest pair for each collision in a posture, then colliding pairs of the robot's own links.
-
-    :func:`touched` describes the arguments.
-    """
+    """Return the deepest pair for each collision in a posture, then colliding pairs of the robot's own links."""
     with CollisionChecker(robot, positions) as checker:
         (candidate,) = checker.predict([positions])
         return checker.in_the_way(candidate)

@@ -1,10 +1,8 @@
 """Simulation clones: copies of a world in other physics clients, for experiments that don't change the world.
 
-In a :class:`PosingClone`, bodies pass through each other, and are set to poses and postures. In a
-:class:`PhysicsClone`, bodies collide, and time is simulated. Each query first updates its clone.
-
-More links make the engine's steps slower, and more meshes make loading slower. So a physics clone loads furniture as
-rigid parts, and a posing clone loads single links of furniture.
+In a :class:`PosingClone`, bodies pass through each other, and are set to poses and postures; single links of furniture
+are loaded, because loading takes time. In a :class:`PhysicsClone`, bodies collide, and time is simulated; furniture is
+loaded as rigid parts, because each link makes the engine's steps slower. Each query first updates its clone.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ import numpy as np
 
 from pycram.foundation import checks
 from pycram.foundation.failures import UnknownName
+from pycram.models.furniture import distinct
 from pycram.models.shapes import solids_of
 from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision.ray_cast import RayCaster, Scan, half_extent
@@ -112,16 +113,8 @@ def candidates(
         caster = RayCaster(body)
         for shift in shifts:
             found.extend(_upright(caster, lying, robot, arm, facing, names, shift, choice))
-    return _distinguished(found)
-
-
-def _distinguished(grasps: Sequence[Grasp]) -> Sequence[Grasp]:
-    seen: dict[str, int] = {}
-    found = []
-    for grasp in grasps:
-        seen[grasp.label] = count = seen.get(grasp.label, 0) + 1
-        found.append(replace(grasp, label=f"{grasp.label} {count}") if count > 1 else grasp)
-    return found
+    labels = distinct(grasp.label for grasp in found)
+    return [replace(grasp, label=label) for grasp, label in zip(found, labels, strict=True)]
 
 
 def _shifts(offsets: Sequence[Vector], lying: Quaternion | Sequence[float]) -> list[Vector]:
@@ -316,11 +309,7 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice
 
 
 def grasp_orientation(grasp: str, robot: Object, base: Pose | None = None) -> Quaternion:
-    """Return the orientation of the tool in the world for a grasp; the robot's heading defines the front.
-
-    Raises:
-        UnknownName: There is no such grasp.
-    """
+    """Return the orientation of the tool in the world for a grasp; raise UnknownName for an unknown grasp."""
     if checks.text("grasp", grasp) not in GRASPS:
         raise UnknownName("grasp", grasp, "a gripper", GRASPS)
     return geometry.product(heading(robot, base), GRASPS[grasp])

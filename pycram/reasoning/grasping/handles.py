@@ -98,11 +98,9 @@ class Handle:
     @cached_property
     def contents(self) -> Mapping[Object, tuple[str, Pose]]:
         """Objects on or in the moved links, with the link that carries each object and the object's pose in it."""
-        carrying = attachment.supported_bodies(
-            self.container, attachment.moved_links(self.container.urdf, [self.joint])
-        )
+        moved = attachment.moved_links(self.container.urdf, [self.joint])
         found = {}
-        for body, link in carrying.items():
+        for body, link in attachment.supported_bodies(self.container, moved).items():
             link_T_world = geometry.invert(self.pose(self._now[self.joint], link))
             found[body] = link, geometry.multiply(link_T_world, body.get_position_and_orientation())
         return found
@@ -494,11 +492,8 @@ def remedies(
 ) -> list[Remedy]:
     """Return remedies for an arm without a path, with places near the robot, nearest first; see :func:`plan_path`."""
     description = robot.description
-    free = [
-        other
-        for other in (description.arms.values() if description else ())
-        if all(held.carrier_link != other.tool_frame for held in robot.carried)
-    ]
+    arms = description.arms.values() if description else ()
+    free = [other for other in arms if attachment.attached_to(robot, other.tool_frame) is None]
     found: list[Remedy] = []
     for other in free:
         if other is not arm:
@@ -508,12 +503,11 @@ def remedies(
             else:
                 choice.reject(str(remedy), path.rejection())
     drives = description is not None and description.drives
-    places = (
-        _from_elsewhere(robot, other, handle, values, choice)
-        for other in sorted(free if drives else (), key=lambda other: other is not arm)
-    )
-    elsewhere = next((place for place in places if place is not None), None)
-    found += [elsewhere] if elsewhere is not None else []
+    for other in sorted(free if drives else (), key=lambda other: other is not arm):
+        elsewhere = _from_elsewhere(robot, other, handle, values, choice)
+        if elsewhere is not None:
+            found.append(elsewhere)
+            break
     if found:
         choice.take(str(found[0]))
     return found

@@ -3,7 +3,6 @@
 :mod:`pycram.reasoning.kinematics.closed_form` solves arms with a closed form. For other arms, and for misses of the
 closed form, damped least squares search from near postures, named postures, and postures of a Halton sequence (Buss,
 Introduction to Inverse Kinematics with Jacobian Transpose, Pseudoinverse and Damped Least Squares Methods, 2004).
-Solving many targets together takes hardly longer than solving one target. Results are deterministic.
 """
 
 from __future__ import annotations

@@ -219,16 +219,12 @@ class Reasons:
         if group is None:
             return self._maps
         _, reason = max(group.values(), key=lambda each: each[0])
-        words = _words(reason)
+        words = rejection_text(type(reason).__name__, reason.data())
+        if isinstance(reason, OutOfReach):
+            by = "" if reason.distance is None else f" by {_centimetres(reason)} cm or more"
+            words = f"the target is out of reach{by}"
         remedy = _remedy(reason, [each for each in objects if constraint != f"reach {each.name}"], drives=drives)
         return f"most often: {words}{remedy and '; ' + remedy}" if words else ""
-
-
-def _words(reason: Rejection) -> str:
-    if isinstance(reason, OutOfReach):
-        by = "" if reason.distance is None else f" by {_centimetres(reason)} cm or more"
-        return f"the target is out of reach{by}"
-    return rejection_text(type(reason).__name__, reason.data())
 
 
 def _remedy(reason: Rejection, objects: Sequence[Object], *, drives: bool) -> str:
