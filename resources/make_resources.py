@@ -1,8 +1,7 @@
 """Make everything in this folder from numbers: kitchen, floor, table, gripper and household objects.
 
-Run ``python resources/make_resources.py`` to write the files beside this script, or ``--into DIR`` to write them
-elsewhere. Running it again gives the same bytes. ``make/thing.py`` says which files an object has and how they are to
-be loaded.
+Run ``python resources/make_resources.py`` to write the files next to this script; ``--into DIR`` names another folder.
+Each run gives the same bytes. ``make/thing.py`` describes the files of an object.
 """
 
 from __future__ import annotations

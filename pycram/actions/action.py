@@ -41,7 +41,7 @@ from recorder.errors import did_you_mean
 
 P = ParamSpec("P")
 Result_co = TypeVar("Result_co", covariant=True)
-#: A function that is called with an action's slots; it yields values for the open slots.
+#: A function that yields values for the open slots of an action, given the action's slots.
 Choices: TypeAlias = "Callable[..., Iterable[Mapping[str, Any]]]"
 
 
@@ -189,7 +189,7 @@ def action(
     checked: Mapping[str, Check] | None = None,
     one_of: Sequence[str] = (),
 ) -> Callable[[Callable[P, Result_co]], Action[P, Result_co]]:
-    """Decorate a function that performs the actions of a type; it replaces an earlier function of the type.
+    """Decorate a function that performs the actions of a type, instead of an earlier function.
 
     The function gets an attribute ``designator``: a function with the same parameters that returns a designator of the
     action, as in ``perform(tidying_up.designator(object=milk))``.
@@ -235,7 +235,7 @@ def action(
 def replaced(
     name: str, function: Callable[..., Any], *, choices: Choices | None = None
 ) -> Iterator[Callable[..., Any]]:
-    """Let a function perform the actions of a type in the ``with`` block; raise BadArgument if the function lacks slots."""
+    """Let a function perform the actions of a type in the ``with`` block; raise BadArgument if it lacks slots."""
     before = TYPES.get(name)
     taken = {slot_name(parameter) for parameter in inspect.signature(function).parameters}
     lacks = [slot.name for slot in (before.slots if before else ()) if slot not in _COMMON and slot.name not in taken]
@@ -308,7 +308,7 @@ def _checked(designator: ActionDesignator) -> tuple[ActionType, dict[str, Any]]:
 
 
 def prepared(designator: ActionDesignator) -> AbstractContextManager[None]:
-    """Call an action's ``prepare``; if it is a generator function, its rest runs after the ``with`` block."""
+    """Call an action's ``prepare``; the rest of a generator function runs after the ``with`` block."""
     try:
         kind, given = _checked(designator)
     except DesignatorError:  # a resolver of the plan may know slots that the action doesn't know

@@ -48,7 +48,7 @@ _waiting: ContextVar[tuple[Object, ...]] = ContextVar("pycram_waiting", default=
 
 
 def _find_and_open(object: Any) -> list[Access]:  # noqa: A002  the slot's name
-    """Find an object, open its container, and fold the arms, all before places are searched; return what opened."""
+    """Find an object, open its container, and fold the arms, before places are searched; return opened containers."""
     arms()
     closed = [access for access, _ in containers() if access.is_closed]
     body = _found(object)

@@ -1,4 +1,4 @@
-"""Location designators: descriptions of places where the robot stands, or where it puts down an object."""
+"""Location designators: descriptions of places where the robot stands, or where the robot puts down an object."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ from pycram.world.world import BulletWorld
 from recorder import geometry
 from recorder.geometry import PoseLike, Quaternion, Vector
 
-_FAR: Final = 3.0  # maximum distance in m from the robot's present place to a point that it looks at
+_FAR: Final = 3.0  # maximum distance in m from the robot's present place to a point at which the robot looks
 _NEAR: Final = 1.6  # maximum distance in m from a place near a surface to a point that the robot looks at
 _STRIDE: Final = 0.8  # distance in m between viewed points of a surface; a camera 1 m away sees this width
 _PLACES: Final = 2  # number of places of the robot that are tried for one point
@@ -168,7 +168,7 @@ class _Search:
                 yield from self._beside(point, points)
 
     def in_containers(self) -> Iterator[None]:
-        """Open each closed container, look into it, and close it if the object isn't there."""
+        """Open each closed container, look inside, and close the container if the object isn't there."""
         closed = [access for access, _ in containers() if access.is_closed]
         closed.sort(key=lambda access: self._distance(access.body.get_link_position(access.handle)))
         for access in closed:
@@ -288,7 +288,7 @@ def _points(robot: Object, inside: Access | None = None) -> list[_Point]:
 
 
 def _spread(outline: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-    """Yield points of a surface in the surface's frame, m; a camera that looks at them sees the whole surface."""
+    """Yield points, in the surface's frame, m, at which a camera looks to see the whole surface."""
     sides = []
     for axis in (0, 1):
         low, high = min(corner[axis] for corner in outline), max(corner[axis] for corner in outline)

@@ -95,7 +95,7 @@ def advice(failure: PlanFailure, action: ActionDesignator) -> str:
 
 
 def _failures(failure: BaseException) -> Iterator[BaseException]:
-    """Yield the failures of all choices that an action and its subactions tried; without choices, its own failure."""
+    """Yield the failures of all choices that an action and its subactions tried, or else the action's failure."""
     tried = getattr(failure, "tried", ())
     for each in tried:
         if not isinstance(each.failure, ReasoningError):  # skip failures to clear obstacles away
@@ -504,7 +504,7 @@ class _Tries(FailureHandling):
 
 
 def _taken(solutions: Iterator[Solution], size: int) -> tuple[list[Solution], Iterator[Solution]]:
-    """Return up to ``size`` solutions, and an iterator over the rest; it raises a failure that came after them."""
+    """Return up to ``size`` solutions, and an iterator over the rest, which raises a later failure."""
     found: list[Solution] = []
     try:
         found.extend(itertools.islice(solutions, size))  # list() would lose the solutions before an error

@@ -37,13 +37,13 @@ _INSET: Final = 0.1  # distance in m from the front edge to the objects
 _BAND: Final = 0.25  # maximum height in m of the tool above the table
 _LEVEL: Final = 0.3  # maximum z of the direction of the tool; a tool that points upwards takes nothing from a table
 _LOW: Final = 25  # percentile of the tool's heights; if the robot doesn't drive, the table has this height
-_CLEAR: Final = 1e-3  # distance in m between an object and the table, so that they don't overlap
+_CLEAR: Final = 1e-3  # distance in m between an object and the table, to avoid an overlap
 
 
 def picked_up(robot: Object, arm: Arm, chain: Chain) -> Iterator[tuple[str, int, int, str]]:
     """Try to pick up each object from several places on a table.
 
-    The robot stands before the table; if the robot doesn't drive, the table has the best height for its arm.
+    The robot stands before the table; if the robot doesn't drive, the table has the best height for the arm.
 
     Yields:
         An object's name, the number of places from which the arm takes it, the number of places, and the first failure.
@@ -103,7 +103,7 @@ _STILL_TIME: Final = 2.0  # duration in s of the simulation
 _STILL: Final = 1e-3  # maximum motion in rad or m of a joint that counts as still
 _TRIED: Final = 4000  # number of candidates for a parking posture
 _CHECKED: Final = 300  # number of the best candidates that are checked for self-collisions
-_SAMPLED: Final = 40  # number of sampled postures; links that overlap in all of them always overlap
+_SAMPLED: Final = 40  # number of sampled postures; links that overlap in all samples always overlap
 _FLOOR: Final = 0.05  # minimum height in m of a parked arm above the root link
 _NAMED: Final = 4  # maximum number of links that a finding names
 _STRAIN: Final = 0.1  # penalty in m, added to the size of a posture at joint limits

@@ -1,1 +1,1 @@
-"""Models: they turn the file that a user names into a checked, self-contained URDF with shapes and convex pieces."""
+"""Models: the conversion of a user's file to a checked, self-contained URDF with shapes and convex pieces."""

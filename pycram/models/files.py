@@ -41,7 +41,7 @@ ROBOT_URDFS: Final = tuple(_FILES)  # file names of the bundled robots
 
 
 def read_bytes(file: Path) -> bytes:
-    """Return the content of a file; raise an AssetError if it can't be read."""
+    """Return the content of a file; raise an AssetError if the file can't be read."""
     try:
         return file.read_bytes()
     except OSError as error:
@@ -49,7 +49,7 @@ def read_bytes(file: Path) -> bytes:
 
 
 def read_text(file: Path) -> str:
-    """Return the content of a UTF-8 file; raise an AssetError if it can't be read."""
+    """Return the content of a UTF-8 file; raise an AssetError if the file can't be read."""
     try:
         return file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -57,7 +57,7 @@ def read_text(file: Path) -> str:
 
 
 def parse_toml(text: str, source: str | Path) -> dict[str, object]:
-    """Return the tables of a TOML document; raise an AssetError if it isn't TOML."""
+    """Return the tables of a TOML document; raise an AssetError for other texts."""
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:

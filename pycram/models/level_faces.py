@@ -91,7 +91,7 @@ def _levels(parts: Sequence[Piece]) -> list[list[Piece]]:
 
 
 def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, least: Least) -> Iterator[Face]:
-    """Yield the faces that pieces of one height form; ``bounds`` (k, 2, 3) has corners of boxes around pieces."""
+    """Yield the faces that ``tops`` of one height form; ``bounds`` (k, 2, 3) has corners of boxes around all pieces."""
     height = max(float(piece.high[2]) for piece in tops)
     yaw = _yaw(max(tops, key=lambda piece: float(np.prod((piece.high - piece.low)[:2]))))
     cosine, sine = math.cos(yaw), math.sin(yaw)

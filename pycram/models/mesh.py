@@ -39,7 +39,7 @@ else:
 
 _LARGE: Final = 5000  # number of faces of a large mesh
 _FAR: Final = 1e9  # maximum coordinate of a mesh, in the unit of the file
-_HOLLOW: Final = 0.5  # maximum share of its convex hull that a hollow mesh fills
+_HOLLOW: Final = 0.5  # a mesh is hollow if it fills at most this share of its convex hull
 _HAS_PIECES: Final = re.compile(rb"^[og]\s.*^[og]\s", re.MULTILINE | re.DOTALL)
 _STL_HEADER: Final = 84
 _STL_FACE: Final = np.dtype([("numbers", "<f4", (4, 3)), ("attribute", "<u2")])
@@ -241,7 +241,9 @@ def convert(file: Path) -> tuple[str, bytes]:
         return file.name, _with_normals(content)
     if kind == ".obj":
         _all_triangles(file, content)
-        lines = content.decode("utf-8", "replace").splitlines()  # the URDF has the colours: PyBullet has one per mesh
+        lines = content.decode(
+            "utf-8", "replace"
+        ).splitlines()  # the URDF has the colours, because PyBullet supports one colour per mesh
         kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
         return file.name, ("\n".join(kept) + "\n").encode()
     return f"{file.stem}.stl", stl(parse(file).triangles)

@@ -179,7 +179,7 @@ def _triangles(shape: Shape, folder: Path) -> Array:
 
 
 def _revolved(profile: Array) -> Array:
-    """Return the triangles of a solid of revolution about the z axis; seen from outside, they are counter-clockwise.
+    """Return the triangles of a solid of revolution about the z axis; their corners are counter-clockwise from outside.
 
     The profile (k, 2) has points from bottom to top: the distance from the axis, and the height, m.
     """
@@ -302,7 +302,7 @@ def _large_hulls(every: Sequence[Array]) -> Iterator[Hull | None]:
 
 
 def _small_hull(corners: Array) -> Hull | None:
-    """Return a hull from all choices of three points: they span a side if no point is in front of their plane."""
+    """Return a hull from all choices of three points, which span a side if no point is in front of their plane."""
     first, second, third = corners[_triples(len(corners))]
     u, v = second - first, third - first
     normals = u[:, _NEXT] * v[:, _OTHER] - u[:, _OTHER] * v[:, _NEXT]  # np.cross would take most of the running time

@@ -48,7 +48,7 @@ def folder() -> Path:
 
 
 def _make() -> Path:
-    """Create and lock a folder; retry if another process removes the folder before it is locked."""
+    """Create and lock a folder; retry if another process removes the folder before the lock."""
     while True:
         made = Path(tempfile.mkdtemp(prefix=_PREFIX))
         with suppress(FileNotFoundError):
@@ -105,13 +105,13 @@ def stored_tree(path: Path) -> Urdf:
 
 
 def write_mesh(name: str, content: bytes) -> AssetFile:
-    """Store a mesh; stored URDFs name the mesh by its key."""
+    """Store a mesh; stored URDFs contain the key of the mesh."""
     asset = AssetFile(name, content, MESH_TYPE)
     write(asset.key, content)
     return asset
 
 
 def write_urdf(name: str, content: bytes) -> tuple[Path, AssetFile]:
-    """Store a URDF next to the folders of its meshes, where PyBullet looks for them; recordings use the ``name``."""
+    """Store a URDF next to the folders of its meshes, as PyBullet expects; recordings use the ``name``."""
     asset = AssetFile(name, content, URDF_TYPE)
     return write(f"{asset.sha256}.urdf", content), asset

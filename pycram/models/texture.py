@@ -41,7 +41,7 @@ _AXES: Final = np.eye(3)
 
 
 class MissingTexture(UserWarning):
-    """A model names a texture that doesn't exist; its shapes have the colour of the material, or are grey."""
+    """A model names a texture that doesn't exist; the shapes have the colour of the material, or are grey."""
 
 
 @cache
@@ -104,7 +104,7 @@ def _divide(triangles: Array, uv: Array) -> tuple[Array, Array]:
 def cover_shape(kind: str, size: Sequence[float], picture: Path) -> list[tuple[Array, Rgba]]:
     """Return the triangles (m, 3, 3) of each colour of a shape, with the colour; [] without a readable image.
 
-    The size of a "box" are its edges, of a "cylinder" radius and length, and of a "sphere" the radius, m.
+    ``size`` has the edges of a "box", the radius and length of a "cylinder", or the radius of a "sphere", m.
     """
     image = read_image(picture)
     if image is None:

@@ -97,7 +97,7 @@ class Choice(Question):
         self.wanted = wanted  # whether the candidates are recorded; if not, callers needn't compute reasons
         self._rejected: dict[str, tuple[Rejection, int]] = {}
         self.chosen = ""  # name of the chosen candidate
-        self.forced = ""  # name of the only candidate that a fork admits; "" if it admits all candidates
+        self.forced = ""  # name of the only candidate that a fork admits; "" if all candidates are admitted
         self._met = False  # whether the forced candidate was considered
 
     @contextmanager

@@ -1,1 +1,1 @@
-"""Makers of the meshes and URDFs in the folder above: each is computed from numbers, none is drawn by hand."""
+"""Makers of the meshes and URDFs in the folder above; all of them are computed from numbers."""

@@ -1,6 +1,6 @@
-"""Cabinets: the fixed bodies of the kitchen and what opens in them besides drawers, each in the frame of its link.
+"""Cabinets: the fixed bodies of the kitchen and their doors, each in the frame of its link.
 
-Front edges of partitions beside a tilting door stand back, because the lower edge of such a door swings inwards.
+The front edges of partitions next to a tilting door are set back, because the lower edge of the door swings inwards.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from make.urdf import Shape, span
 
 
 def sink_area() -> list[Shape]:
-    """Body of the long counter, and its worktop beyond the surface link; the basin hangs in a hole."""
+    """Body of the long counter, and the part of the worktop outside the surface link; the basin hangs in a hole."""
     depth, tall = (-0.266, 0.238), (-0.327, 0.418)
     return [
         span((-0.290, 0.288), (-1.026, -1.002), (-0.410, 0.418), "front"),
@@ -27,7 +27,7 @@ def sink_area() -> list[Shape]:
 
 
 def sink_area_surface() -> list[Shape]:
-    """The worktop, 1.6 m of it, cut out where the basin is."""
+    """The worktop, 1.6 m long, with a hole for the basin."""
     z = (-0.010, 0.010)
     return [
         span((-0.2875, 0.2875), (-1.025, 0.430), z, "worktop"),
@@ -76,7 +76,7 @@ def dish_washer() -> list[Shape]:
 
 
 def dish_washer_door() -> list[Shape]:
-    """A door that tilts about its lower edge; y of its frame points down, x out of the room's side."""
+    """A door that tilts about its lower edge; the y axis of the frame points down, the x axis into the room."""
     return [
         span((-0.011, 0.011), (-0.684, 0.034), (-0.2985, 0.2985), "front"),
         span((-0.0125, -0.011), (-0.640, -0.020), (-0.230, 0.230), "steel", solid=False),
@@ -84,7 +84,7 @@ def dish_washer_door() -> list[Shape]:
 
 
 def oven_area() -> list[Shape]:
-    """A tall cabinet: two pull-outs, between them the oven above two drawers."""
+    """A tall cabinet with the oven above two drawers, between two pull-outs."""
     depth, tall = (-0.275, 0.225), (-0.625, 0.735)
     return [
         span((-0.290, 0.255), (-0.603, -0.592), (-0.755, 0.735), "front"),
@@ -112,7 +112,7 @@ def oven() -> list[Shape]:
 
 
 def oven_door() -> list[Shape]:
-    """A steel frame with a window of dark glass; y of its frame points down, x outwards."""
+    """A steel frame with a window of dark glass; the y axis of the frame points down, the x axis outwards."""
     return [
         span((-0.0147, 0.0062), (-0.449, 0.035), (-0.2975, 0.2975), "steel"),
         span((0.0062, 0.0067), (-0.355, -0.045), (-0.2350, 0.2350), "glass", solid=False),
@@ -130,7 +130,7 @@ def oven_panel() -> list[Shape]:
 
 
 def kitchen_island() -> list[Shape]:
-    """Body under the island's top, which stands over on all sides."""
+    """Body under the top of the island; the top is wider on all sides."""
     return [
         span((-0.300, 0.283), (-1.130, -1.103), (-0.421, 0.409), "island_front"),
         span((-0.300, 0.283), (1.103, 1.130), (-0.421, 0.409), "island_front"),
@@ -184,7 +184,7 @@ def fridge() -> list[Shape]:
 
 
 def fridge_door() -> list[Shape]:
-    """A door that turns about its left edge, with two racks for bottles on its inside; its panel lies along -y."""
+    """A door that turns about its left edge, with two racks for bottles inside; the panel extends along -y."""
     panel = span((-0.0225, -0.0025), (-0.5975, -0.0030), (-0.4835, 0.4835), "front")
     racks = []
     for z in (-0.40, 0.05):

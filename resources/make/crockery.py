@@ -1,4 +1,4 @@
-"""Crockery: hollow things of revolution on a flat foot, with walls of convex pieces, so that they can be filled."""
+"""Crockery: hollow things of revolution on a flat foot, with walls of convex pieces, so that objects fit inside."""
 
 from __future__ import annotations
 
@@ -130,5 +130,5 @@ def _wall(inner: Profile, outer: Profile) -> list[Solid]:
 
 
 def _lifted(inner: Profile) -> list[tuple[float, float]]:
-    """The inside of a hollow, 0.4 mm nearer to the axis and not above the rim: the skin of its lining."""
+    """The profile of a hollow's lining: the inside, 0.4 mm nearer to the axis, up to the rim."""
     return [(r - 0.0004, z) for r, z in inner]

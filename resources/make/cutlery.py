@@ -1,4 +1,4 @@
-"""Cutlery: thin things with a spine along x, handle towards -x; they rest on the head and on the handle's end."""
+"""Cutlery: thin objects along x with the handle at -x, which rest on the head and on the end of the handle."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def spoon() -> Thing:
     thick = 0.0020
 
     def dish(rho: float) -> float:
-        """Height of the underside of the head; ``rho`` is 0 at its middle and 1 at its rim."""
+        """Height of the head's underside; ``rho`` is 0 in the middle of the head and 1 at the rim."""
         return float(0.0085 * max(0.0, (rho - 0.45) / 0.55) ** 1.5)
 
     spine = _curve(
@@ -140,7 +140,7 @@ def _grip() -> list[tuple[float, float]]:
 
 
 def _handle(stations: list[float], spine: Curve, breadth: Curve, thick: float) -> list[Solid]:
-    """Convex pieces of a curved strip, one between each two stations along x."""
+    """Convex pieces of a curved strip, one piece between two successive stations along x."""
     rings = [
         _strip(x, spine(x) + 0.9 * MARGIN, breadth(x) - MARGIN, max(thick - 1.8 * MARGIN, 0.0002)) for x in stations
     ]
@@ -152,7 +152,7 @@ def _bands(high: list[tuple[float, float]], low: list[tuple[float, float]]) -> l
 
 
 def _strip(x: float, z: float, half_width: float, thick: float) -> Points:
-    """A flat cross-section: a rectangle in the plane of ``x`` on top of height ``z``."""
+    """A flat cross-section: a rectangle in the plane of ``x``, above the height ``z``."""
     w = half_width
     return np.array([[x, -w, z], [x, w, z], [x, w, z + thick], [x, -w, z + thick]])
 
@@ -180,7 +180,7 @@ def _curve(knots: list[tuple[float, float]]) -> Curve:
 
 
 def _fitted(solid: Solid, size: tuple[float, float, float]) -> Solid:
-    """The solid stretched to an exact size; the drawing is within a per cent of it."""
+    """The solid stretched to an exact size, by less than one per cent."""
     low, high = solid.bounds
     x, y, z = (float(wanted / extent) for wanted, extent in zip(size, high - low, strict=True))
     return solid.scaled(x, y, z)

@@ -1,6 +1,6 @@
-"""Files: the exact bytes of what is made. The same numbers give the same bytes, on any machine.
+"""Files: the same numbers give files with the same bytes, on any machine.
 
-Coordinates are rounded to a micrometre before they are written, so that the last bit of a cosine makes no difference.
+Coordinates are rounded to a micrometre, so that the last bit of a cosine makes no difference.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def obj(pieces: Sequence[Solid]) -> str:
 
 
 def number(value: float, digits: int = DIGITS) -> str:
-    """A number as short as it can be, by default to a micrometre or microradian; never ``-0``."""
+    """The shortest text of a rounded number, by default to a micrometre or microradian; never ``-0``."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in {"-0", ""} else text
 

@@ -1,8 +1,8 @@
 """The floor: a slab whose upper side is z = 0, with visible joints between tiles that don't collide.
 
-It carries things as far as 1 km from the origin. The wider a box, the less exact are PyBullet's contacts with it: on
-one of 5 km, some resting things tremble for longer; on one of 1,000 km, some lie 0.5 mm too high. Only the middle is
-drawn, and has a mass: viewers fit their view to what is drawn.
+The slab extends 1 km from the origin. On wider boxes, PyBullet's contacts are less exact: on a box of 5 km, some
+resting objects tremble for longer; on a box of 1,000 km, some lie 0.5 mm too high. Only the middle is visible and has
+a mass, because viewers fit their view to visible shapes.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ MATERIALS = {
 }
 
 HALF = 15.0
-"""Half the width of the drawn middle, metres."""
+"""Half the width of the visible middle, metres."""
 WIDTH = 2_000.0
 """Of the whole slab, metres."""
 TILED = 6
-"""Tiles are drawn as far as this many metres from the origin, one metre wide."""
+"""Distance from the origin in metres up to which tiles are visible; a tile is one metre wide."""
 
 
 def floor() -> str:

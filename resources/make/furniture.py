@@ -1,7 +1,7 @@
 """Furniture: the pieces that kitchens repeat, as shapes in the frame of their link, front towards +x.
 
-Between what moves and what doesn't there are gaps of 2 mm or more. Boards are at least 6 mm thick, so that nothing
-falls through them.
+Between moving and fixed parts there are gaps of at least 2 mm. Boards are at least 6 mm thick, so that objects don't
+fall through.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ FRONT = 0.281
 
 
 def drawer(width: float, height: float, back: float, wall: float, front: str = "front") -> list[Shape]:
-    """A drawer that is open at the top: bottom, three walls, and a front panel that covers the gap around it.
+    """A drawer that is open at the top: bottom, three walls, and a front panel that covers the gaps around the drawer.
 
     Args:
-        width: Width of the module that it fills, metres; the front is 3 mm narrower, the box 60 mm.
+        width: Width of the drawer's module, metres; the front is 3 mm narrower, and the box 60 mm narrower.
         height: Height of the front panel.
         back: Rear end of the box, x in the drawer's frame.
         wall: Height of the walls above the underside of the box.
@@ -58,8 +58,8 @@ def handle(length: float, depth: float = 0.0515, upright: bool = False) -> list[
 
     Args:
         length: Length of the bar, metres.
-        depth: How far behind the frame the front panel is.
-        upright: Along z, not along y.
+        depth: Distance of the front panel behind the frame.
+        upright: Whether the bar is along z, not along y.
     """
     half, thick, post = length / 2, 0.0077, 0.006
     shapes = []

@@ -1,6 +1,6 @@
-"""A gripper for arms that come without one: a palm and two fingers that slide along y, made of boxes.
+"""A gripper for arms without a gripper: a palm and two fingers that slide along y, made of boxes.
 
-Its root ``gripper_palm`` is the face that is mounted to the arm's flange; x points away from that.
+The origin of the root ``gripper_palm`` is on the arm's flange; x points away from the flange.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ MATERIALS = {
 }
 
 PALM, REACH = 0.065, 0.145
-"""Where the palm ends and where the finger tips are, metres along x."""
+"""Ends of the palm and of the fingers, metres along x."""
 
 STROKE = 0.045
-"""Way of each finger from the middle, metres."""
+"""Travel of each finger from the middle, metres."""
 
 TOOL = 0.128
 """The tool frame, metres along x: in the middle of the pads."""

@@ -1,7 +1,6 @@
 """The kitchen: frames and joints from the table of numbers in ``kitchen.json``, shapes from cabinets and furniture.
 
-The table has the layout, names, joints and sizes of a real laboratory kitchen. Where we build it differently, its
-``note`` says why.
+The table has the layout, names, joints and sizes of a real laboratory kitchen; its ``note`` explains the differences.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ def _joint(row: dict[str, Any]) -> Joint | None:
 
 
 def _as_described(row: dict[str, Any]) -> list[Shape]:
-    """One box, as the table has it: walls, and boards of the right pull-out; its rails clear the fronts beside them."""
+    """A single box from the table: a wall, or a board of the right pull-out, whose rails clear the other fronts."""
     if "box" not in row:
         return []
     name = str(row["link"])
@@ -57,7 +56,7 @@ def _as_described(row: dict[str, Any]) -> list[Shape]:
 
 
 def _shapes() -> dict[str, list[Shape]]:
-    """The shapes of each link that isn't just one box."""
+    """The shapes of each link that consists of more than one box."""
     return {
         **_counter(),
         **_oven_tower(),

@@ -1,4 +1,4 @@
-"""What people call the kitchen's surfaces and containers, by the names that PyCRAM finds in its links."""
+"""Common names of the kitchen's surfaces and containers, by the names that PyCRAM finds in the links."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ CONTAINERS = {"iai fridge": "fridge", "sink dish washer": "dish washer"}
 
 
 def kitchen_names() -> str:
-    """The TOML that names them; the rest keeps the names that are found."""
+    """The TOML with the common names; other surfaces and containers keep the found names."""
     lines = ["# Written by make_resources.py: what kitchen.urdf's surfaces and containers are called."]
     for kind, names in (("surfaces", SURFACES), ("containers", CONTAINERS)):
         for found, name in names.items():

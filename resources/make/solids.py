@@ -1,8 +1,8 @@
 """A solid is a closed triangle mesh, made from a few numbers.
 
-Invariants: every function here returns a watertight mesh whose faces look outwards (positive volume); lengths are
-metres; a ring is a closed polygon whose points ``i`` and ``-1 - i`` face each other, so that a strip of quads between
-them fills it.
+Each function returns a watertight mesh whose faces point outwards (positive volume). Lengths are in metres. A ring is a
+closed polygon whose points ``i`` and ``-1 - i`` face each other, so a strip of quads between these points fills the
+ring.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Solid:
 
 
 def join(solids: Iterable[Solid]) -> Solid:
-    """All solids as one mesh of several closed shells. They may overlap, as the handle of a cup does with its wall."""
+    """All solids as one mesh of closed shells, which may overlap, like the handle and the wall of a cup."""
     vertices: list[Points] = []
     faces: list[Faces] = []
     count = 0
@@ -72,7 +72,7 @@ def loft(rings: Sequence[Points]) -> Solid:
     """The skin over a row of rings, closed by a cap at each end.
 
     Args:
-        rings: Rings of the same even number ``k`` of points, each of shape (k, 3) in metres, all in the same sense.
+        rings: Rings of the same even number ``k`` of points, each of shape (k, 3) in metres, in the same sense.
 
     Returns:
         The solid between the first and the last ring.
@@ -96,7 +96,7 @@ def revolve(profile: Profile, segments: int = 48) -> Solid:
     Args:
         profile: Points (radius, z) in metres. Either both ends lie on the axis (radius 0), or the profile is closed
             to a torus-like ring.
-        segments: How many flat sides approximate the circle. A multiple of 4 makes the extents in x and y exact.
+        segments: Number of flat sides that approximate the circle. A multiple of 4 makes the extents in x and y exact.
     """
     angles = 2.0 * np.pi * np.arange(segments) / segments
     vertices: list[Points] = []
@@ -123,7 +123,7 @@ def revolve(profile: Profile, segments: int = 48) -> Solid:
 
 
 def rounded(profile: Profile, times: int = 2) -> list[tuple[float, float]]:
-    """The same profile with its corners cut off ``times`` times, each time at a quarter of both edges; ends stay."""
+    """The profile with its corners cut off ``times`` times, each time at a quarter of both edges; the ends stay."""
     points = np.array(profile)
     for _ in range(times):
         cut = np.stack([0.75 * points[:-1] + 0.25 * points[1:], 0.25 * points[:-1] + 0.75 * points[1:]], axis=1)
@@ -143,7 +143,7 @@ def block(x: Span, y: Span, z: Span) -> Solid:
 
 
 def bevelled(size: tuple[float, float, float], bevel: float) -> Solid:
-    """A box of ``size`` about the origin, its 12 edges cut off by ``bevel`` metres."""
+    """A box of ``size`` about the origin, with 12 edges that are cut off by ``bevel`` metres."""
     half = np.array(size) / 2.0
 
     def ring(inset: float, z: float) -> Points:
@@ -158,7 +158,7 @@ def bevelled(size: tuple[float, float, float], bevel: float) -> Solid:
 
 
 def extrude(outline: Profile, y: Span) -> Solid:
-    """A prism along y over an outline of points (x, z) whose points ``i`` and ``-1 - i`` mirror each other."""
+    """A prism along y over an outline of points (x, z); the points ``i`` and ``-1 - i`` mirror each other."""
     return loft([np.array([[px, depth, pz] for px, pz in outline]) for depth in y])
 
 
@@ -176,14 +176,14 @@ def tube(path: Profile, radius: float, sides: int = 8) -> Solid:
 
 
 def sectors(inner: Profile, outer: Profile, segments: int) -> list[Solid]:
-    """A hollow of revolution cut into convex pieces: one for each band of the wall and each segment of the turn.
+    """A hollow of revolution in convex pieces: a piece for each band of the wall in each segment of the turn.
 
     Every face of a piece is a plane trapezoid, so the pieces are exactly convex.
 
     Args:
-        inner: Points (radius, z) of the inside, metres, from bottom to rim.
-        outer: As many points of the outside.
-        segments: Pieces in a full turn.
+        inner: Points (radius, z) of the inside from bottom to rim, metres.
+        outer: The same number of points of the outside.
+        segments: Number of pieces in a full turn.
     """
     pieces = []
     for k in range(segments):

@@ -1,4 +1,4 @@
-"""A work table for arms that are bolted down: they stand on it at the origin, x is away from its rear edge."""
+"""A work table for arms, which are bolted to the top at the origin; x points away from the rear edge."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ MATERIALS = {
 }
 
 HEIGHT = 0.72
-"""Of the table top above the floor, metres."""
+"""Height of the table top above the floor, metres."""
 
 
 def table() -> str:

@@ -1,17 +1,17 @@
 """A thing is a household object: its visible parts, its convex pieces for collision, its mass and friction.
 
-PyBullet turns a concave mesh into its convex hull (a bowl would be solid) and shows one colour a mesh whatever an MTL
-file says. So a thing is written as several files, which are found beside ``X.stl`` when that is loaded:
+PyBullet turns a concave mesh into its convex hull, so a bowl would be solid, and shows one colour for each mesh. So a
+thing consists of several files, and PyCRAM finds the others next to ``X.stl``:
 
 ``X.stl``
     The whole body, one watertight mesh, origin at the middle of its bounding box.
 ``X.collision.obj``
-    The same body as convex pieces, one ``o part_k`` group each. As the one mesh of a ``<collision>`` element, PyBullet
-    reads it as a compound of convex hulls. PyBullet grows each hull by its margin of 1 mm; the pieces are that much
-    smaller, so that things rest on their real underside.
+    The same body as convex pieces, with a group ``o part_k`` for each piece. PyBullet reads the file as a compound of
+    convex hulls. PyBullet adds a margin of 1 mm to each hull, so the pieces are 1 mm smaller than the body; then things
+    rest on their real underside.
 ``parts/X.NAME.stl`` and ``objects.toml``
     The visible parts in their colours, in the frame of ``X.stl``. ``[X]`` in ``objects.toml`` lists them as
-    ``visual = [{ mesh, rgba }, ...]``, with ``mass`` in kg and ``friction``. One ``<visual>`` element each.
+    ``visual = [{ mesh, rgba }, ...]``, with ``mass`` in kg and ``friction``. Each part becomes a ``<visual>`` element.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from make.solids import Solid, block, join
 Colour: TypeAlias = tuple[float, float, float]
 
 MARGIN = 0.001
-"""By how much PyBullet grows a convex hull that comes from a mesh, in metres."""
+"""Margin in metres that PyBullet adds to a convex hull from a mesh."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,12 +43,12 @@ class Thing:
     """A household object.
 
     Attributes:
-        name: Stem of its files.
+        name: Stem of the names of the files.
         mass: Kilograms.
-        friction: Lateral friction coefficient. PyBullet multiplies those of two bodies in contact; 0.5 is its default.
+        friction: Lateral friction coefficient. PyBullet multiplies the coefficients of touching bodies; default 0.5.
         solid: The whole body, watertight.
         pieces: Convex pieces for collision, drawn ``MARGIN`` smaller than the body.
-        parts: Its visible parts.
+        parts: Visible parts.
     """
 
     name: str
@@ -84,12 +84,12 @@ LETTERS = {
 
 
 def lettering(text: str, width: float, depth: float) -> Solid:
-    """Raised capital letters on the two sides of a thing that face -y and +y, centred on x = 0, z = 0.
+    """Raised capital letters on the sides -y and +y of a thing, centred on x = 0, z = 0.
 
     Args:
-        text: Capitals that are in ``LETTERS``.
+        text: Capital letters from ``LETTERS``.
         width: Width of the whole word in metres.
-        depth: Distance of the two faces from y = 0 in metres; the letters stand 0.4 mm proud of it.
+        depth: Distance of the two faces from y = 0 in metres; the letters stand out by 0.4 mm.
     """
     columns = 6 * len(text) - 1
     dot = width / columns

@@ -1,4 +1,4 @@
-"""URDF text: links made of boxes and cylinders in named materials, with inertia from those materials' densities.
+"""URDF text: links made of boxes and cylinders in named materials, with inertia from the densities of the materials.
 
 A shape that is visible but doesn't collide (``solid=False``) has no mass either.
 """
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Triple: TypeAlias = tuple[float, float, float]
 
 FRAME_MASS = 0.01
-"""Kilograms of a link without a shape, which the engine would give 1 kg."""
+"""Mass in kg of a link without a shape; the engine's default is 1 kg."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,9 @@ class Shape:
         centre: Middle, metres.
         size: Extents along x, y, z, metres.
         material: Name in the table of materials.
-        solid: Whether it collides.
-        round_about: Axis ``x``, ``y`` or ``z`` of the visible cylinder; it collides as a box all the same.
-        collides: Extents of the collision shape, metres; None for the same as ``size``.
+        solid: Whether the shape collides.
+        round_about: Axis ``x``, ``y`` or ``z`` of the visible cylinder; the collision shape is a box nevertheless.
+        collides: Extents of the collision shape, metres; None for ``size``.
     """
 
     centre: Triple
@@ -71,7 +71,7 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """A link with its shapes and the joint that carries it; the root has none."""
+    """A link with its shapes, and the joint to its parent; None for the root."""
 
     name: str
     shapes: tuple[Shape, ...] = ()
@@ -91,7 +91,7 @@ def document(name: str, links: Sequence[Link], materials: Mapping[str, Material]
 
     Args:
         name: Name of the robot element.
-        links: Links in any order, one of them without a joint.
+        links: Links in any order; one link has no joint.
         materials: All materials that the shapes name.
         about: A line for the comment on top.
     """

@@ -45,7 +45,7 @@ _KJ, _LJ = 3 * _K + _J, 3 * _L + _J
 _SIZES: Final = np.concatenate([_K, _L, 3 + _M, 3 + _N])
 _COSINES: Final = np.concatenate([_LJ, _KJ, 3 * _I + _N, 3 * _I + _M])
 _CACHED: Final = 64
-_NEIGHBOURS: Final = 3  # if at most this many joints are between two links, their hulls may always overlap
+_NEIGHBOURS: Final = 3  # maximum number of joints between neighbours, whose hulls may always overlap
 
 
 @dataclass(frozen=True, eq=False)

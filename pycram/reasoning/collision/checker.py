@@ -34,7 +34,7 @@ _FEET: Final = 0.02  # maximum height in m of a contact between a robot's wheels
 
 
 class Collision(TypedDict):
-    """A collision of a robot with an object, as records show it."""
+    """A collision of a robot with an object, in the form of records."""
 
     links: list[str]  # links of the robot or of held objects that touch the object
     by: list[str]  # links of the object that the robot touches
@@ -48,7 +48,7 @@ class PostureCandidate:
 
     positions: Mapping[str, float]  # joint positions in rad or m by name; other joints don't move
     base: Pose | None  # pose of the robot's base; None for its present pose
-    overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]  # (n,) indices of moving boxes, and of the boxes they overlap
+    overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]  # (n,) indices of moving boxes, and of the boxes in overlap
     transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by each joint
     # pairs of links whose boxes overlap, in the order of checks; empty until pairs() is called
     pairs: list[Pair] = field(default_factory=list)
@@ -106,7 +106,7 @@ class CollisionChecker:
         )
         self.moving = links.moving  # checked links of the robot
         self._link_of = {body: link for body, link, _ in self._held}
-        # pairs of a held object and an object that overlapped at the grasp; they may pass through each other
+        # held objects, each with an object that overlapped it at the grasp; these pairs may pass through each other
         self._passed = {
             (body, left) for body in self._link_of for each in body.attachments.values() for left in each.left
         }

@@ -132,14 +132,14 @@ class RayCaster:
         reach = np.abs(across.transpose(0, 2, 1)[:, None] @ self._edges).sum(axis=3)
         near = (np.abs(away) <= reach + np.abs(half)).all(axis=2)
         where, which = np.nonzero(near)
-        # for each piece, the first and the last line along u that may meet it
+        # for each piece, the first and the last line along u that may meet the piece
         middles, spread = away[where, which, 0], reach[where, which, 0]
         paces = np.where(steps == 0.0, _PARALLEL, steps)[where]
         middles, spread = middles / paces + last[where] / 2, np.abs(spread / paces)
         begins = np.maximum(np.ceil(middles - spread), 0.0).astype(np.intp)
         width = int((np.minimum(np.floor(middles + spread), last[where]).astype(np.intp) - begins).max(initial=0)) + 1
         begins = np.minimum(begins, most - width)
-        # intersect each plane with the lines of its pair of a scan and a piece
+        # intersect each plane of a piece with the lines of the scans near the piece
         planes = (self._planes @ frames).reshape(-1, 4).take(np.flatnonzero(near[:, self._pieces]), axis=0)
         number = np.repeat(np.arange(len(where)), self._counts[which])
         u, v, along, room = planes.T
@@ -167,7 +167,7 @@ class RayCaster:
 
 @dataclass(frozen=True, slots=True)
 class _Intersections:
-    """The intersections of scans with pieces; there are n pairs of a scan and a piece near it."""
+    """The intersections of scans with pieces; there are n pairs of a scan and a near piece."""
 
     pieces: NDArray[np.intp]  # (scans,) number of pieces near each scan; pairs are ordered by scan, then by piece
     count: int  # greatest number of lines in a scan

@@ -42,7 +42,7 @@ _OUT_OF_THE_WAY: Final = ((0.0, 0.0, -1000.0), (0.0, 0.0, 0.0, 1.0))
 
 @dataclass(slots=True)
 class _Copy:
-    original: LoadedBody  # the object's body in the world; it identifies the object, because ids are reused
+    original: LoadedBody  # the object's body in the world, which identifies the object, because ids are reused
     body: LoadedBody  # the body in the clone
     state: Snapshot | None = None  # the object's state when the copy was updated; None if the copy was changed
 
@@ -59,7 +59,7 @@ class SimulationClone:
 
     @property
     def engine(self) -> Engine:
-        """The physics client, which starts when it is first used."""
+        """The physics client, which starts at its first use."""
         if self._engine is None:
             self._engine = Engine()
         return self._engine
@@ -80,13 +80,13 @@ class SimulationClone:
         return copy
 
     def invalidate(self, *names: str) -> None:
-        """Mark the copies of objects, or of all objects, as changed; they are updated before their next use."""
+        """Mark the copies of objects, or of all objects, as changed; each copy is updated before its next use."""
         for (name, _), copy in self._copies.items():
             if not names or name in names:
                 copy.state = None
 
     def cached(self, body: Object, key: Hashable, compute: Callable[[], T]) -> T:
-        """Return the value that ``compute`` returns for an object's state; it is cached until the object moves."""
+        """Return the value that ``compute`` returns for an object's state, from a cache until the object moves."""
         now = self.state(body)
         values = self._values.setdefault(body, {})
         state, value = values.get(key, (None, None))
@@ -115,7 +115,7 @@ class PosingClone(SimulationClone):
         self._states: dict[str, Snapshot] = {}
 
     def sync(self) -> None:
-        """Read the world's state; each body is updated when it is needed."""
+        """Read the world's state; each body is updated at its next use."""
         self._forget_removed()
         self._states = {body.name: take_snapshot(body) for body in self.world.objects}
 
@@ -338,7 +338,7 @@ def single_link(path: Path, link: str) -> Path:
 
 
 def _write(name: str, links: Iterable[tuple[ET.Element, Pose]]) -> Path:
-    """Store a model of one link that has the collision shapes of links of equal friction, at poses in the new link."""
+    """Store a model of one link with the collision shapes of links of equal friction, at poses in the new link."""
     root = ET.Element("robot", name=name)
     merged = ET.SubElement(root, "link", name=name)
     inertial = ET.SubElement(merged, "inertial")  # the inertia doesn't matter, because the base of a part is fixed

@@ -1,4 +1,4 @@
-"""The choice of a grasp and of a posture for it: the pair with the least contact (thesis 4.4.6)."""
+"""The choice of a grasp and of a posture for this grasp: the pair with the least contact (thesis 4.4.6)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _LEANING: Final = math.radians(5)  # lean of an object in rad from which message
 
 @dataclass(frozen=True, slots=True)
 class GraspPlan:
-    """A grasp with a posture of the arm for it."""
+    """A grasp, and a posture of the arm for this grasp."""
 
     grasp: Grasp | None  # None if the arm reaches no grasp
     posture: Posture | None  # the nearest posture if the arm reaches no grasp
@@ -119,7 +119,7 @@ class _Grasping:
     def _least_touching(
         self, grasps: Sequence[Grasp], solved: Sequence[Sequence[Posture]], limit: Cost, *, quick: bool = False
     ) -> GraspPlan:
-        """Return the grasp with the least contact, from known postures; a ``quick`` search may miss it."""
+        """Return the grasp with the least contact, from known postures; a ``quick`` search may miss this grasp."""
         options = []
         for grasp, postures in zip(grasps, solved, strict=True):
             reaching = [posture for posture in postures if posture.reaches()]
@@ -164,7 +164,7 @@ class _Choice:
         self._checker = checker
         self._options = options
         every = [{**posture.positions, **opened} for _, postures in options for posture in postures]
-        candidates = iter(checker.predict(every, base))  # one call for all postures takes hardly longer than for one
+        candidates = iter(checker.predict(every, base))  # takes hardly longer than for a single posture
         self._candidates = [list(itertools.islice(candidates, len(postures))) for _, postures in options]
         self._hand = hand
         self._arm = checker.moving - set(hand)
@@ -304,7 +304,7 @@ def _nothing(
 
 
 def _problem(arm: Arm, body: Object, plan: GraspPlan, closing: Closing | None) -> PlanFailure | None:
-    """Return why a grasp won't hold the object; None if it will hold it."""
+    """Return why a grasp won't hold the object; None if the grasp will hold."""
     pairs = [collision["pair"] for collision in plan.obstacles.values()] or list(filter(None, [plan.penetrating]))
     if pairs:
         return Blocked(arm.name, center(body), pairs)

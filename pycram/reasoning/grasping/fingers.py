@@ -38,7 +38,7 @@ _MANY: Final = 3  # minimum number of moving parts of a hand that close one by o
 _ALONE: Final = 64  # steps between open and closed for a part that closes alone
 _REACH: Final = 0.005  # total gap in m between an object and opposite fingers that closes as hand and object give way
 _ACROSS: Final = 0.5  # minimum component of a contact's unit normal along the jaws' direction
-_AROUND: Final = 0.4  # the same for fingers around a center; two of three touch a carton's edges at 60 degrees
+_AROUND: Final = 0.4  # the same for fingers around a center; two of three fingers touch a carton's edges at 60 degrees
 _CACHED: Final = 32
 _SWEPT: Final = 8  # steps between open and closed; within a step, fingers stay within the margins of their boxes
 
@@ -70,7 +70,7 @@ def finger_motion(
     pose: Pose | None = None,
     base: Pose | None = None,
 ) -> FingerMotion:
-    """Return how far the fingers of an arm can move. A present overlap stops the fingers only if it gets deeper.
+    """Return how far the fingers of an arm can move. Present overlaps stop the fingers only if they get deeper.
 
     Args:
         goal: wanted opening of the gripper, from 0 (closed) to 1 (open).

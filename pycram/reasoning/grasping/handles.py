@@ -1,4 +1,4 @@
-"""Handles of doors and drawers: how a gripper holds a handle, and the path of an arm that moves it.
+"""Handles of doors and drawers: how a gripper holds a handle, and the path of an arm that moves the handle.
 
 A handle is a bar. The gripper takes the bar of a closed door or drawer from the front, with the fingers across the bar.
 The gripper may turn about the bar during the motion, and may hold the bar off its middle. If an arm has no path,
@@ -68,7 +68,7 @@ class Grip:
     back: float  # distance in m between the tool and ``position``
 
     def tool(self, angle: float) -> Pose:
-        """Return the pose of the tool in the handle's frame when it is turned about the bar by an angle in rad."""
+        """Return the pose of the tool in the handle's frame after a turn about the bar by an angle in rad."""
         sine = math.sin(angle / 2)
         x, y, z = self.axis
         turn = geometry.product((x * sine, y * sine, z * sine, math.cos(angle / 2)), self.front)
@@ -125,7 +125,7 @@ class Handle:
         return grips
 
     def _box(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lowest and highest corner of the handle in its frame; without shapes, twice its origin."""
+        """Return the lowest and highest corner of the handle in its frame; without shapes, both are the origin."""
         shapes = shapes_of(self.container.model.path, "collision")
         if self.link not in shapes.links:
             return np.zeros(3), np.zeros(3)
@@ -161,7 +161,9 @@ class DeadEnd:
     reached: float | None  # the last position that the arm reaches; None if the arm reaches no position
     position: Vector  # position of the tool at ``value``, in the world, m
     orientation: Quaternion  # orientation of the tool from the front at ``value``, xyzw
-    distance: float | None = None  # distance in m from the tool to its goal in the nearest posture; None at the goal
+    distance: float | None = (
+        None  # distance in m from the tool to its goal in the nearest posture; None if the tool is at its goal
+    )
     turn: float = 0.0  # angle in rad between the tool and its goal in the nearest posture
     pairs: Sequence[CollisionPair] = ()  # links that would touch if the arm reaches ``value``
 
@@ -397,7 +399,7 @@ class _Search:
         return change
 
     def _touching(self, candidate: PostureCandidate, value: float) -> list[CollisionPair]:
-        """Return the links that would touch at a position of the joint, also those of the moved door or drawer."""
+        """Return the links that would touch at a position of the joint, also links of the moved door or drawer."""
         robot = self._robot.name
         pairs = [collision["pair"] for collision in self._checker.touched(candidate).values()]
         for body, link, part, pose in self._moving_along(value) if not pairs else ():
@@ -434,7 +436,7 @@ class _Search:
 
 @dataclass(frozen=True, slots=True)
 class Remedy:
-    """An arm that could move the handle, perhaps from another place."""
+    """An arm that could move the handle, perhaps from another place of the robot."""
 
     arm: str  # name of the arm
     base: Vector | None = None  # place of the robot with its present heading, m; None if the robot needn't move
@@ -514,7 +516,7 @@ def remedies(
 
 
 def _from_elsewhere(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> Remedy | None:
-    """Return the nearest place on a grid around the robot, with its heading, from which an arm has a path."""
+    """Return the nearest place on a grid around the robot from which an arm has a path, with the present heading."""
     position, heading = robot.get_position_and_orientation()
     now: Pose = (position[0], position[1], position[2]), (heading[0], heading[1], heading[2], heading[3])
     steps = [_STEP * step for step in range(-_STEPS, _STEPS + 1)]

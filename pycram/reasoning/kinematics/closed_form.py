@@ -242,7 +242,7 @@ class ClosedForm:
         return np.append(spread, min(max(float(home[joint]), low), high))
 
     def _with_straight(self, points: Array, samples: Array) -> Array:
-        """Return positions (m, n) of joint 1: the samples, and for each target the position that points at it."""
+        """Return positions (m, n) of joint 1: the samples, and the position that points at each target."""
         base = self.origins[0][:, None]
         straight = angle_between(self.axes[0], self.shoulder[:, None] - base, points.T - base)
         values = np.empty((len(points), len(samples) + 1))
@@ -302,14 +302,14 @@ def turned(axis: Array, angle: Array, vector: Array) -> Array:
 
 
 def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
-    """Return parts of vectors: along an axis, perpendicular to it, and the second part after a quarter turn."""
+    """Return parts of vectors: along an axis, perpendicular to the axis, and the latter after a quarter turn."""
     along, across, beside = (_split(axis.tobytes()) @ vector).reshape(3, 3, -1)
     return along, across, beside
 
 
 @lru_cache(maxsize=256)
 def _split(axis: bytes) -> Array:
-    """Return the matrix (9, 3) for :func:`_parts`; it is cached, because arms have few axes."""
+    """Return the matrix (9, 3) for :func:`_parts`, from a cache, because arms have few axes."""
     x, y, z = unit = np.frombuffer(axis)
     along = np.outer(unit, unit)
     return np.vstack([along, np.eye(3) - along, [[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]])

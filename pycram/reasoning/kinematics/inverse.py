@@ -362,7 +362,7 @@ def _arrays(targets: Sequence[Target]) -> tuple[Array, Array | None]:
 
 
 def _distinct(found: Array, home: Array) -> Array:
-    """Return distinct postures; those near ``home`` come first."""
+    """Return distinct postures; the postures near ``home`` come first."""
     return _different(found[np.argsort(np.abs(found - home).sum(axis=1), kind="stable")], _MAX_POSTURES)
 
 
@@ -480,7 +480,7 @@ _chains: WeakKeyDictionary[Object, dict[Hashable, ArmKinematics]] = WeakKeyDicti
 def _kinematics(
     robot: Object, root: str, link: str, joints: Sequence[str], now: Mapping[str, float], tool: Pose
 ) -> ArmKinematics:
-    """Return a chain's kinematics; they are cached, because creating them takes as long as solving a target."""
+    """Return a chain's kinematics, from a cache, because creating kinematics takes as long as solving a target."""
     others = [joint.name for joint in robot.urdf.chain(root, link) if joint.movable and joint.name not in joints]
     key = (link, *(now[name] for name in others))
     chains = _chains.setdefault(robot, {})

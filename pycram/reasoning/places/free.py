@@ -1,4 +1,4 @@
-"""Free places on surfaces, with room for an object's outline and for fingers around it (CRAM's ``on``)."""
+"""Free places on surfaces, with room for an object and for fingers around the object (CRAM's ``on``)."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _FINEST: Final = 0.005  # minimum distance in m between cells, used on a surface
 _CELLS: Final = 3  # number of cells across the part of a surface where the object's middle can be
 _ABOVE: Final = 0.003  # height in m; lower parts aren't obstacles, because the boxes around surfaces are too high
 _NEAR: Final = 0.15  # at this distance in m from a point, a score is half of the best
-_FAR: Final = 1.0  # largest distance in m between a place and the point or object that it is near
+_FAR: Final = 1.0  # largest distance in m from a place to the point ``near``, or to the object of ``side``
 _AWAY: Final = 0.4  # minimum distance in m between a place and the point ``away``
 _APART: Final = 0.04  # minimum distance in m of a new place from offered or tried places
 _EASY: Final = 0.5  # at this distance in m from the robot's nearest place, a score is half of the best
@@ -302,7 +302,7 @@ class SurfaceSearch(Search):
         return maps.Footprints(boxes, height + _ABOVE, height + size)
 
     def _beside(self, centers: Array, searched: SearchedSurface) -> Array:
-        """Return the scores for the wanted side of a surface or an object; they are 0 on other sides."""
+        """Return the scores for the wanted side of a surface or an object; the scores are 0 on other sides."""
         reference = self._reference
         middle = center(reference) if reference is not None else searched.pose()[0]
         robot = self._robot or self._body.world.robot
@@ -340,7 +340,7 @@ class SurfaceSearch(Search):
         coarse = Grid.over(low, high, height, _COARSE)
         distances = np.hypot(*(coarse.centers()[:, None] - places[None]).transpose(2, 0, 1))
         best = np.max([(reach.best(above, distances) * free).max(axis=1) for reach, above in shoulders], axis=0)
-        if drives(robot):  # an arm that stretches far over a surface would hit the objects on it
+        if drives(robot):  # an arm that stretches far over a surface would hit the objects there
             best /= 1.0 + (distances.min(axis=1) / _EASY) ** 4
         column, row = ((grid.centers() - low) / coarse.resolution).astype(np.intp).T
         spread_out: Array = best.reshape(coarse.shape)[row, column]
@@ -397,7 +397,7 @@ class SurfaceSearch(Search):
         return None
 
     def _unreached(self, arm: Arm, pose: Pose) -> Rejection | None:
-        """Return why an arm can't move the object to a pose while the base stays; None if it can."""
+        """Return why an arm can't move the object to a pose while the base stays; None if the arm can."""
         robot = self._robot
         assert robot is not None  # noqa: S101  the caller has checked
         position, turn = robot.get_position_and_orientation()

@@ -39,7 +39,7 @@ from recorder import geometry
 from recorder.geometry import Pose, Quaternion, Vector
 
 _TURNS: Final = 6  # number of orientations about the vertical for an object without a given orientation
-_MAX_SINGLE: Final = 30  # maximum number of places that are checked one by one; for more, one search for all is faster
+_MAX_SINGLE: Final = 30  # maximum number of places that are checked one by one; more places are checked together
 _STEP: Final = 0.1  # largest distance in m or rad between joint positions at which the arm must reach the handle
 
 

@@ -105,7 +105,7 @@ class Footprints:
             first, last = along[..., :-1], along[..., -1:]
             way = last - first
             way[way == 0.0] = 1e-12
-            # fractions of the line's length at which it crosses the sides of the rectangle
+            # fractions of a line's length at which the line crosses the sides of the rectangle
             one, other = (-halves - first) / way, (halves - first) / way
             enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
             met = np.maximum(enter, 0.0) <= np.minimum(leave, 1.0)
@@ -141,7 +141,7 @@ class Footprints:
 
 
 def radii(outline: Array) -> tuple[float, float]:
-    """Return the radii in m of two circles about the origin: within the hull of points (n, 2), and around it."""
+    """Return the radii in m of the widest circle about the origin in the hull of points (n, 2), and around the hull."""
     angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
     reach = outline @ np.array([np.cos(angles), np.sin(angles)])
     inner = float(reach.max(axis=0, initial=0.0).min())
@@ -154,7 +154,7 @@ def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> 
 
 
 def clear(centers: Array, obstacles: Footprints, inner: float, outer: float) -> Array:
-    """Return scores: 0 where a circle within an outline touches an obstacle, 1 where a circle around it is free.
+    """Return scores: 0 where a circle in an outline touches an obstacle, 1 where a circle around the outline is free.
 
     ``inner`` and ``outer`` are the radii of these circles in m.
     """
@@ -202,7 +202,7 @@ def draw_cells(
 ) -> list[tuple[int, tuple[float, float]]]:
     """Draw cells without replacement, with probabilities proportional to their scores (cells,), which aren't negative.
 
-    The result has the index of each drawn cell, and x and y in m of a random point in it; high scores come first.
+    The result has the index of each drawn cell, and x and y in m of a random point in the cell; high scores come first.
     """
     possible = np.flatnonzero(scores > 0.0)
     # the greatest log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
@@ -214,7 +214,7 @@ def draw_cells(
 
 
 def surroundings(robot: Object, *without: Object) -> Boxes:
-    """Return boxes around all objects except a robot, the objects that it holds, and the objects in ``without``."""
+    """Return boxes around all objects except a robot, its held objects, and the objects in ``without``."""
     clone = clone_of(robot.world, "reach")
     own = {robot, *held(robot), *without}
     return clone.all_boxes(body for body in robot.world.objects if body not in own)[0]

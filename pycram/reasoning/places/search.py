@@ -143,7 +143,7 @@ class Search(ABC):
 
     @abstractmethod
     def _next(self, batch: Batch, number: int) -> FoundPlace | None:
-        """Return a place from a new batch, whose number starts at 0; None if its places are all excluded."""
+        """Return a place from a new batch; None if all places are excluded. ``number`` counts batches from 0."""
 
     def _product(self, maps: Iterable[tuple[str, Array]]) -> tuple[Array, float]:
         """Return the product (cells,) of maps, scaled so that the best cell has 1, and the best cell's unscaled score.

@@ -219,7 +219,7 @@ class StandingSearch(Search):
         return Grid.over(low, high, here[2])
 
     def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
-        """Return the best score of a heading for each cell, for reaching or seeing everything, and these headings."""
+        """Return, for each cell, the score of the best heading for reaching or seeing all targets, and this heading."""
         points = [goal.position for goal in self._goals] or ([center(self._see)] if self._see is not None else [])
         offsets = np.asarray(points)[None, :, :2] - centers[:, None]  # (cells, points, 2)
         distances, bearings = np.hypot(offsets[..., 0], offsets[..., 1]), np.arctan2(offsets[..., 1], offsets[..., 0])
@@ -281,7 +281,7 @@ class StandingSearch(Search):
         return place
 
     def _exclude(self, batch: Batch, spot: Spot, constraint: str, reason: Rejection) -> None:
-        """Count a place that a constraint excludes; it won't be drawn again."""
+        """Count a place that a constraint excludes; the place won't be drawn again."""
         self._rejected.append(spot.pose[0])
         super()._exclude(batch, spot, constraint, reason)
 
@@ -304,7 +304,7 @@ class StandingSearch(Search):
         return [None if promising else OutOfReach(None) for promising in promises]
 
     def _collisions(self, spots: Sequence[Spot]) -> list[tuple[str, Rejection] | None]:
-        """Return the first collision of the robot at each place; None for free places and for its present place."""
+        """Return the first collision of the robot at each place; None at free places, and at its present place."""
         found: list[tuple[str, Rejection] | None] = []
         if not spots:
             return found

@@ -44,7 +44,7 @@ class ContactClient:
         return Touch(_truth(near), _truth(point for point in near if point.carries))
 
     def owner(self, world: FoldedWorld, link: str) -> str:
-        """Return the body that has a link with this name; "" if no body has it."""
+        """Return the body that has a link with this name; "" if no body has this link."""
         return next((name for name, body in world.bodies.items() if link in self._copy(world, body).body.links), "")
 
     def _client(self) -> Engine:

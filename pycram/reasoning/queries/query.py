@@ -29,7 +29,7 @@ _OBJECTS: Final = ("object", "object1", "object2", "robot")
 
 
 class Verdict(int):
-    """A yes or no with evidence; it behaves like a bool."""
+    """A yes or no with evidence, which behaves like a bool."""
 
     evidence: Mapping[str, object]  # facts behind the answer
     picture: records.Picture | None  # the camera's picture, if the query renders one
@@ -60,7 +60,7 @@ class Verdict(int):
 
 
 class Found(list[T], Generic[T]):
-    """A list of results with evidence; it behaves like a list."""
+    """A list of results with evidence."""
 
     def __init__(
         self,

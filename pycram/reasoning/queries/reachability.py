@@ -1,4 +1,4 @@
-"""Reachability: whether a robot reaches a target with a link (thesis 4.4.5), and what it would touch (thesis 4.4.6)."""
+"""Reachability: whether a robot reaches a target with a link (thesis 4.4.5), and the objects in the way (4.4.6)."""
 
 from __future__ import annotations
 

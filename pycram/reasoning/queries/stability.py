@@ -96,7 +96,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
 
 
 def _participants(body: Object) -> list[Object]:
-    """Return the object and all bodies that may move it in time.
+    """Return the object and all bodies that may move the object in time.
 
     A robot is simulated only if a free body leans on the robot, or if the robot is attached to the object.
     """
@@ -268,7 +268,7 @@ class SolidPart(Solid):
         self._turns = geometry.to_matrices(orientations)
 
     def link(self, contact: Contact) -> str:
-        """Return the link whose box is nearest to a contact; if several boxes contain it, the link of the smallest."""
+        """Return the link whose box is nearest to a contact; if several boxes contain the contact, the smallest."""
         if len(self._links) == 1:
             return self._links[0]
         within = np.einsum("kji,kj->ki", self._turns, contact.position - self._positions)
@@ -359,7 +359,7 @@ def _supports(
 
 
 def _holds(engine: Engine, body: LoadedBody, contact: Contact, up: Points) -> bool:
-    """Return whether a contact carries the body, and is level enough for friction to hold it."""
+    """Return whether a contact carries the body, and is level enough for friction to hold the body."""
     friction = engine.friction(body.id, contact.link) * engine.friction(contact.other, contact.other_link)
     slope = math.acos(min(1.0, float(np.dot(contact.normal, up))))
     return contact.force > 0.0 and slope < _FRICTION * math.atan(friction)

@@ -38,7 +38,7 @@ _FIELD: Final = math.tan(math.radians(60) / 2)  # tangent of half the field of v
 _MAX_NAMES: Final = 250  # maximum number of named objects in a picture
 _MARGIN: Final = 0.05  # margin around the object as a share of the part's size
 _RAY: Final = 1e-3  # half the width of a ray at a distance of 1 m
-_AT: Final = 0.05  # distance in m from a point; nearer objects, such as the board under it, don't hide the point
+_AT: Final = 0.05  # distance in m from a point; nearer objects, such as the board under the point, don't hide it
 
 
 @query
@@ -133,7 +133,7 @@ def _camera(given: object, target: Object, robot: Object | None) -> Camera:
 
 
 def _camera_of(robot: Object | None, frame: str) -> Camera:
-    """Return the camera in a robot's frame, with the field of view from the robot's description if it has one."""
+    """Return the camera in a robot's frame, with the field of view from the robot's description, if known."""
     if robot is None:
         raise NoWorld("robot")
     position, orientation = robot.get_link_position_and_orientation(frame)
