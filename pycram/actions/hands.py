@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from typing import Any, Final
 
 from pycram.actions.action import action, place_for_an_object, portable
@@ -237,14 +238,11 @@ def check_target(body: Object, target: Any) -> None:
     if isinstance(target, LocationDesignator) and target.for_objects:
         return  # the search for places has checked the room
     turns = [place["orientation"]] if place["orientation"] is not None else _UPRIGHT
-    for number, turn in enumerate(turns):
-        try:
+    for turn in turns[:-1]:
+        with suppress(PlaceFailed):
             settling.resting_position(body, place["position"], turn)
-        except PlaceFailed:
-            if number == len(turns) - 1:
-                raise
-        else:
             return
+    settling.resting_position(body, place["position"], turns[-1])
 
 
 def _closed_at(target: Any) -> list[str]:

@@ -225,15 +225,12 @@ class _Search:
         places = standing_places(self._robot, near=point.position)
         for _ in range(_PLACES):
             try:
-                place = next(places, None)
-                if place is None:
-                    break
-                facing = _facing(place, point)
-                perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
+                for place in itertools.islice(places, 1):
+                    facing = _facing(place, point)
+                    perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
+                    return True
             except PlanFailure as failure:
                 self.looked.append((point.where, failure))
-            else:
-                return True
         return False
 
     def _from_before(self, access: Access, hidden: Sequence[_Point]) -> Iterator[None]:

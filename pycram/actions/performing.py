@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -231,24 +231,22 @@ def imagine(candidates: Sequence[tuple[ActionType, Solution, Mapping[str, Any]]]
     Each candidate has the action, its solution, and the chosen slots for records; the best candidate comes first. If a
     choice raises an error that isn't a plan failure, this function raises the error.
     """
-    outcomes = project_all([partial(_Imagined(kind, solution), **choice) for kind, solution, choice in candidates])
+    outcomes = project_all([partial(_imagined(kind, solution), **choice) for kind, solution, choice in candidates])
     for outcome in outcomes:
         if outcome.failure is not None and not isinstance(outcome.failure, PlanFailure):
             raise outcome.failure
     return outcomes
 
 
-class _Imagined:
-    """A function for a projection; the function performs an action with a solution."""
+def _imagined(kind: ActionType, solution: Solution) -> Callable[..., Any]:
+    """Return a function for a projection, which performs an action with a solution and has the action's name."""
 
-    def __init__(self, kind: ActionType, solution: Solution) -> None:
-        self.__qualname__ = kind.type
-        self._kind = kind
-        self._solution = solution
-
-    def __call__(self, **_: object) -> Any:
+    def performed(**_: object) -> Any:
         with not_projecting():
-            return self._kind.call(self._solution)
+            return kind.call(solution)
+
+    performed.__qualname__ = kind.type
+    return performed
 
 
 @dataclass(frozen=True, slots=True)

@@ -75,42 +75,32 @@ def as_toml(
         postures: Joint positions of parked arms by the arm's name, rad or m.
         may_touch: Pairs of links that may overlap.
     """
+    return "\n".join(_lines(guess, postures or {}, sorted(may_touch))) + "\n"
+
+
+def _lines(guess: Guess, postures: Mapping[str, Sequence[float]], pairs: Sequence[tuple[str, str]]) -> Iterator[str]:
     urdf = guess.model.urdf
-    lines = [
-        "# Written by pycram describe: a guessed description. Please review it. Units: metres, radians.",
-        f"robot = {quoted(urdf.name)}",
-        f"base_link = {quoted(urdf.root)}",
-        f"drives = {'true' if guess.drives else 'false'}",
-    ]
-    pairs = sorted(may_touch)
+    yield "# Written by pycram describe: a guessed description. Please review it. Units: metres, radians."
+    yield from (f"robot = {quoted(urdf.name)}", f"base_link = {quoted(urdf.root)}")
+    yield f"drives = {'true' if guess.drives else 'false'}"
     if pairs:
-        lines += [
-            "may_touch = [  # links that overlap in every posture",
-            *(f"    {_list(pair)}," for pair in pairs),
-            "]",
-        ]
+        yield "may_touch = [  # links that overlap in every posture"
+        yield from (f"    {_list(pair)}," for pair in pairs)
+        yield "]"
     if guess.torso is not None:
         middle = (guess.torso.lower + guess.torso.upper) / 2
-        lines += [
-            "",
-            "[torso]",
-            f"joint = {quoted(guess.torso.name)}",
-            f"default = {_number(middle)}  # position when loaded",
-        ]
+        yield from ("", "[torso]", f"joint = {quoted(guess.torso.name)}")
+        yield f"default = {_number(middle)}  # position when loaded"
     if guess.camera:
         if guess.head:
-            lines += [
-                "",
-                "[head]",
-                *(f"{part} = {quoted(guess.head[part])}" for part in ("pan", "tilt") if part in guess.head),
-            ]
-        lines += ["", "[camera]", f"frame = {quoted(guess.camera)}"]
-        lines += [_USUAL] if "optical" in guess.camera.lower() else [_OPTICAL_OFFSET, _USUAL]
+            yield from ("", "[head]")
+            yield from (f"{part} = {quoted(guess.head[part])}" for part in ("pan", "tilt") if part in guess.head)
+        yield from ("", "[camera]", f"frame = {quoted(guess.camera)}")
+        yield from (_USUAL,) if "optical" in guess.camera.lower() else (_OPTICAL_OFFSET, _USUAL)
     if not guess.arms:
-        lines += ["", f"# no arms: no chain of {ARM} joints, except in legs and heads"]
+        yield from ("", f"# no arms: no chain of {ARM} joints, except in legs and heads")
     for arm, hand in guess.arms:
-        lines += _arm(arm, hand, (postures or {}).get(arm.name))
-    return "\n".join(lines) + "\n"
+        yield from _arm(arm, hand, postures.get(arm.name))
 
 
 def _arm(arm: ArmChain, hand: HandGuess | SuctionGuess | str, park: Sequence[float] | None) -> Iterator[str]:

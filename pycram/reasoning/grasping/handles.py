@@ -346,18 +346,12 @@ class _Search:
         found = self._solver.closed_form(targets)
         if not any(found) and not (self._quick and self._solver.in_closed_form):  # a search may find more
             found = self._solver.search(targets, quick=True)
-        count = len(angles)
-        return [
-            self._layer(
-                [
-                    (posture.positions, angle)
-                    for angle, each in zip(angles, found[start : start + count], strict=True)
-                    for posture in each
-                    if posture.reaches()
-                ]
-            )
-            for start in range(0, len(found), count)
-        ]
+        layers = []
+        for start in range(0, len(found), len(angles)):
+            rows = zip(angles, found[start : start + len(angles)], strict=True)
+            good = [(each.positions, angle) for angle, some in rows for each in some if each.reaches()]
+            layers.append(self._layer(good))
+        return layers
 
     def _layer(self, found: Sequence[tuple[Mapping[str, float], float]]) -> _Layer:
         rows = [[positions[name] for name in self._arm.joints] for positions, _ in found]

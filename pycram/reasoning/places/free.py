@@ -105,10 +105,8 @@ def free_places(
         each, surface = item if isinstance(item, tuple | list) else (item, None)
         furniture = unwrap(each)
         world_of(furniture)
-        if surface is None:
-            surfaces += [(furniture, top) for top in furniture.tops]
-            continue
-        surfaces.append((furniture, surface if isinstance(surface, Surface) else furniture.surface(surface)))
+        named = surface if surface is None or isinstance(surface, Surface) else furniture.surface(surface)
+        surfaces += [(furniture, top) for top in (furniture.tops if named is None else [named])]
     if not surfaces:
         raise BadArgument("on", on, "one or more surfaces with their furniture")
     name, reference = (side, None) if side is None or isinstance(side, str) else (side[0], unwrap(side[1]))

@@ -88,21 +88,12 @@ class Batch(Choice):
         grid, scores, spots = self._drawn
         shades = np.ceil(np.clip(scores, 0.0, 1.0) * 255).astype(np.uint8)
         height, width = grid.shape
-        record.grid.CopyFrom(
-            records.Grid(
-                origin=grid.origin,
-                resolution=grid.resolution,
-                width=width,
-                height=height,
-                scores=zlib.compress(shades.tobytes()),
-                spots=[
-                    records.Spot(
-                        position=spot.pose[0], yaw=spot.yaw, score=spot.score, candidate=groups.get(spot.name, -1)
-                    )
-                    for spot in spots
-                ],
-            )
-        )
+        packed = zlib.compress(shades.tobytes())
+        drawn = records.Grid(origin=grid.origin, resolution=grid.resolution, width=width, height=height, scores=packed)
+        for spot in spots:
+            candidate = groups.get(spot.name, -1)
+            drawn.spots.add(position=spot.pose[0], yaw=spot.yaw, score=spot.score, candidate=candidate)
+        record.grid.CopyFrom(drawn)
         return groups
 
 
