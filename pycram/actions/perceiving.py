@@ -67,7 +67,7 @@ def detected(bodies: Sequence[Object]) -> Object:
     for body in bodies:
         if camera and visible(body, camera.frame, robot=robot, threshold=RECOGNISABLE):
             return body
-    raise PerceptionError(kind, {body.name: f"is not seen, but {found.name}" for body in bodies})
+    raise PerceptionError(kind, {body.name: f"is not seen, but {found.name} is" for body in bodies})
 
 
 @action("looking", one_of=("object", "target"), checked={"target": looked_at})

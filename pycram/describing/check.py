@@ -177,7 +177,7 @@ def _missing_grippers(robot: Object, description: RobotDescription) -> Iterator[
         links = tree.gripper_links(chain, chains)
         if links and description.arms[name].hand is None:
             hand = guess_hand(tree, chain, Corners(robot.model))
-            reason = f"pycram describe finds {f'no gripper: {hand}' if isinstance(hand, str) else 'one'}"
+            reason = f"pycram describe finds {f'no gripper: {hand}' if isinstance(hand, str) else 'a gripper'}"
             text = f"links {_some(links)} are named like a gripper, but the description has no gripper ({reason})"
             yield Finding(False, f"{name} arm", text)
     if links := tree.gripper_links(None, chains):
@@ -245,7 +245,7 @@ def _head(robot: Object, description: RobotDescription) -> Finding:
     _, (x, y, z) = pan_tilt.aim_camera(robot.urdf, joints, camera, point, now)
     angle = math.degrees(math.atan2(math.hypot(x, y), z))
     limit = math.degrees(min(camera.horizontal_fov, camera.vertical_fov)) / 2
-    text = f"the camera looks {angle:.1f} degrees past a point that is 1.5 m in front and 0.5 m below"
+    text = f"the camera looks {angle:.1f} degrees past a point 1.5 m in front of the camera and 0.5 m below"
     return Finding(angle <= (1.0 if len(joints) > 1 else limit), "camera", text)
 
 

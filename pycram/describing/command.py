@@ -146,7 +146,9 @@ def _check(description: RobotDescription, options: argparse.Namespace) -> int:
     robot_name = description.robot.removesuffix("_with_gripper")
     urdf = options.file or next((name for name in ROBOT_URDFS if Path(name).stem == robot_name), None)
     if urdf is None:
-        return _refused(f"{options.check} describes {description.robot}, which isn't bundled: give its URDF, too")
+        return _refused(
+            f"{options.check} describes {description.robot}, which isn't bundled: give the robot's URDF, too"
+        )
     with BulletWorld() as world:
         robot = _loaded(description, urdf, world)
         failed = 0

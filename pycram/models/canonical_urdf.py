@@ -317,4 +317,4 @@ def check_size(source: Path, tree: Urdf) -> None:
     for joint in tree.joints.values():
         at, _ = joint.origin
         if max(map(abs, at)) > LARGEST:
-            raise AssetError(source, f"joint {joint.name!r}: its origin is {at}: the maximum is {LARGEST:g}")
+            raise AssetError(source, f"joint {joint.name!r}: the origin {at} has a coordinate above {LARGEST:g}")

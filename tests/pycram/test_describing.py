@@ -464,7 +464,7 @@ def test_fingers_that_can_not_move_are_named_and_a_check_misses_the_gripper(
     assert f"# no gripper: {stuck}\n" in ended.stdout
     without, _, _ = described.partition("[arms.z-axis.gripper]")
     (tmp_path / "mine.toml").write_text(without)
-    for text, reason in ((file.read_text(), stuck), (complete, "pycram describe finds one")):
+    for text, reason in ((file.read_text(), stuck), (complete, "pycram describe finds a gripper")):
         file.write_text(text)
         checked = describe("--check", "mine.toml", str(file))
         assert checked.returncode == 1

@@ -444,11 +444,11 @@ class Remedy:
     def phrase(self) -> str:
         """Return the remedy as text."""
         if self.parked:
-            return f"the {self.arm} arm can do it from here if the {self.parked} arm is parked"
+            return f"the {self.arm} arm can move the handle from here if the {self.parked} arm is parked"
         if self.base is None:
-            return f"the {self.arm} arm can do it from here"
+            return f"the {self.arm} arm can move the handle from here"
         place = ", ".join(f"{part:.2f}" for part in self.base)
-        return f"the {self.arm} arm can do it with the robot at [{place}], {self.distance:.2f} m from here"
+        return f"the {self.arm} arm can move the handle with the robot at [{place}], {self.distance:.2f} m from here"
 
 
 @dataclass(frozen=True, slots=True)

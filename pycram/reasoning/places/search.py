@@ -199,7 +199,7 @@ class Reasons:
         """Store the constraint that excluded all places; ``alone`` is whether the other constraints admit places."""
         self._maps = _SURFACE.get(constraint, "")
         if not self._maps and alone and constraint.startswith(("near", "away-from", "side")):
-            self._maps = f"there are places without {constraint}: change it or leave it out"
+            self._maps = f"there are places without {constraint}: change or omit this constraint"
 
     def text(self, constraint: str, objects: Sequence[Object], *, drives: bool) -> str:
         """Return the most frequent reason of a constraint and a remedy; "" if neither is known.

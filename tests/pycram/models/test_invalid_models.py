@@ -83,7 +83,7 @@ def test_invalid_links_are_rejected_by_name(tmp_path: Path, world: BulletWorld, 
 @pytest.mark.parametrize(
     ("origin", "cause"),
     [
-        ("1e39 0 0", r"joint 'far': its origin is \(1e\+39, 0.0, 0.0\)"),
+        ("1e39 0 0", r"joint 'far': the origin \(1e\+39, 0.0, 0.0\) has a coordinate above"),
         ("1_0 0 0", "of joint far is '1_0', not a number"),
     ],
 )

@@ -147,7 +147,9 @@ def test_a_handle_out_of_reach_is_named_with_joint_value_and_orientation_and_wha
     assert forward == pytest.approx((1, 0, 0), abs=1e-6)  # from the front
     for part in (joint, handle, "left arm", f"stays {failure.distance:.3f} m"):
         assert part in str(failure)
-    (place,) = [re.search(r"the (\w+) arm can do it with the robot at \[(.*?)\]", each) for each in failure.remedies]
+    (place,) = [
+        re.search(r"the (\w+) arm can move the handle with the robot at \[(.*?)\]", each) for each in failure.remedies
+    ]
     x, y, _ = (float(part) for part in place[2].split(","))
     go(x, y, 0.0)
     access(scene, joint, handle, place[1], 0.3)
@@ -263,7 +265,7 @@ def test_an_arm_in_the_way_is_named_and_parking_it_helps_where_the_failure_says_
     perform(type="move-tcp", arm="left", target=[1.166, 0.87, 0.915])  # its forearm is above the bar
     with pytest.raises(HandleBlocked, match="l_forearm_link would touch") as raised:
         access(scene, joint, handle, "right", 0.3)
-    assert "the right arm can do it from here if the left arm is parked" in raised.value.remedies
+    assert "the right arm can move the handle from here if the left arm is parked" in raised.value.remedies
     perform(type="move-arm-joints", left_arm="park")
     access(scene, joint, handle, "right", 0.3)
     assert scene.get_object("kitchen").get_joint_position(joint) == pytest.approx(0.3)

@@ -141,7 +141,7 @@ def test_constraints_that_exclude_each_other_are_named(room: BulletWorld, table:
     finally:
         bowl.set_position(bowl_was)
     assert refused.value.last == "side back"
-    remedy = "there are places without side back: change it or leave it out"
+    remedy = "there are places without side back: change or omit this constraint"
     assert str(refused.value).endswith(f"the last place was excluded by side back; {remedy}")
     next(free_places(cup, on=on(table), seed=0))
 
