@@ -28,7 +28,7 @@ from typing import Any, Final, NamedTuple
 from pycram import running
 from pycram.failures import PlanFailure
 from pycram.foundation.errors import call_all, export
-from pycram.models import load, store
+from pycram.models import load, shapes, store
 from pycram.plan_parameters import Variations
 from pycram.projection.child import (
     GRACE,
@@ -329,7 +329,10 @@ class Local:
         outcome = RunOutcome(**answer["outcome"])
         for path, color, scale in () if self._warm else answer["models"]:
             with suppress(Exception):  # the next run reports this error
-                load.load(path, color or None, scale=scale)
+                model = load.load(path, color or None, scale=scale)
+                shapes.shapes_of(model.path)
+                if len(model.urdf.links) == 1:  # the runs grasp such objects
+                    shapes.solids_of(model.path)
             self._warm = True
         if self._models is None and not outcome.unrecorded:
             self._models = share_models(Path(self._spec.folder) / outcome.name)
