@@ -342,11 +342,7 @@ def _in_turn(
     start: Mapping[str, float],
     patience: int,
 ) -> list[Step]:
-    """Return steps that move joints from a start to positions: all together, or one arm after another.
-
-    Raises:
-        NoPath: No path was found for one of the steps.
-    """
+    """Return steps that move joints to positions, together or arm by arm; raise NoPath if a step has no path."""
     parts = [dict(positions)]
     if order is not None:
         of_arms = [{name: at for name, at in positions.items() if name in arm.joints} for arm in order]

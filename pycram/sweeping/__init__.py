@@ -222,11 +222,7 @@ def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, Ru
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Create a folder, and lock it against other sweeps during the ``with`` block.
-
-    Raises:
-        SweepRefused: Another sweep uses the folder, or it can't be created.
-    """
+    """Create and lock a folder for the ``with`` block; raise SweepRefused if another sweep uses it, or on errors."""
     held = folder.resolve()
     who = f"process {os.getpid()} on {platform.node()} (since {time.strftime('%Y-%m-%d %H:%M:%S')})"
     if held in _held:  # if the file were opened and closed again, the lock would be released
@@ -263,11 +259,7 @@ def _in_use(folder: Path, who: str) -> SweepRefused:
 
 
 def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Write the description of a sweep, and return the folder's earlier description; {} in a new folder.
-
-    Raises:
-        SweepRefused: The folder has another sweep.
-    """
+    """Write a sweep's description; return the folder's earlier one, or {}; raise SweepRefused for another sweep."""
     file = folder / SWEEP
     before: dict[str, Any] = {}
     if file.exists():

@@ -367,11 +367,7 @@ class Worker:
         self._process.communicate()
 
     def run(self, numbers: Iterable[int]) -> Generator[RunOutcome, None, None]:
-        """Make runs, and yield each outcome when the run ends. Closing the generator kills the remaining runs.
-
-        Raises:
-            WorkerLost: The process has ended.
-        """
+        """Make runs and yield their outcomes, as :meth:`Local.run`; raise WorkerLost if the process has ended."""
         left = dict.fromkeys(numbers)
         if not left:
             return

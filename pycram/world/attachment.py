@@ -121,11 +121,7 @@ def attach(
 
 
 def detach(side: Object, other: Object) -> None:
-    """End the attachment between two objects, from either side; the objects and their contents don't move.
-
-    Raises:
-        AttachmentError: The objects aren't attached to each other.
-    """
+    """End the attachment between two objects, without moving them; raise AttachmentError if there is none."""
     command = records.Mutation(detach_body=records.DetachBody())
     with side.world.transactions.begin(command) as transaction:
         attachment = next((held for held in side.attachments.values() if held.other(side) is other), None)
@@ -310,11 +306,7 @@ def supported_bodies(container: Object, links: Iterable[str]) -> dict[Object, st
 def move_supported(
     container: Object, before: Mapping[str, Pose], supported: Mapping[Object, str], transaction: Transaction
 ) -> None:
-    """Move the supported bodies together with their links.
-
-    Args:
-        before: Poses of the links before the links moved.
-    """
+    """Move the supported bodies with their links; ``before`` has the poses of the links before the links moved."""
     engine = container.world.engine
     for body, link in supported.items():
         moved = geometry.multiply(engine.link_pose(container.handle, link), geometry.invert(before[link]))

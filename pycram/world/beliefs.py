@@ -38,11 +38,7 @@ class WorldBeliefs:
         return [(belief, self._step(belief)) for belief in reversed(own)]
 
     def look(self, evidence: Mapping[str, object], steps: Steps = MappingProxyType({})) -> None:
-        """Update the beliefs after a perception.
-
-        Args:
-            evidence: The perceived objects, in the form of :func:`recorder.records.beliefs.sightings`.
-        """
+        """Update the beliefs after a perception with evidence of :func:`recorder.records.beliefs.sightings`."""
         learned = fold.look(self._beliefs, evidence, self._world.sim_step)
         self._steps.update(dict.fromkeys(learned, steps))
 

@@ -101,11 +101,7 @@ class Event:
             span.emit(record, world=world, sim_step=sim_step)
 
     def prepare(self, *args: object, **kwargs: object) -> Callable[[], None]:
-        """Record the event, and return a function that calls the present handlers with these arguments.
-
-        Raises:
-            RecordingError: The event can't be recorded.
-        """
+        """Record the event, or raise RecordingError; return a function that calls the present handlers."""
         handlers = self._handlers
         steps: Mapping[Journal, int] = {}
         if journal.recording():

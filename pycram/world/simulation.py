@@ -309,11 +309,7 @@ class Restless(UserWarning):
 
 
 def settle(world: BulletWorld, steps: int) -> tuple[dict[Object, Speed], bool]:
-    """Simulate in one transaction until everything is at rest, or all steps are done.
-
-    Returns:
-        The objects that aren't at rest, and whether all steps were simulated; another thread may end the world.
-    """
+    """Simulate until all is at rest, in one transaction; return restless objects, and whether all steps were done."""
     command = records.Simulate(steps=steps, settled=False)
     with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
         detector = RestDetector(world)

@@ -147,11 +147,7 @@ def _is_property(text: str) -> bool:
 
 
 def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCall, str]:
-    """Return the query that a step recorded, and the world of the query.
-
-    Raises:
-        BadQuestion: The record isn't a query of a plan, or the query was asked in another world.
-    """
+    """Return the query that a step recorded, and its world; raise BadQuestion if it isn't a query of a plan there."""
     record = log[step]
     if not isinstance(record, Query):
         raise BadQuestion(f"step {step}", "its record isn't a query that can be asked again; give a question")

@@ -49,11 +49,7 @@ def world_state(log: RecordReader, step: int, name: str | None = None, moment: f
 
 
 def model_of(log: RecordReader, loaded: LoadBody) -> Model:
-    """Return the model of a body as files in a temporary folder.
-
-    Raises:
-        Damaged: A file is missing, damaged or invalid.
-    """
+    """Return the model of a body as files in a temporary folder; raise Damaged if a file is missing or invalid."""
     names = [f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in loaded.assets]
     if not names:
         raise Damaged(log.path, f"the loading of {loaded.body}", "it names no files")

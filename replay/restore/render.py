@@ -233,11 +233,7 @@ class DrawnWorld:
         return [drawn for drawn in self._bodies.values() if drawn.body.type != "environment"]
 
     def subject(self, target: Sequence[float] | str | Sequence[str] | None) -> tuple[PictureSubject, Vector | None]:
-        """Return the subject of a picture of a target, and the target if it is a point.
-
-        Raises:
-            NoSuchName: there is no such object or link.
-        """
+        """Return the subject of a picture of a target, and the target if it is a point; raise NoSuchName if unknown."""
         names = [target] if isinstance(target, str) else list(target or ())
         if names and all(isinstance(name, str) for name in names):
             return PictureSubject(tuple(self._parts_of(str(name)) for name in names), every=True), None

@@ -217,11 +217,7 @@ def _level_postures(
     choice: Choice,
     failures: list[PlanFailure],
 ) -> Iterator[Mapping[str, float]]:
-    """Yield joint values with the tool at a target, as level as it is now; small turns first.
-
-    Raises:
-        Unreachable: In the requested orientation, the tool would lean.
-    """
+    """Yield joint values with the tool at a target, small turns first; raise Unreachable if the tool would lean."""
     now = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
     turns = [geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), now) for degrees in _TURNS]
     if orientation is not None:
