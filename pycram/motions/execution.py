@@ -504,14 +504,10 @@ def _line(
 ) -> list[Mapping[str, float]] | None:
     """Return the postures of the arm on the first collision-free straight line of the tool; None without such a line.
 
-    The caller holds the world's lock.
-
     Args:
         start: Posture at the beginning: positions in rad or m by joint; other joints keep their present positions.
         ways: Directions of the line to try, as unit vectors in the world.
-        ignored: Objects that the arm may touch before the end of the line. At its beginning, the line may touch all
-            objects.
-        ignored_links: Links that the arm may touch, with the objects on them.
+        ignored: Objects that the arm may touch before the end of the line.
     """
     tool = _tool_pose(robot, arm, start)
     for way, length in itertools.product(ways, _STRAIGHT):

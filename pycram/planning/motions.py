@@ -140,12 +140,7 @@ def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> PlannedM
 
 
 class _Moved:
-    """The joints that move between two postures.
-
-    Args:
-        now: positions of all joints at the start.
-        wanted: goal positions of joints.
-    """
+    """The joints that move from a posture with all joints, ``now``, to wanted positions."""
 
     def __init__(self, robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> None:
         mimics = robot.urdf.mimics if robot.model.loading.mimic else {}

@@ -160,12 +160,7 @@ def _recorded(log: RecordReader, step: int, world: str | None) -> tuple[QueryCal
 
 
 def _believed(state: State, step: int, world: str | None, question: QueryCall, moves: Sequence[Move]) -> QueryAnswer:
-    """Return a robot's recorded belief after a step.
-
-    Raises:
-        BadQuestion: The question has other arguments, or objects are moved, but past beliefs don't change with that.
-        NoSuchName: There is no such object or type.
-    """
+    """Return a robot's recorded belief after a step; raise BadQuestion for changes, which don't affect past beliefs."""
     if moves:
         raise BadQuestion(str(question), "moving objects can't change a robot's past belief")
     given = dict(zip(_BELIEVED_TAKES, question.arguments, strict=False))

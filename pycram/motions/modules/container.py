@@ -106,12 +106,7 @@ class Accessing(SimulatedModule):
 
     @staticmethod
     def _path(robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice) -> HandlePath:
-        """Return the path of the arm; without a path, try other heights of the torso.
-
-        Raises:
-            HandleUnreachable: The arm doesn't reach the whole path.
-            HandleBlocked: An obstacle is in the way.
-        """
+        """Return the arm's path, if need be with another torso height; raise HandleUnreachable or HandleBlocked."""
         found = plan_path(robot, arm, handle, values, choice=choice)
         swept = list(_swept(handle, values))
         if swept:

@@ -171,16 +171,7 @@ def _plan(
     choice: Choice,
     giver: Arm | None,
 ) -> tuple[Step, Mapping[str, float]]:
-    """Return the step to the best grasp of an object, and the posture of the closed gripper.
-
-    The gripper doesn't touch another hand that holds the object.
-
-    Raises:
-        GraspFailed: The fingers can't hold the object from any side.
-        Unreachable: No posture brings the gripper to a grasp.
-        Blocked: All postures that reach a grasp are in collision.
-        NoPath: No path to a grasp was found.
-    """
+    """Return the step to the best grasp of an object that touches no giving hand, and the closed gripper's posture."""
     failures: list[PlanFailure] = []
     searched = 0
     for grasp, posture, closing in holding_grasps(robot, arm, body, names, failures, choice):

@@ -135,18 +135,7 @@ def _plan(
     lower: Callable[[Mapping[str, float], Pose, float], Step],
     choice: Choice,
 ) -> _Plan:
-    """Return the first plan without a collision, even while the fingers open; the caller holds the world's lock.
-
-    Args:
-        target: xyz in m.
-        orientation: xyzw; None for upright.
-        lower: Plans the way of the arm to a posture, from the pose of the tool and the patience of the search.
-
-    Raises:
-        PlaceFailed: There is no free posture, or no room for the object.
-        NoPath: No path was found to the first postures.
-        Unreachable: No posture brings the object to the target.
-    """
+    """Return the first plan without a collision, even while the fingers open."""
     refusals = Refusals()
     for placement in placements(robot, arm, body, target, orientation, refusals, choice):
         patience = LESS_PATIENCE if refusals.no_path else 1.0
@@ -204,15 +193,7 @@ def _reasons(
     neighbours: Mapping[Object, PoseLike],
     restless: Collection[Object],
 ) -> list[str]:
-    """Return the reasons why a placement failed; an empty list after a success.
-
-    Args:
-        target: The requested position, xyz in m.
-        wanted: Pose at which the object was released.
-        orientation: The requested orientation; None for upright.
-        neighbours: Objects that touched the object at the release, with their poses at that time.
-        restless: Objects that still move.
-    """
+    """Return why a placement failed, if it did; ``wanted`` is the object's pose at its release."""
     position, turn = body.get_position_and_orientation()
     away = min(math.dist(position, wanted[0]), math.dist(position, target))  # the object may slide to the target
     turned = geometry.angle(turn, wanted[1])

@@ -238,12 +238,7 @@ def _level_postures(
 def _posture(
     robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
 ) -> Mapping[str, float]:
-    """Return the joint values of the nearest posture that brings the tool to a target without new contacts.
-
-    Raises:
-        Unreachable: No posture reaches the target.
-        Blocked: All postures that reach the target are in collision.
-    """
+    """Return the nearest posture with the tool at a target without new contacts; raise Unreachable or Blocked."""
     postures = inverse.postures(robot, arm.tool_frame, target, orientation, thorough=True)
     if not postures[0].reaches():
         choice.reject("the nearest posture", OutOfReach(postures[0].position_error, postures[0].turn_error))
