@@ -248,8 +248,8 @@ def options_parser() -> Parser:
     describe.add_argument(
         "--gripper",
         choices=("suction", "two-finger"),
-        help="give each arm without a gripper a suction cup, or PyCRAM's gripper with two fingers, which needs a URDF: "
-        "the command writes FILE_with_gripper.urdf",
+        help="the gripper for each arm without a gripper: a suction cup, or two fingers, which the command adds to a "
+        "copy of the URDF, FILE_with_gripper.urdf",
     )
     describe.add_argument(
         "--picture",
@@ -347,7 +347,9 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN.py", help="the plan")
     parser.add_argument("--runs", metavar="N", type=_count, required=True, help="number of runs, numbered from 0")
     parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="the folder for the recordings")
-    parser.add_argument("--seed", metavar="N", type=_seed, default=0, help="the run I has the seed N + I (default: 0)")
+    parser.add_argument(
+        "--seed", metavar="N", type=_seed, default=0, help="run number I has the seed N + I (default: 0)"
+    )
     parser.add_argument(
         "-j", "--jobs", metavar="N", type=_count, default=0, help="number of parallel runs (default: one per core)"
     )

@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 SUCCEEDED, FAILED, WRONG_USAGE, INTERRUPTED = 0, 1, 2, 130  # exit codes
 MAX_SEED: Final = 2**32 - 1  # largest seed that PYTHONHASHSEED and NumPy accept
 _HASH: Final = "PYTHONHASHSEED"
-#: :func:`restart` sets this variable to the id of the restarted process and its seed. Child processes of a plan have
-#: other ids.
+#: :func:`restart` sets this variable to the id and the seed of the restarted process. Child processes have other ids.
 _RESTARTED: Final = "PYCRAM_SEEDED"
 _PAGE: Final = "serve"  # value of --rerun
 

@@ -78,7 +78,7 @@ def suggestion(name: object, known: Iterable[str]) -> str:
     if near := did_you_mean(name, names):
         return near.removeprefix("; ")
     if len(names) > _MAX_LISTED:
-        return f"there are {len(names)} of them, such as {', '.join(names[:_MAX_SUGGESTED])}"
+        return f"there are {len(names)} names, such as {', '.join(names[:_MAX_SUGGESTED])}"
     return f"there are {', '.join(names) or 'none'}"
 
 

@@ -39,8 +39,8 @@ _MAX_RECORDS: Final = 50  # maximum number of records in a chunk
 _MAX_BYTES: Final = 1 << 20  # maximum number of bytes in a chunk
 _FLUSH_PERIOD: Final = 0.05  # s
 _Key: TypeAlias = tuple[str, str, int]  # topic, world and its lifetime; "" and 0 for all worlds
-#: A buffered message: key of the channel, number and time of the record, bytes, and the record; None instead of the
-#: record if the record's line in the log was already made.
+#: A buffered message: key of the channel, number and time of the record, bytes, and the record; None instead of a
+#: record without a further line in the log.
 _Buffered: TypeAlias = "tuple[_Key, int, int, bytes, Record | None]"
 _LINES: Final = ("/log", "", 0)
 _TRANSFORMS: Final = ("/tf", "", 0)
@@ -300,7 +300,7 @@ def definition(message: type[Message]) -> bytes:
 
 
 HINT: Final = "free space or choose another path, and run again"
-CHANGED_HINT: Final = "don't change it while a plan is recorded, and run again"
+CHANGED_HINT: Final = "don't change the file while a plan is recorded, and run again"
 _WITHOUT_LOCKS: Final = (errno.ENOTSUP, errno.EINVAL, errno.ENOLCK)  # errors of file systems that have no locks
 
 

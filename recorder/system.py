@@ -16,8 +16,7 @@ except ImportError:  # Windows
 
 HAS_LOCKS: Final = fcntl is not None
 HAS_OWNERS: Final = hasattr(os, "getuid")
-#: Flags for opening files: children don't inherit the files, and Windows doesn't convert their bytes. Flags that a
-#: system doesn't support are 0.
+#: Flags for opening files: children don't inherit the files, and Windows doesn't convert bytes. Missing flags are 0.
 OPENED: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)  # flag for not following links
 

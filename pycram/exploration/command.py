@@ -123,8 +123,8 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
         yield f"{number:3}  {found.count:4}  {_words(found.ending, result.reference)}"
     if not result.deterministic:
         yield ""
-        yield "The plan isn't deterministic: runs in the same order end differently. It may read the clock or network,"
-        yield "or have its own random generators. pycram-replay retrace FILE names the first record that differs."
+        yield "The plan isn't deterministic: runs in the same order end differently. The plan may read the clock or the"
+        yield "network, or have its own random generators. pycram-replay retrace FILE names the first differing record."
     for number, found in enumerate(result.found, 1):
         yield ""
         if number > 1 and found.made:

@@ -186,7 +186,7 @@ class Fluent:
         if state.get(self.expression) is False:
             text = (
                 f"{self.name} is False, which is a value, so wait_for() returns immediately; "
-                f"to wait until it is true, wait for ({self.name} == True), or begin with None"
+                f"to wait for a true value, wait for ({self.name} == True), or make None the first value"
             )
             warnings.warn_explicit(text, FalseEndsWait, *call_site())
         values = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}

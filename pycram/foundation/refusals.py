@@ -1,7 +1,7 @@
 """Refusals: calls that PyCRAM rejects are recorded with their error, even if the plan catches the error.
 
-A refusal is recorded once: as the call that the plan made. Calls that PyCRAM makes within this call aren't recorded,
-but calls that a handler, resolver or query of the plan makes are.
+A refusal is recorded once: as the call that the plan made. Calls within this call are recorded only if a handler,
+resolver or query of the plan makes them.
 """
 
 from __future__ import annotations

@@ -153,7 +153,7 @@ failure_handling = FailureHandling
 
 def _failure_type(kind: type[PlanFailure]) -> type[PlanFailure]:
     if not (isinstance(kind, type) and issubclass(kind, PlanFailure)):
-        raise BadArgument("kind", kind, "a type of plan failures; only these are retried")
+        raise BadArgument("kind", kind, "a type of plan failures; other errors aren't retried")
     return kind
 
 

@@ -594,7 +594,7 @@ def _at_least(a: Any, b: Any) -> Truth:
 
 def _among(value: Any, others: Any) -> Truth:
     if not isinstance(others, tuple) or not others:
-        raise NoValue("in needs names in brackets")
+        raise NoValue("the operator 'in' needs names in brackets")
     return max(_equal(value, other) for other in others)
 
 

@@ -27,7 +27,7 @@ from recorder.tracing.context import current_ident
 
 CallSite: TypeAlias = "tuple[str, int]"  # a file and a line number, from 1
 
-MAX_LINES: Final = 32  # a call stack has at most this many lines; the middle of a longer call stack is left out
+MAX_LINES: Final = 32  # maximum number of lines of a call stack; the middle of a longer call stack is left out
 #: Packages whose frames are left out of call stacks, because they aren't the plan's code.
 _MACHINERY: Final = frozenset({"pycram", "recorder", "replay", "contextlib", "threading", "concurrent", "contextvars"})
 #: Modules that run a plan as a program. Call stacks leave out the frames that call these modules.

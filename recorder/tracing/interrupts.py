@@ -2,8 +2,8 @@
 
 Python raises KeyboardInterrupt in the main thread between any two instructions. Ctrl-C waits for the end of a section
 (:class:`Uninterrupted`), which is a change or a record. In branches and in the plan language (:class:`Host`), Ctrl-C
-waits for the next checkpoint (:mod:`pycram.scheduling`). Our handler of SIGINT is installed only in sections and scopes
-of the plan language in the main thread, and calls the handler that was installed before.
+waits for the next checkpoint (:mod:`pycram.scheduling`). Our handler of SIGINT is installed only in the main thread, in
+sections and scopes of the plan language. Our handler calls the previous handler.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Show a recording live in a Rerun viewer. A slow or missing viewer doesn't delay the plan.
 
-Records go into a bounded queue (:class:`LiveQueue`). A thread sends the records in batches to a separate process
-(:func:`main`), which translates them, because a viewer can block its client, fill its memory or prevent its exit. The
+Records go into a bounded queue (:class:`LiveQueue`). A thread sends batches of records to a separate process
+(:func:`main`), because a viewer can block its client, fill the client's memory or prevent the client's exit. The
 process answers ``Status.READY`` or ``Status.ABSENT``, and then the number of shown records of each batch. An empty
 batch means the end.
 """
@@ -129,9 +129,8 @@ class RerunSink(NullSink):
             count = f"{missed} of {self._records} records"
             time_left = "until its server ends" if served else f"{_LINGER_TIMEOUT:.0f} s"
             late = f"the viewer is {count} behind; it has {time_left} to catch up"
-            print(
-                f"recorder: {late if behind else f'the viewer missed {count}'}; the file has them all", file=sys.stderr
-            )
+            text = late if behind else f"the viewer missed {count}"
+            print(f"recorder: {text}; the file contains all records", file=sys.stderr)
 
     def _hand_over(self) -> bool:
         """Send the remaining items to the other process, and wake the thread. Return whether the process took them."""
@@ -442,7 +441,7 @@ class _Display:
             yield
         except Exception as error:  # noqa: BLE001  records contain values of users, which may cause any error
             if not self._reported:
-                _print(f"a record can't be shown ({error!r}); the file has it")
+                _print(f"a record can't be shown ({error!r}); the file contains the record")
             self._reported = True
 
 

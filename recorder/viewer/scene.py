@@ -308,7 +308,7 @@ def _solids(kind: str, shapes: Sequence[Shape], colors: Sequence[Color]) -> rr.A
     radii, lengths = zip(*sizes, strict=True)
     if kind == "cylinder":
         return rr.Cylinders3D(lengths=lengths, radii=radii, centers=centers, quaternions=turns, **look)
-    # capsules of the viewer begin at their origin, without the caps; those of a URDF have their middle there
+    # the viewer's capsules have their origin in the center of the lower cap, capsules of a URDF in their own center
     feet = [geometry.transform(shape.pose, (0.0, 0.0, -shape.size[1] / 2)) for shape in shapes]
     return rr.Capsules3D(lengths=lengths, radii=radii, translations=feet, quaternions=turns, **look)
 

@@ -266,7 +266,7 @@ def side_by_side(layouts: Mapping[str, Layout], until: int | None = None) -> rrb
 
 
 def _whole(views: rrb.Container, until: int | None) -> rrb.Blueprint:
-    # a viewer can't be given its first step, but it follows the end of a time line, which is this step
+    # no option sets the viewer's first step, but the viewer follows the end of a time line, so this line ends there
     timeline = STEP if until is None else up_to(until)
     state = None if until is None else PlayState.Following
     return rrb.Blueprint(

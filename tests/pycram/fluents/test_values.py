@@ -71,7 +71,7 @@ def test_waiting_ends_with_any_value_but_none(value: object) -> None:
         fluent.set_value(value)
         assert running.end() is True
     with (
-        pytest.warns(FalseEndsWait, match=r"wait for \(fluent_\d+ == True\), or begin with None")
+        pytest.warns(FalseEndsWait, match=r"wait for \(fluent_\d+ == True\), or make None the first value")
         if value is False
         else nullcontext()
     ):

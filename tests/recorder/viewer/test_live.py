@@ -110,7 +110,9 @@ class Ended:
 
     def missed(self) -> tuple[int, int]:
         """How many records the viewer missed, and of how many, as it was printed."""
-        message = re.search(r"the viewer (?:missed|is) (\d+) of (\d+) records.*; the file has them all", self.err)
+        message = re.search(
+            r"the viewer (?:missed|is) (\d+) of (\d+) records.*; the file contains all records", self.err
+        )
         return (int(message[1]), int(message[2])) if message else (0, 0)
 
     def check(self) -> int:
