@@ -173,7 +173,7 @@ def _with_torso(robot: Object, positions: Mapping[str, float]) -> tuple[str, flo
 class MoveTCP(SimulatedModule):
     """Moves the tool frame of an arm to a position, and to the orientation if the plan gives one.
 
-    In a level motion, the tool leans by at most 15 degrees more than at the start.
+    With ``level``, the tool leans by at most 15 degrees more than at the start.
     """
 
     failures = (Unreachable, Blocked)
