@@ -98,7 +98,8 @@ def _rows(log: Recording, info: Summary) -> Iterator[tuple[str, str]]:
     yield "computer", ", ".join(filter(None, (start.host, start.cpu)))
     yield "versions", ", ".join(f"{key} {metadata[key]}" for key in _VERSIONS if key in metadata)
     if repaired_by := metadata.get("pycram.repair.by", ""):
-        yield "repaired", f"by PyCRAM {repaired_by}; before: {metadata.get('pycram.repair.problems') or 'complete'}"
+        problems = metadata.get("pycram.repair.problems") or "none"
+        yield "repaired", f"by PyCRAM {repaired_by}; problems before the repair: {problems}"
     complete = "yes" if info.checked else "yes, according to its index (the recording is too long to read completely)"
     yield "complete", f"no: {info.problems}" if info.problems else complete
 

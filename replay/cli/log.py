@@ -203,7 +203,7 @@ def _numbers(texts: list[str]) -> Iterator[str]:
         yield from textwrap.wrap(", ".join(texts), _FIELD_WIDTH)
         return
     yield from textwrap.wrap(", ".join(texts[:_ENDS]), _FIELD_WIDTH)
-    yield f"... {len(texts) - 2 * _ENDS} more, all with --json"
+    yield f"... {len(texts) - 2 * _ENDS} more; --json prints all"
     yield from textwrap.wrap(", ".join(texts[-_ENDS:]), _FIELD_WIDTH)
 
 

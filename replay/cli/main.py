@@ -197,8 +197,7 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         prog="pycram-replay",
         description="Read recordings of robot plans, explain failures, and restore worlds. 'pycram-replay LOG' "
         "summarises a recording, 'pycram-replay VERB --help' shows examples of a verb.",
-        epilog="Exit codes: 0 fine, 1 a check failed, 2 wrong usage, 3 done, but the recording was incomplete, "
-        "4 an internal error.",
+        epilog="Exit code 0: fine. 1: a check failed. 2: wrong usage. 3: incomplete recording. 4: internal error.",
     )
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")

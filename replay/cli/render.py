@@ -64,7 +64,7 @@ def run(log: Recording, options: argparse.Namespace) -> None:
         elif len(steps) == 1:
             print_moment(log, name)
         if cut and not rows:
-            print_message(f"not drawn, because they would hide the scene: {names(cut)}")
+            print_message(f"left out, because these objects would hide the scene: {names(cut)}")
         file = _saved(picture, options.file, f"{log.path.stem}_{shown}.png", several=len(steps) > 1)
         rows.append({"step": shown, "file": file, "width": picture.width, "height": picture.height, "cut": list(cut)})
     print_result(lambda: rows if len(rows) > 1 else rows[0], [str(row["file"]) for row in rows], as_json=options.json)

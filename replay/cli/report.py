@@ -102,7 +102,6 @@ def _moments(log: Recording, why: Why) -> list[dict[str, object]]:
     from replay.restore.render import DrawnWorld  # noqa: PLC0415  an extra
 
     world = why.world.name if why.world is not None else None
-    pictures: list[dict[str, object]] = []
     try:
         scene = DrawnWorld(log, why.step, world)
         about = scene.subjects(why)
@@ -113,10 +112,10 @@ def _moments(log: Recording, why: Why) -> list[dict[str, object]]:
         if began < why.step:
             before = DrawnWorld(log, began, world).picture(target=about, size=_SIZE)
             views.append((f"before the task that failed, step {began}", before))
-        pictures = [{"caption": caption, "picture": embedded(picture)} for caption, picture in views]
+        return [{"caption": caption, "picture": embedded(picture)} for caption, picture in views]
     except ReplayError as error:
         print_message(f"no pictures of the failure: {error}")
-    return pictures
+        return []
 
 
 def _timeline(roots: Sequence[Node], last: int) -> Iterator[dict[str, object]]:

@@ -187,7 +187,7 @@ def _last_equal(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.retrace import retrace  # noqa: PLC0415  needs the executor
 
     if options.plan is None:
-        raise ReplayError("give the last unchanged step, --at STEP; only --plan FILE finds its step by itself")
+        raise ReplayError("give the last unchanged step with --at STEP (optional with --plan FILE)")
     found = retrace(log, plan=options.plan, arguments=options.arguments, answers="recorded")
     if not found.difference or not found.difference.step:
         what = "differs from the start" if found.difference else "makes the same records"

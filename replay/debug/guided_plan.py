@@ -49,8 +49,8 @@ class PlanInterrupted(ReplayError):
     """Ctrl-C ended the plan's process. The plan is at its previous step again, or hasn't started."""
 
     def __init__(self, step: int) -> None:
-        where = f"it is at step {step} again" if step >= 0 else "it is at no step"
-        super().__init__(f"the plan reached no other step; {where}")
+        where = f"step {step} again" if step >= 0 else "no step"
+        super().__init__(f"the plan reached no other step, and is at {where}")
         self.step = step  # step of the plan; -1 before the first step
 
 

@@ -48,7 +48,7 @@ class Halt:
     """The step at which the plan has stopped, and the breakpoints that stopped the plan."""
 
     arrival: Arrival
-    met: list[Breakpoint] = field(default_factory=list)  # the breakpoints
+    met: list[Breakpoint] = field(default_factory=list)
     #: Values of watched variables before and after the step, by the watch's number.
     changes: dict[int, tuple[str, str]] = field(default_factory=dict)
 
@@ -418,7 +418,7 @@ def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoin
         raise NoSuchPlace(f"{name}:{line}", f"no line of this file made a record; the plan's files are {known}")
     if len(files) > 1:
         known = ", ".join(sorted(files))
-        raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files have that name: {known}")
+        raise NoSuchPlace(f"{name}:{line}", f"several of the plan's files have this name: {known}")
     at, steps = timeline.line(files[0], line)
     if not at:
         raise NoSuchPlace(f"{name}:{line}", "neither this line nor a later line of the file made a record")

@@ -156,7 +156,7 @@ class Chunks:
 
     def misplaced(self, number: int, record: Record) -> None:
         """Add a record's impossible step to the known damage of its chunk."""
-        self.damaged.setdefault(number, f"a {type(record).__name__} says that it is step {record.seq}")
+        self.damaged.setdefault(number, f"a {type(record).__name__} has the impossible step {record.seq}")
 
     def share_worlds(self) -> bool:
         """Return whether worlds share channels, so that only records name their worlds."""

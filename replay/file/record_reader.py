@@ -164,12 +164,22 @@ class RecordReader:
     @cached_property
     def newer(self) -> Newer | None:
         """The newer release that wrote the recording; None for this release and older releases."""
-        return newer_of(self._index)
+        release = self._index.metadata.get("pycram", {}).get("pycram", "")
+        if self.format <= format_number() and not _is_later(release):
+            return None
+        ours, definitions = f"{PACKAGE}.", self._index.definitions
+        messages = {name.removeprefix(ours): data for name, data in definitions.items() if name.startswith(ours)}
+        names = unknown_definitions(messages.values())
+        kinds = tuple(name for name in names if name in messages)
+        unknown_messages = {name for name in names if "." not in name}
+        fields = tuple(name for name in names if "." in name and name.partition(".")[0] not in unknown_messages)
+        return Newer(release, self.format, fields, kinds)
 
     @property
     def format(self) -> int:
-        """The format number of the recording (:mod:`recorder.records`), or 0 if it is unknown."""
-        return format_of(self._index)
+        """The format number of the recording (:mod:`recorder.records`); 0 for old recordings without a number."""
+        text = self._index.metadata.get("pycram", {}).get("format", "")
+        return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else 0
 
     @cached_property
     def lifetimes(self) -> tuple[Lifetime, ...]:
@@ -452,27 +462,6 @@ def _counted(names: Sequence[str], word: str) -> str:
 def _listed(names: Sequence[str]) -> str:
     more = ", ..." if len(names) > _MAX_NAMES else ""
     return f"({', '.join(names[:_MAX_NAMES])}{more})"
-
-
-def format_of(index: Index) -> int:
-    """Return the format number of a recording (:mod:`recorder.records`); 0 for old recordings without a number."""
-    text = index.metadata.get("pycram", {}).get("format", "")
-    return int(text) if text.isascii() and text.isdecimal() and len(text) <= _MAX_DIGITS else 0
-
-
-def newer_of(index: Index) -> Newer | None:
-    """Return the release that wrote a file if its format or version is newer; otherwise None."""
-    number = format_of(index)
-    release = index.metadata.get("pycram", {}).get("pycram", "")
-    if number <= format_number() and not _is_later(release):
-        return None
-    ours = f"{PACKAGE}."
-    messages = {name.removeprefix(ours): data for name, data in index.definitions.items() if name.startswith(ours)}
-    names = unknown_definitions(messages.values())
-    kinds = tuple(name for name in names if name in messages)
-    unknown_messages = {name for name in names if "." not in name}
-    fields = tuple(name for name in names if "." in name and name.partition(".")[0] not in unknown_messages)
-    return Newer(release, number, fields, kinds)
 
 
 def _is_later(release: str) -> bool:

@@ -26,7 +26,6 @@ from pycram.reasoning.choosing import Question as Asked
 from pycram.reasoning.grasping.fingers import close_around
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
-from pycram.running import MAX_SEED
 from pycram.scheduling.schedule import is_held
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld, open_worlds
@@ -118,7 +117,7 @@ class Setting:
             others = f"the plan has {', '.join(names)}" if names else "no fluent can be set"
             raise BadChange(self.text, f"there is no fluent {self.name} at that moment; {others}")
         if len(found) > 1:
-            raise BadChange(self.text, f"{len(found)} fluents have that name")
+            raise BadChange(self.text, f"{len(found)} fluents have the name {self.name}")
         return found[0]
 
 
@@ -210,13 +209,6 @@ def hold(body: Object, arm: str) -> None:
             robot.attach(body, part.tool_frame)
             return
     raise BadChange(f"{body.name}.{_HAND}={arm}", f"{body.name} doesn't fit into this hand")
-
-
-def seed_change(step: int, seed: int) -> Change:
-    """Return a change of the seed after a step; raise BadChange if the seed is out of range."""
-    if not 0 <= seed <= MAX_SEED:
-        raise BadChange(f"seed {seed}", f"a seed is a whole number from 0 to {MAX_SEED}")
-    return Change(step=step, seed=str(seed))
 
 
 def change_text(change: Change) -> str:

@@ -132,7 +132,7 @@ def parse_decision(text: str) -> ForcedDecision:
         raise BadChange(text, f"{wrong}: {error.cause}" if isinstance(error, BadQuestion) else wrong) from None
     seconds = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
     if name == _LIMIT and not seconds:
-        raise BadChange(text, "its value is a number of seconds, more than 0")
+        raise BadChange(text, "the value must be a number of seconds above 0")
     return ForcedDecision(text, name, slot or "", call.arguments, call.keywords, value, int(number[1]) if number else 0)
 
 
@@ -163,7 +163,7 @@ def on_record(log: RecordReader, step: int, given: ForcedDecision, queries: Sequ
     near = (name for spot, name in spots if _is_value(given.value, list(spot.position)))
     name = names[given.number - 1] if given.number else next(near, None)
     if name is None:
-        text = f"no candidate of step {found.seq} is within {_NEAR * 100:.0f} cm of that place"
+        text = f"no candidate of step {found.seq} is within {_NEAR * 100:.0f} cm of the given place"
         raise BadChange(given.text, text)
     return f"{given.text.rpartition('=')[0]}={name!r}"
 

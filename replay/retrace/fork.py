@@ -12,11 +12,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from pycram.running import MAX_SEED
 from recorder.records import Change, Run
 from recorder.records.values import LEFT_OUT
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.retrace.changes import change_text, checked_answer, seed_change, settings as settings_of
+from replay.retrace.changes import change_text, checked_answer, settings as settings_of
 from replay.retrace.decisions import BadChange
 from replay.retrace.plan_process import FirstDifference, PlanProcess
 from replay.retrace.retrace import Retracing, compared, reads_before
@@ -89,7 +90,7 @@ def fork(
     log.check_file()  # after this check, all losses are known
     gap = next((gap for gap in log.lost() if gap.start <= step), None)
     if gap is not None:
-        raise Damaged(log.path, f"the part before step {step}", f"step {gap.start} is lost; fork before it")
+        raise Damaged(log.path, f"the part before step {step}", f"step {gap.start} is lost; fork at an earlier step")
     if not file.absolute().parent.is_dir():
         raise ReplayError(f"{file}: there is no folder {file.parent}; make the folder first")
     process = PlanProcess(log, plan, arguments, until=step, recorded_source=recorded_source)
@@ -127,7 +128,9 @@ def changes_of(
     changes = settings_of(log, step, given, world)
     changes += [Change(step=step, answer=checked_answer(log, step, text)) for text in answers]
     if seed is not None:
-        changes.insert(0, seed_change(step, seed))
+        if not 0 <= seed <= MAX_SEED:
+            raise BadChange(f"seed {seed}", f"a seed is a whole number from 0 to {MAX_SEED}")
+        changes.insert(0, Change(step=step, seed=str(seed)))
     if changes and step == len(log) - 1 and log.closed:
         raise BadChange(change_text(changes[0]), f"step {step} is the last step; fork at an earlier step")
     return changes

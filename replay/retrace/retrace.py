@@ -100,7 +100,16 @@ def compared(process: PlanProcess, log: RecordReader, *, take_answers: bool = Fa
 def likely_reasons(log: RecordReader, difference: FirstDifference) -> Iterator[str]:
     """Yield possible causes of a difference outside of the plan, as text."""
     yield from reads_before(difference)
-    yield from decided_outside(log, difference.step)
+    began, step = log[0], difference.step
+    if isinstance(began, Run) and began.HasField("looks"):  # the moments of these ends guided the run
+        return
+    begun: dict[int, int] = {}
+    for record in log.records(Task):
+        if record.phase == Task.STARTED:
+            begun[record.task] = record.seq
+        elif record.checkpoint and begun.get(record.task, 0) <= step <= record.seq:
+            by = "a worker thread" if record.kind == "in-thread" else "the clock"
+            yield f"{by} ended {record.kind} {record.name} at step {record.seq}: no seed determines this moment"
 
 
 def reads_before(difference: FirstDifference) -> Iterator[str]:
@@ -114,23 +123,6 @@ def reads_before(difference: FirstDifference) -> Iterator[str]:
         reads = [read for read in _reads(Path(file)) if read[0] <= int(number)]
         for line, call, what in sorted(reads, reverse=True)[:_MAX_LINES]:
             yield f"{Path(file).name}:{line} reads {what}: {call}"
-
-
-def decided_outside(log: RecordReader, step: int) -> Iterator[str]:
-    """Yield the tasks around a step that the clock or a worker thread ended, as text.
-
-    Newer recordings contain the moments of these ends, so nothing is yielded.
-    """
-    began = log[0]
-    if isinstance(began, Run) and began.HasField("looks"):  # these moments are recorded, and guide the run
-        return
-    begun: dict[int, int] = {}
-    for record in log.records(Task):
-        if record.phase == Task.STARTED:
-            begun[record.task] = record.seq
-        elif record.checkpoint and begun.get(record.task, 0) <= step <= record.seq:
-            by = "a worker thread" if record.kind == "in-thread" else "the clock"
-            yield f"{by} ended {record.kind} {record.name} at step {record.seq}: no seed determines its timing"
 
 
 def _reads(file: Path) -> Iterator[tuple[int, str, str]]:

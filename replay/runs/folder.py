@@ -72,9 +72,9 @@ class Folder:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         if not self.path.is_dir():
-            raise NotALog(self.path, "is no folder of recordings" if self.path.exists() else "there is no such folder")
+            raise NotALog(self.path, "isn't a folder" if self.path.exists() else "there is no such folder")
         if not self.recordings():
-            raise NotALog(self.path, "is a directory without recordings")
+            raise NotALog(self.path, "is a folder without recordings")
         self._contents = Contents()
         self._held = contextlib.ExitStack()
 

@@ -172,7 +172,7 @@ TABLES: Final = (
         ("property", "text", "text of the property"),
         ("violated", "yes/no", "whether the row is a violation"),
         ("at_step", "whole", "step at which the property is violated; null: no violation"),
-        ("margin", "number", "margin in m, rad or s, which is negative; null: no violation, or no margin"),
+        ("margin", "number", "negative margin in m, rad or s; null: no violation, or no margin"),
         ("details", "text", "values of the property's quantities, as JSON"),
         _WORLD,
         _SIM,
@@ -180,7 +180,7 @@ TABLES: Final = (
     ),
     _table(
         "failures",
-        "a failure of the task in which it began, of a query, or of the run; or a refusal",
+        "a refusal, or a failure of a query, of the run, or of the task in which the failure began",
         *_RECORD,
         ("of", "text", "`task`, `query`, `refusal`, `run` or `thread`"),
         ("type", "text", "type of the error"),

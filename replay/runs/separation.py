@@ -573,11 +573,8 @@ def _between(a: float, b: float) -> str:
 def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
     """Return the log-likelihood ratio of two failure rates, with and without a fact, against a single rate.
 
-    The ratio is 0 if the failure rate isn't higher with the fact.
-
-    Args:
-        true: Array: whether a fact (row) is true of a run (column).
-        failed: Array: whether a run (row) failed in a permutation (column).
+    The ratio is 0 if the failure rate isn't higher with the fact. ``true`` contains whether a fact (row) is true of a
+    run (column), and ``failed`` whether a run (row) failed in a permutation (column).
     """
     count, inside = true.shape[1], true.sum(axis=1, dtype=np.int64)[:, None]
     labels = failed.reshape(count, -1)

@@ -394,7 +394,7 @@ def test_a_breakpoint_in_one_of_several_files_of_a_name_is_in_the_named_one(tmp_
         "two.lifting.lift(milk)\n"
     )
     _, either, first, second = debug(record(plan), "b lifting.py:2", "b one/lifting.py:2", "b two/lifting.py:3")
-    assert either.startswith("*** lifting.py:2: several of the plan's files have that name: ")
+    assert either.startswith("*** lifting.py:2: several of the plan's files have this name: ")
     assert first == "Breakpoint 1: lifting.py:2: step 3\n"
     assert second == "Breakpoint 2: lifting.py:3: step 4\n"
 

@@ -163,7 +163,7 @@ def test_empty_and_foreign_files_are_reported_as_such(tmp_path: Path, capsys: py
     assert "whose recordings this release can't read" in complaint(3)
     file.unlink()
     file.mkdir()
-    assert "directory" in complaint()
+    assert "folder without recordings" in complaint()
     file.rmdir()
     os.mkfifo(file)
     assert "isn't a regular file" in complaint()

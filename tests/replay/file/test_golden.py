@@ -244,7 +244,7 @@ def test_show_prints_a_trajectory_in_few_lines(capsys: pytest.CaptureFixture[str
     assert main(["show", str(MOTIONS[0]), "37"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "step 37: mutation: begin trajectory 2: 6 joints of arm, 2.882 s, RRT-Connect after 2104 checks"
-    assert sum("more, all with --json" in line for line in lines) == 2, "of positions and velocities"
+    assert sum("more; --json prints all" in line for line in lines) == 2, "of positions and velocities"
     assert len(lines) < 100
     assert any(line.lstrip().startswith("0.0, 0.042") for line in lines), "few numbers are all there"
     assert main(["show", str(MOTIONS[0]), "37", "--json"]) == 0

@@ -19,7 +19,7 @@ from replay.cli.main import main
 from replay.errors import Damaged
 from replay.retrace.fork import fork
 from replay.retrace.plan_process import CantRetrace, FirstDifference
-from replay.retrace.retrace import decided_outside, reads_before, retrace
+from replay.retrace.retrace import likely_reasons, reads_before, retrace
 from tests.measures import seeded
 from tests.replay.copies import CHUNK, container_records, zeroed
 from tests.replay.restore.test_verify import rewritten
@@ -250,9 +250,9 @@ def test_what_the_clock_ended_is_named_in_recordings_that_dont_guide_it() -> Non
     golden = next((Path(__file__).parents[1] / "golden" / "forks").glob("*.mcap"))
     with replay.open(golden) as recording:
         (late,) = (task for task in recording.records(Task) if task.kind == "timeout" and task.phase == Task.FINISHED)
-        said = f"the clock ended timeout 0 s at step {late.seq}: no seed determines its timing"
-        assert said in list(decided_outside(recording, late.seq))
-        assert said not in list(decided_outside(recording, late.seq + 1))
+        said = f"the clock ended timeout 0 s at step {late.seq}: no seed determines this moment"
+        assert said in list(likely_reasons(recording, FirstDifference(late.seq, "")))
+        assert said not in list(likely_reasons(recording, FirstDifference(late.seq + 1, "")))
 
 
 _CLOCKS = """
@@ -521,7 +521,10 @@ def test_a_damaged_recording_guides_up_to_the_damage(
     lost = int(re.search(r"made the same first (\d+) records again", capsys.readouterr().out)[1])  # type: ignore[index]
     assert 0 < lost < 20
     for step in (lost, lost + 20):
-        with replay.open(log) as recording, pytest.raises(Damaged, match=f"step {lost} is lost; fork before it"):
+        with (
+            replay.open(log) as recording,
+            pytest.raises(Damaged, match=f"step {lost} is lost; fork at an earlier step"),
+        ):
             fork(recording, step, tmp_path / "on.mcap")
     with replay.open(log) as recording:
         assert fork(recording, lost - 1, tmp_path / "on.mcap").step == lost - 1
