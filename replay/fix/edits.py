@@ -10,7 +10,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from recorder.plan_lines import called_name, stored
@@ -24,16 +24,9 @@ _SCENE: Final = 0.3  # additional cost of an edit of a loaded object
 _WAITS: Final = ("settle()", "simulate(1)")
 _STRUCTURAL: Final = 0.45  # largest cost of edits that are tried on all lines
 #: Calls that aren't inserted: they reach a goal, or make the scene.
-_NOT_AGAIN: Final = (
-    "set_gravity",
-    "pick_up",
-    "place",
-    "placing",
-    "picking_up",
-    "transporting",
-    "Object",
-    "BulletWorld",
-)
+_NOT_AGAIN: Final = {
+    *("set_gravity", "pick_up", "place", "placing", "picking_up", "transporting", "Object", "BulletWorld")
+}
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -55,11 +48,8 @@ class Editor:
         self.text = text
         self.plan = PlanSyntax(text)
         #: The lines of handlers that swallow errors.
-        self.handlers = [
-            node.lineno
-            for node in self.plan.nodes
-            if isinstance(node, ast.ExceptHandler) and not any(map(asserts, ast.walk(node)))
-        ]
+        handlers = (node for node in self.plan.nodes if isinstance(node, ast.ExceptHandler))
+        self.handlers = [node.lineno for node in handlers if not any(map(asserts, ast.walk(node)))]
 
     def edits(self, line: int, alternatives: Iterable[Iterable[str]] = (), *, stale: bool = False) -> Iterator[Edit]:
         """Yield the edits of a line.
@@ -75,16 +65,13 @@ class Editor:
             if getattr(node, "lineno", None) != line or node in plan.goals:
                 continue
             for change in (*self._names(node, sets), *_changes(node, plan)):
-                cost = change.cost + _SCENE * (node in plan.scene)
                 likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
-                yield self._edit(change._replace(cost=cost - likely), line)
+                yield self._edit(change, line, _SCENE * (node in plan.scene) - likely)
             if isinstance(node, ast.stmt):
                 around = plan.parents[node]
-                if isinstance(around, ast.If | ast.For):
-                    for change in _changes(around, plan):
-                        yield self._edit(change._replace(cost=change.cost + _AROUND), around.lineno)
-                for what, cost, text in self._moves(node):
-                    yield Edit(cost - _STALE * stale, line, what, text)
+                for change in _changes(around, plan) if isinstance(around, ast.If | ast.For) else ():
+                    yield self._edit(change, around.lineno, _AROUND)  # type: ignore[attr-defined]
+                yield from (replace(each, cost=each.cost - _STALE * stale) for each in self._moves(node))
 
     def structural(self) -> Iterator[Edit]:
         """Yield the likeliest edits of the whole plan that change how values are computed, not the values."""
@@ -93,13 +80,12 @@ class Editor:
                 if change.cost < _STRUCTURAL and not change.asks and not change.chance:
                     yield self._edit(change, node.lineno)  # type: ignore[attr-defined]
             if isinstance(node, ast.Assign):
-                moves = (each for each in self._moves(node) if each[1] < _STRUCTURAL)
-                yield from (Edit(cost, node.lineno, what, text) for what, cost, text in moves)
+                yield from (each for each in self._moves(node) if each.cost < _STRUCTURAL)
 
     def insertions(self, line: int) -> Iterator[Edit]:
         """Yield the plan with a wait, or a call that the plan makes elsewhere, before a line."""
         lines, plan = self.plan.lines, self.plan
-        measuring = [node for node in plan.nodes if node in plan.goals and isinstance(node, ast.stmt)]
+        measuring = (node for node in plan.nodes if node in plan.goals and isinstance(node, ast.stmt))
         line = next((node.lineno for node in measuring if node.lineno <= line <= (node.end_lineno or 0)), line)
         indent = re.match(r"\s*", lines[line - 1])[0]  # type: ignore[index]
         waits = [(f"{each}.{call}", FAR) for each in sorted(plan.names["BulletWorld"])[:1] for call in _WAITS]
@@ -115,7 +101,7 @@ class Editor:
         found: dict[str, float] = {}
         calls = [node.value for node in plan.nodes if isinstance(node, ast.Expr) and node.value not in plan.goals]
         for call in (each for each in calls if isinstance(each, ast.Call) and each.lineno != line and plan.acts(each)):
-            if call.end_lineno != call.lineno or not {*map(called_name, ast.walk(call))}.isdisjoint(_NOT_AGAIN):
+            if call.end_lineno != call.lineno or _NOT_AGAIN & {*map(called_name, ast.walk(call))}:
                 continue
             cost = 0.9 + 0.1 * (isinstance(call.func, ast.Attribute) and call.func.attr != "perform")
             found.setdefault(plan.segment(call), cost)
@@ -143,10 +129,10 @@ class Editor:
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield from similar_name(node, plan)
 
-    def _moves(self, statement: ast.stmt) -> Iterator[tuple[str, float, str]]:
+    def _moves(self, statement: ast.stmt) -> Iterator[Edit]:
         """Yield the plan with a statement moved: in its block, to a use of its values, or into or out of a loop."""
-        plan = self.plan
-        block = plan.block(statement)
+        plan, line = self.plan, statement.lineno
+        block, parent = plan.block(statement), plan.parents[statement]
         if len(block) < 2 or isinstance(statement, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef):
             return
         at = block.index(statement)
@@ -157,20 +143,18 @@ class Editor:
             needed = [(statement, each) if to < at else (each, statement) for each in crossed if each is not statement]
             undefined = any(loads(one, stored(other)) and not isinstance(other, ast.For) for one, other in needed)
             if 0 <= to < len(block) and not undefined and not any(map(self._is_check, crossed)):
-                where = f"after line {block[to].lineno}" if to > at else f"before line {block[to].lineno}"
-                yield f"line {statement.lineno} {where}", 0.7, self._moved(statement, block[to], after=to > at)
-        inner = block[uses[0]] if uses else None
+                where = f"{'after' if to > at else 'before'} line {block[to].lineno}"
+                yield Edit(0.7, line, f"line {line} {where}", self._moved(statement, block[to], after=to > at))
+        inner = block[uses[0]] if uses and not any(map(self._is_check, block[at + 1 : uses[0]])) else None
         while inner is not None and isinstance(inner, ast.For | ast.While | ast.With):
-            what = f"line {statement.lineno} into the block of line {inner.lineno}"
-            if not any(map(self._is_check, block[at + 1 : uses[0]])):
-                yield what, 0.4, self._moved(statement, inner.body[0], after=False)
+            text = self._moved(statement, inner.body[0], after=False)
+            yield Edit(0.4, line, f"line {line} into the block of line {inner.lineno}", text)
             inner = next((each for each in inner.body if loads(each, made)), None)
-        parent = plan.parents[statement]
         if isinstance(parent, ast.For | ast.While) and statement in parent.body:
-            if at == len(block) - 1:
-                yield f"line {statement.lineno} after the loop", 0.6, self._moved(statement, parent, after=True)
-            elif at == 0 and isinstance(statement, ast.Assign):
-                yield f"line {statement.lineno} before the loop", 0.6, self._moved(statement, parent, after=False)
+            is_last = at == len(block) - 1
+            if is_last or (at == 0 and isinstance(statement, ast.Assign)):
+                where = f"{'after' if is_last else 'before'} the loop"
+                yield Edit(0.6, line, f"line {line} {where}", self._moved(statement, parent, after=is_last))
 
     def _is_check(self, statement: ast.stmt) -> bool:
         """Return whether a statement contains an assertion, directly or in a called function."""
@@ -190,8 +174,9 @@ class Editor:
             else [*lines[:start], *lines[end:to], *part, *lines[to:]]
         )
 
-    def _edit(self, change: Change, line: int) -> Edit:
-        return Edit(change.cost, line, change.what, self.plan.replaced(change.parts), change.asks, change.chance)
+    def _edit(self, change: Change, line: int, more: float = 0) -> Edit:
+        text = self.plan.replaced(change.parts)
+        return Edit(change.cost + more, line, change.what, text, change.asks, change.chance)
 
 
 def _changes(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:

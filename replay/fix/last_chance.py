@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final
+from typing import Final, Self
 
 from pycram.foundation.forcing import SKIPPED
 from pycram.projection.child import usable_cores
@@ -78,12 +78,9 @@ def last_chance(
     if trials.control().kind == "succeeded":
         raise ReplayError("the plan succeeded")
     found.runs = trials.runs
-    chances = _Chances(trials, log, folder, found, holds, budget)
-    try:
+    with _Chances(trials, log, folder, found, holds, budget) as chances:
         chances.find_closing()
         chances.find_choice()
-    finally:
-        chances.stop()
     if found.choice or found.runs >= budget:
         return
     result = SearchResult("")
@@ -107,11 +104,8 @@ def other_choice(trials: Trials, log: Recording, folder: Path, holds: Sequence[s
     """Force other choices before the failed motion, the latest first, until the whole plan succeeds."""
     found = LastChance(runs=trials.runs)
     if log.why().task is not None:
-        chances = _Chances(trials, log, folder, found, holds, budget)
-        try:
+        with _Chances(trials, log, folder, found, holds, budget) as chances:
             chances.find_choice()
-        finally:
-            chances.stop()
     return found
 
 
@@ -134,8 +128,10 @@ class _Chances:
         #: The last change of the world by a fork; -1 without one. A fork before this step wouldn't repeat the change.
         self._by_fork = max((each.seq for each in log.records(Mutation) if each.by_fork), default=-1)
 
-    def stop(self) -> None:
-        """Stop all forks, and delete their recordings."""
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
         self._prover.stop()
         self._temporary.cleanup()
 
@@ -150,7 +146,7 @@ class _Chances:
         needed = {case.world.robot, *held.intersection(case.subjects)}
         names = [name for name in case.world.bodies if name not in needed]
         busy = {case.holder(name, self._end - 1) for name in needed} - {""}
-        changes = [each.seq for each in self._log.records(Mutation, 0, self._end) if self._changes(each, {*names})]
+        changes = [*self._changes(case.world.name, names)]
         known: dict[int, bool] = {len(changes): False}  # results by number of kept changes
 
         def helps(kept: int) -> bool:
@@ -188,12 +184,13 @@ class _Chances:
                 wrong = middle
         return kept
 
-    def _changes(self, record: Mutation, names: set[str]) -> bool:
-        effect = record.effect
-        moved = {each.body for states in (effect.bodies, effect.attached, effect.detached) for each in states}
-        case = self._case
-        same_world = case is not None and case.world is not None and record.world == case.world.name
-        return same_world and not record.HasField("load_body") and not names.isdisjoint(moved)
+    def _changes(self, world: str, names: Sequence[str]) -> Iterator[int]:
+        """Yield the steps that change some objects, but don't load them."""
+        for record in self._log.records(Mutation, 0, self._end):
+            effect = record.effect
+            moved = {each.body for states in (effect.bodies, effect.attached, effect.detached) for each in states}
+            if record.world == world and not record.HasField("load_body") and not moved.isdisjoint(names):
+                yield record.seq
 
     def close(self, step: int) -> None:
         """Store the step that closed the chance, with the plan's line."""

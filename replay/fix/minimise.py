@@ -11,7 +11,6 @@ import itertools
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -123,16 +122,14 @@ class _Search:
 
     def run(self, texts: Sequence[str]) -> list[tuple[Ending, Callable[[], _Cause]]]:
         """Run versions of the plan; return their endings, and functions that return the causes."""
-        versions = [Version(text, self._folder / f"{index}.mcap") for index, text in enumerate(texts)]
-        with closing(self._trials.all(versions)) as results:
-            ended = {index: trial.ending for index, trial in results}
-        return [(ended[index], partial(self._cause_in, version)) for index, version in enumerate(versions)]
+        files = [self._folder / f"{index}.mcap" for index in range(len(texts))]
+        causes = [partial(self._cause, file, text) for file, text in zip(files, texts, strict=True)]
+        return [*zip(self._trials.all([*map(Version, texts, files)]), causes, strict=True)]
 
-    def _cause_in(self, version: Version) -> _Cause:
-        with RecordReader(str(version.file)) as log:
-            return self._cause(log, version.text)
-
-    def _cause(self, log: RecordReader, text: str) -> _Cause:
+    def _cause(self, log: RecordReader | Path, text: str) -> _Cause:
+        if isinstance(log, Path):
+            with RecordReader(log) as opened:
+                return self._cause(opened, text)
         first = next(iter(why(log).causes), None)
         said = "\n".join(first.lines()) if first is not None else ""
         line = re.search(rf"{re.escape(self._trials.program.name)}:(\d+)", said)

@@ -23,7 +23,6 @@ class PlanSyntax:
     """Facts about one source file."""
 
     def __init__(self, text: str) -> None:
-        self.text = text
         self.source = text.encode()  # the syntax tree counts bytes
         self.lines = [line.decode() for line in self.source.splitlines(keepends=True)]
         self.tree = ast.parse(text)
@@ -34,8 +33,8 @@ class PlanSyntax:
         self.goals: set[ast.AST] = set()  # assertions and what only they need; they stay unchanged
         self.counts: set[ast.AST] = set()  # expressions that count or number something, such as indices
         self.scene: set[ast.AST] = set()  # arguments of loaded objects; which objects there are stays unchanged
-        self.checks: set[str] = set()  # functions with assertions
         self.functions = {node.name: node for node in self.nodes if isinstance(node, ast.FunctionDef)}
+        self.checks = {name for name, node in self.functions.items() if any(map(asserts, ast.walk(node)))}
         self.called = {node.func for node in self.nodes if isinstance(node, ast.Call)}
         self.constants: set[str] = set()  # variables with a written container
         self.unused: set[str] = set()  # names that the plan defines, but doesn't use for an effect
@@ -43,58 +42,45 @@ class PlanSyntax:
         written = map(written_number, self.nodes)
         #: Numbers that may be lengths and angles, without signs; gravity is none of these.
         self.numbers = [each for each in written if each is not None and not _GRAVITY < each < _GRAVITY + 1]
-        self.defined = {
-            each.asname or each.name
-            for node in self.nodes
-            for each in getattr(node, "names", ())
-            if isinstance(each, ast.alias)
-        }
+        imported = (each for node in self.nodes for each in getattr(node, "names", ()) if isinstance(each, ast.alias))
+        self.defined = {each.asname or each.name for each in imported}
         self.local: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
         for node in self.nodes:
-            self._protect(node)
-            self._note_roles(node)
+            self._note(node)
+            for role, value in _roles(node):
+                if isinstance(value, ast.Constant) and isinstance(value.value, str):
+                    self.strings[role].add(value.value)
+                if isinstance(value, ast.Name):
+                    self.names[role].add(value.id)
         self._protect_measurements()
 
-    def _protect(self, node: ast.AST) -> None:
-        """Note the expressions that keep their value, and the numbers that count something."""
-        if isinstance(node, ast.Subscript | ast.BinOp | ast.Compare | ast.Slice):
-            self.counts |= {*ast.iter_child_nodes(node)}
-        if isinstance(node, ast.Call):
-            name = ast.unparse(node.func)
-            self.counts |= {*node.args} if name in ("range", "enumerate") else set()
-            self.scene |= {*ast.walk(node)} if name.endswith("Object") else set()
-            self.goals |= {*ast.walk(node)} if name in _CHECKING else set()
-        if isinstance(node, ast.Dict) and len({ast.dump(key) for key in node.keys if key}) == len(node.keys):
-            self.scene |= {*filter(None, node.keys)}  # a key that stands there twice may be wrong
-        if isinstance(node, ast.Constant) and str(node.value).endswith((".stl", ".urdf", ".obj", ".dae")):
-            self.scene.add(node)
-        if asserts(node):
-            self.goals |= {*ast.walk(node)}
-        if isinstance(node, ast.If) and any(map(asserts, (*node.body, *node.orelse))):
-            self.goals |= {node, *ast.walk(node.test)}
-        if isinstance(node, ast.FunctionDef) and any(map(asserts, ast.walk(node))):
-            self.checks.add(node.name)
-
-    def _note_roles(self, node: ast.AST) -> None:
-        """Note which texts and names the plan uses in the same role."""
-        for role, value in _roles(node):
-            if isinstance(value, ast.Constant) and isinstance(value.value, str):
-                self.strings[role].add(value.value)
-            if isinstance(value, ast.Name):
-                self.names[role].add(value.id)
-        if isinstance(node, ast.withitem) and isinstance(node.context_expr, ast.Call):
-            self.names[ast.unparse(node.context_expr.func)] |= stored(node)
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Call):
-            self.names[ast.unparse(node.value.func)] |= stored(node)
-        if isinstance(node, ast.Assign) and isinstance(node.value, ast.List | ast.Tuple | ast.Dict | ast.Set):
-            self.names[_shape(node.value)] |= stored(node)
-            self.constants |= stored(node)
-            kind = type(node.value).__name__.lower()
-            self.literals |= {} if kind == "tuple" else dict.fromkeys(stored(node), kind)
-        if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
-            self.local[self.scope(node)].add(node.id)
-        if isinstance(node, ast.arg):
-            self.local[self.scope(node)].add(node.arg)
+    def _note(self, node: ast.AST) -> None:
+        """Note the expressions that keep their value, the numbers that count something, and names in the same role."""
+        match node:
+            case ast.Subscript() | ast.BinOp() | ast.Compare() | ast.Slice():
+                self.counts |= {*ast.iter_child_nodes(node)}
+            case ast.Call():
+                name = ast.unparse(node.func)
+                self.counts |= {*node.args} if name in ("range", "enumerate") else set()
+                self.scene |= {*ast.walk(node)} if name.endswith("Object") else set()
+                self.goals |= {*ast.walk(node)} if name in _CHECKING else set()
+            case ast.Dict(keys) if len({ast.dump(key) for key in keys if key}) == len(keys):
+                self.scene |= {*filter(None, keys)}  # a key that stands there twice may be wrong
+            case ast.Constant(value) if str(value).endswith((".stl", ".urdf", ".obj", ".dae")):
+                self.scene.add(node)
+            case ast.If() if any(map(asserts, (*node.body, *node.orelse))):
+                self.goals |= {node, *ast.walk(node.test)}
+            case ast.Assert() | ast.Raise():
+                self.goals |= {*ast.walk(node)}
+            case ast.withitem(ast.Call(function)) | ast.Assign(value=ast.Call(function)):
+                self.names[ast.unparse(function)] |= stored(node)
+            case ast.Assign(value=ast.List() | ast.Tuple() | ast.Dict() | ast.Set() as value):
+                self.names[_shape(value)] |= stored(node)
+                self.constants |= stored(node)
+                kind = type(value).__name__.lower()
+                self.literals |= {} if kind == "tuple" else dict.fromkeys(stored(node), kind)
+            case ast.Name(name, ast.Store()) | ast.arg(name):
+                self.local[self.scope(node)].add(name)
 
     def span(self, first: ast.AST, last: ast.AST) -> tuple[int, int]:
         """Return the place of some nodes in the source, in bytes."""
@@ -148,16 +134,12 @@ class PlanSyntax:
                 return True
         return False
 
-    def _home(self, node: ast.Name) -> tuple[ast.AST, str]:
-        """Return the scope that assigns a name, with the name."""
-        scope = self.scope(node)
-        while scope is not self.tree and node.id not in self.local[scope]:
-            scope = self.scope(scope)
-        return scope, node.id
-
     def _protect_measurements(self) -> None:
         """Protect the statements whose values only assertions, properties and printed texts use."""
-        homes = {node: self._home(node) for node in self.nodes if isinstance(node, ast.Name)}
+        homes: dict[ast.AST, tuple[ast.AST, str]] = {}  # the scopes that assign names, with the names
+        for name in (node for node in self.nodes if isinstance(node, ast.Name)):
+            scopes = (each for each in self.around(name) if isinstance(each, Function) and name.id in self.local[each])
+            homes[name] = next(scopes, self.tree), name.id
         loaded = {home for node, home in homes.items() if _loads(node)}
         before = -1
         while before < len(self.goals):
@@ -213,16 +195,13 @@ def _shape(node: ast.expr) -> str:
 
 def _roles(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
     """Yield expressions with their roles: the keyword or the place of an argument, the key or place in a container."""
-    if isinstance(node, ast.Call):
-        function = ast.unparse(node.func)
-        yield from ((keyword.arg, keyword.value) for keyword in node.keywords if keyword.arg)
-        yield from ((f"{function} {at}", value) for at, value in enumerate(node.args))
-    elif isinstance(node, ast.Dict):
-        yield from (
-            (f"{{}} {key.value!r}", value)
-            for key, value in zip(node.keys, node.values, strict=True)
-            if isinstance(key, ast.Constant)
-        )
-        yield from ((f"keys of line {node.lineno}", key) for key in node.keys if key is not None)
-    elif isinstance(node, ast.List | ast.Tuple):
-        yield from ((f"items of line {node.lineno}", value) for value in node.elts)
+    match node:
+        case ast.Call(function, values, keywords):
+            yield from ((keyword.arg, keyword.value) for keyword in keywords if keyword.arg)
+            yield from ((f"{ast.unparse(function)} {at}", value) for at, value in enumerate(values))
+        case ast.Dict(keys, values):
+            pairs = zip(keys, values, strict=True)
+            yield from ((f"{{}} {key.value!r}", value) for key, value in pairs if isinstance(key, ast.Constant))
+            yield from ((f"keys of line {node.lineno}", key) for key in keys if key is not None)
+        case ast.List(items) | ast.Tuple(items):
+            yield from ((f"items of line {node.lineno}", value) for value in items)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import closing, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import count, islice, zip_longest
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
 from recorder.properties import BadProperty
-from recorder.records import Check, MoveBody, Mutation, Plain
+from recorder.records import Check, Mutation, Plain
 from recorder.tasks import Node, State
 from replay.errors import ReplayError
 from replay.explain.causes.case import hands
@@ -98,14 +98,9 @@ def search(
     if trials.reference.kind == "succeeded" and all(checked):
         raise ReplayError("the plan succeeded; say what should have held: --holds 'always milk.z > 0.5'")
     failed = why.task.motion if why.task is not None else None
-    found.asked = ", ".join(
-        [
-            "the plan succeeds",
-            *(f"{each} holds" for each in properties),
-            *([f"{failed.name} is done"] if failed is not None else []),
-            "placed objects stay at their targets",
-        ]
-    )
+    asked = ["the plan succeeds", *(f"{each} holds" for each in properties)]
+    asked += [f"{failed.name} is done"] if failed is not None else []
+    found.asked = ", ".join([*asked, "placed objects stay at their targets"])
     unlikely: list[Repair] = []  # marked repairs; they are shown if there is no other
     try:
         _try_all(trials, _candidates(trials, log, why, checked), found, unlikely, budget, folder, properties, failed)
@@ -131,11 +126,9 @@ def _try_all(
         wave = [*islice(likely, min(usable_cores(), last - trials.runs))]
         if not wave:
             break
-        with closing(trials.all([Version(each.text) for each in wave])) as results:
-            ended = sorted((at, trial.ending) for at, trial in results)
+        endings = trials.all([Version(each.text) for each in wave])
         found.tried += len(wave)
-        for at, ending in ended:
-            edit = wave[at]
+        for edit, ending in zip(wave, endings, strict=True):
             if ending.kind != "succeeded":
                 if not alike(ending, trials.reference):
                     found.others[edit.what] = ending.failure
@@ -144,12 +137,11 @@ def _try_all(
                 break
             files = (folder / f"{trials.log.path.stem}.fix-{number}.mcap" for number in count(1))
             file = next(each for each in files if not each.exists())
-            if not alike(trials.one(edit.text, file).ending, ending) or not reaches_goal(file, properties):
+            if not alike(trials.one(edit.text, file), ending) or not reaches_goal(file, properties):
                 file.unlink(missing_ok=True)
                 continue
-            found.repairs.append(
-                Repair(edit, file, 0, 0, _mark(trials, edit, file, failed))
-            )  # shown after an interrupt
+            # a repair is shown after an interrupt, too
+            found.repairs.append(Repair(edit, file, 0, 0, _mark(trials, edit, file, failed)))
             if not found.repairs[0].mark:
                 found.repairs[0] = _checked(trials, found.repairs[0], budget)
             if found.repairs[0].mark:
@@ -186,9 +178,11 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     edits += [replace(each, cost=each.cost + _ELSEWHERE) for each in editor.structural()]
     seen: set[str] = set()
     for edit in sorted(edits):
-        if edit.text not in seen and _is_python(edit.text):
+        if edit.text not in seen:
             seen.add(edit.text)
-            yield edit
+            with suppress(SyntaxError, ValueError):
+                compile(edit.text, "plan", "exec")
+                yield edit
 
 
 def _lines(
@@ -196,30 +190,19 @@ def _lines(
 ) -> tuple[list[int], set[int], set[int]]:
     """Return lines of the plan's main file, the most probable first; lines with guesses; lines with outdated values."""
     name = trials.program.name
-    ranked: list[int] = []
-    guessed: set[int] = set()
-    stale: set[int] = set()
+    ranked, stale, guessed = list[int](), set[int](), set[int]()
     with suppress(CantRetrace):
         found = None if why.failure is None else origins(log, why, recorded_source=True)
         if found is not None:
             ranked, stale, guessed = found.lines_of(name), found.stale_of(name), {each.line for each in found.guesses}
     source = PlanSource(log)
     stacks = [source.call_stack(each.record) for each in checked if not each and each.record is not None]
-    called = [
-        line.number for stack in (why.call_stack, *stacks) for line in reversed(stack) if line.file.endswith(name)
-    ]
+    inner = (line for stack in (why.call_stack, *stacks) for line in reversed(stack))
+    called = [line.number for line in inner if line.file.endswith(name)]
     flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
     lines = [*dict.fromkeys((*ranked, *called[:1], *flow))]
     lines[_LIKELY:_LIKELY] = editor.handlers
     return [*dict.fromkeys(lines)][:_MAX_LINES], guessed, stale
-
-
-def _is_python(text: str) -> bool:
-    try:
-        compile(text, "plan", "exec")
-    except (SyntaxError, ValueError):
-        return False
-    return True
 
 
 def reaches_goal(file: Path, properties: Sequence[str]) -> bool:
@@ -232,9 +215,8 @@ def reaches_goal(file: Path, properties: Sequence[str]) -> bool:
                 placed[str(thing.get("object"))] = [float(str(value)) for value in target]
         world = log.state_at(last_open_step(log, log.final_step())).worlds
         bodies = {name: body for each in world.values() for name, body in each.bodies.items()}
-        stays = all(
-            math.dist(bodies[name].position, target) < _AWAY for name, target in placed.items() if name in bodies
-        )
+        ends = [(bodies[name].position, target) for name, target in placed.items() if name in bodies]
+        stays = all(math.dist(*each) < _AWAY for each in ends)
         try:
             return stays and all(log.check(*properties))
         except BadProperty:  # the edit has renamed or removed an object
@@ -246,7 +228,8 @@ def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
     with Recording(file) as log:
         before, done = (each.find(status=State.SUCCEEDED) for each in (tree(trials.log), log.tree()))
         mark = "" if failed is None else changed_goal(before, done, failed, edit)
-        left = sorted(_commanded(trials.log) - _commanded(log))
+        changed = [{*map(commanded, each.records(Mutation))} for each in (trials.log, log)]
+        left = sorted(changed[0] - changed[1])
         mark = mark or (_changed_place(trials.log, log) if edit.asks else "")
     if left and not mark:
         mark = f"it leaves {phrases.names(left)} alone"
@@ -255,17 +238,13 @@ def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
 
 def _changed_place(before: RecordReader, log: RecordReader) -> str:
     """Return where the plan itself puts an object in a repaired run, if it is elsewhere than before; otherwise ""."""
-    for one, other in zip(_put(before), _put(log), strict=False):
+    changes = ((each for each in part.records(Mutation) if not each.task) for part in (before, log))
+    moves = ([each.move_body for each in part if each.HasField("move_body")] for part in changes)
+    for one, other in zip(*moves, strict=False):
         if one.body == other.body and math.dist(one.position, other.position) > _SETTLED:
             places = (phrases.vector(each.position) for each in (one, other))
             return f"it changes the requested place: {one.body} at {' becomes '.join(places)}"
     return ""
-
-
-def _put(log: RecordReader) -> list[MoveBody]:
-    """Return the moves of objects by the plan itself, outside of tasks."""
-    moves = (each for each in log.records(Mutation) if each.HasField("move_body") and not each.task)
-    return [each.move_body for each in moves]
 
 
 def _checked(trials: Trials, repair: Repair, budget: int) -> Repair:
@@ -275,21 +254,15 @@ def _checked(trials: Trials, repair: Repair, budget: int) -> Repair:
     places = [Version(text, elsewhere=draw) for draw in range(1, CHECKS[1] + 1)]
     versions = [each for pair in zip_longest(seeds, places) for each in pair if each][: max(budget - trials.runs, 0)]
     good, every = [0, 0], [0, 0]
-    with closing(trials.all(versions)) as results:
-        for index, trial in results:
-            every[bool(versions[index].elsewhere)] += 1
-            good[bool(versions[index].elsewhere)] += trial.ending.kind == "succeeded"
+    for version, ending in zip(versions, trials.all(versions), strict=True):
+        every[bool(version.elsewhere)] += 1
+        good[bool(version.elsewhere)] += ending.kind == "succeeded"
     mark = repair.mark
     if not mark and every[0] and not good[0]:
         mark = "it succeeds with its own seed only"
     elif not mark and every[1] and not good[1]:
         mark = "it fails with objects 1 cm elsewhere"
     return replace(repair, seeds=good[0], elsewhere=good[1], mark=mark, checks=(every[0], every[1]))
-
-
-def _commanded(log: RecordReader) -> set[str]:
-    """Return the names of the objects that the plan changed."""
-    return {commanded(record) for record in log.records(Mutation)}
 
 
 def _is_near(one: list[Plain], other: Plain) -> bool:

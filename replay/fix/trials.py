@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import math
 import os
@@ -9,8 +10,9 @@ import random
 import re
 import sys
 import tempfile
+import time
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -71,15 +73,6 @@ class Version:
     elsewhere: int = 0  # seed for displacing each loose object by 1 cm; 0 for no displacement
 
 
-@dataclass(frozen=True, slots=True)
-class EditedRun:
-    """A run of an edited plan."""
-
-    ending: Ending
-    seconds: float  # wall-clock time
-    recording: Path | None = None  # the trial's recording, if the caller requested one
-
-
 class Trials:
     """Runs edited versions of a recorded plan, several in parallel.
 
@@ -95,9 +88,8 @@ class Trials:
         self.runs = 0  # number of started runs
         self.failed: set[str] = set()  # versions that a search has already rejected
         self.reference = Ending("")  # the ending of the run of the unchanged plan
-        self._spec = spec_of(
-            log, process.began, process.program, process.arguments
-        )  # children must not read the recording's file
+        # made here, because children must not read the recording's file
+        self._spec = spec_of(log, process.began, process.program, process.arguments)
         self._began = process.began
         self._allow_effects = allow_effects
         self._limit = max(LEAST, LIMIT * (log[-1].monotonic_ns - process.began.monotonic_ns) / 1e9)
@@ -118,9 +110,9 @@ class Trials:
         """
         least = self._limit
         self._limit = _SLOWER * least
-        control = self.one(self.text)
-        self._limit = max(least, LIMIT * control.seconds)
-        self.reference = control.ending
+        began = time.monotonic()
+        self.reference = self.one(self.text)
+        self._limit = max(least, LIMIT * (time.monotonic() - began))
         recorded = EndingSink()
         for record in self.log:
             recorded.write("", record, b"")
@@ -129,14 +121,14 @@ class Trials:
             raise ReplayError(f"the plan doesn't end as recorded: now {now}; was {recorded.ending.failure}")
         return self.reference
 
-    def one(self, text: str, file: Path | None = None) -> EditedRun:
+    def one(self, text: str, file: Path | None = None) -> Ending:
         """Run one version, and record it if a file is given."""
-        ((_, trial),) = self.all([Version(text, file)])
-        return trial
+        return self.all([Version(text, file)])[0]
 
-    def all(self, versions: Iterable[Version]) -> Generator[tuple[int, EditedRun], None, None]:
-        """Run versions in parallel; yield index and trial when a run ends. Closing the generator kills the rest."""
+    def all(self, versions: Sequence[Version]) -> list[Ending]:
+        """Run versions in parallel; return their endings."""
         pool: ChildPool[tuple[int, Version]] = ChildPool(usable_cores(), self._limit, GRACE)
+        endings: dict[int, Ending] = {}
 
         def start(job: tuple[int, Version]) -> Child:
             self.runs += 1
@@ -146,14 +138,14 @@ class Trials:
             return run_from_start(partial(self._answer, plan, job[1], job[1].file and job[1].file.absolute()))
 
         with closing(pool.run(deque(enumerate(versions)), start)) as results:
-            for (index, version), result in results:
+            for (index, _), result in results:
                 answer = json.loads(result.answer) if result.answer else {}
                 if answer.get("outside"):
                     raise PlanHasEffects(answer["outside"])
-                ending = Ending(**answer["ending"]) if answer else Ending("died", f"its process {result.how}")
+                endings[index] = Ending(**answer["ending"]) if answer else Ending("died", f"its process {result.how}")
                 if result.late:
-                    ending = Ending("time limit", f"it was still running after {self._limit:.0f} s")
-                yield index, EditedRun(ending, result.seconds, version.file)
+                    endings[index] = Ending("time limit", f"it was still running after {self._limit:.0f} s")
+        return [endings[index] for index in range(len(versions))]
 
     def _answer(self, plan: Path, version: Version, file: Path | None) -> bytes:
         """Run a plan in this child process, which changes its folder; return its ending as JSON."""
@@ -220,22 +212,16 @@ def _loose_objects_elsewhere(draw: int) -> Iterator[None]:
         return
     dice, load = random.Random(draw), Object.__init__
 
-    def moved(
-        self: Object,
-        name: str,
-        type: str,  # noqa: A002  the parameter's name
-        path: str,
-        position: Sequence[float] = (0, 0, 0),
-        *rest: Any,
-        **more: Any,
-    ) -> None:
-        if type not in ("robot", "environment"):
+    def moved(*given: Any, **named: Any) -> None:
+        bound = inspect.signature(load).bind(*given, **named)
+        bound.apply_defaults()
+        if bound.arguments["type"] not in ("robot", "environment"):
             angle = dice.uniform(-math.pi, math.pi)
-            x, y, z = position
-            position = [x + _DISPLACED * math.cos(angle), y + _DISPLACED * math.sin(angle), z]
-        load(self, name, type, path, position, *rest, **more)
+            x, y, z = bound.arguments["position"]
+            bound.arguments["position"] = [x + _DISPLACED * math.cos(angle), y + _DISPLACED * math.sin(angle), z]
+        load(*bound.args, **bound.kwargs)
 
-    Object.__init__ = moved  # type: ignore[method-assign,assignment]
+    Object.__init__ = moved  # type: ignore[method-assign]
     try:
         yield
     finally:
@@ -244,9 +230,5 @@ def _loose_objects_elsewhere(draw: int) -> Iterator[None]:
 
 def alike(one: Ending, other: Ending) -> bool:
     """Return whether two runs ended with the same failure at the same line; numbers in messages may differ."""
-    return one.kind == other.kind and _cause(one) == _cause(other)
-
-
-def _cause(ending: Ending) -> tuple[str, str]:
-    file, _, line = ending.plan_line.rpartition(":")
-    return _NUMBER.sub("#", ending.failure), f"{Path(file).name}:{line}"
+    ends = (one, other)
+    return len({(each.kind, _NUMBER.sub("#", each.failure), Path(each.plan_line).name) for each in ends}) == 1

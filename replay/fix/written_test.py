@@ -142,17 +142,11 @@ def _arguments(task: Node, names: dict[str, str]) -> dict[str, str]:
     for slot, value in task.parameters.items():
         if slot.endswith("-arm"):
             arms[slot.removesuffix("-arm")] = value
+        elif isinstance(value, dict) and str(value.get("object")) not in names:
+            raise ReplayError(f"{phrases.value(value)} can't be written as an argument of a test")
         else:
-            found[_variable(slot)] = _value(value, names)
+            found[_variable(slot)] = names[str(value["object"])] if isinstance(value, dict) else repr(value)
     return found | ({"arms": repr(arms)} if arms else {})
-
-
-def _value(value: Plain, names: dict[str, str]) -> str:
-    if not isinstance(value, dict):
-        return repr(value)
-    if str(value.get("object")) in names:
-        return names[str(value["object"])]
-    raise ReplayError(f"{phrases.value(value)} can't be written as an argument of a test")
 
 
 def _vector(values: Sequence[float]) -> str:
