@@ -10,11 +10,11 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 from recorder.plan_lines import called_name, stored
-from replay.fix.operators import FAR, OPERATORS, Change, similar_name
+from replay.fix.operators import FAR, Change, changes, similar_name
 from replay.fix.plan_syntax import PlanSyntax, asserts, loads
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
@@ -64,34 +64,33 @@ class Editor:
         for node in plan.nodes:
             if getattr(node, "lineno", None) != line or node in plan.goals:
                 continue
-            for change in (*self._names(node, sets), *_changes(node, plan)):
+            for change in (*self._names(node, sets), *changes(node, plan)):
                 likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
                 yield self._edit(change, line, _SCENE * (node in plan.scene) - likely)
             if isinstance(node, ast.stmt):
                 around = plan.parents[node]
-                for change in _changes(around, plan) if isinstance(around, ast.If | ast.For) else ():
+                for change in changes(around, plan) if isinstance(around, ast.If | ast.For) else ():
                     yield self._edit(change, around.lineno, _AROUND)  # type: ignore[attr-defined]
-                yield from (replace(each, cost=each.cost - _STALE * stale) for each in self._moves(node))
+                yield from (self._edit(each, line, -_STALE * stale) for each in self._moves(node))
 
     def structural(self) -> Iterator[Edit]:
         """Yield the likeliest edits of the whole plan that change how values are computed, not the values."""
         for node in self.plan.nodes:
-            for change in _changes(node, self.plan) if node not in self.plan.goals else ():
-                if change.cost < _STRUCTURAL and not change.asks and not change.chance:
-                    yield self._edit(change, node.lineno)  # type: ignore[attr-defined]
-            if isinstance(node, ast.Assign):
-                yield from (each for each in self._moves(node) if each.cost < _STRUCTURAL)
+            found = [*changes(node, self.plan)] if node not in self.plan.goals else []
+            found += self._moves(node) if isinstance(node, ast.Assign) else ()
+            likely = (each for each in found if each.cost < _STRUCTURAL and not each.asks and not each.chance)
+            yield from (self._edit(each, node.lineno) for each in likely)  # type: ignore[attr-defined]
 
     def insertions(self, line: int) -> Iterator[Edit]:
         """Yield the plan with a wait, or a call that the plan makes elsewhere, before a line."""
-        lines, plan = self.plan.lines, self.plan
+        plan = self.plan
         measuring = (node for node in plan.nodes if node in plan.goals and isinstance(node, ast.stmt))
         line = next((node.lineno for node in measuring if node.lineno <= line <= (node.end_lineno or 0)), line)
-        indent = re.match(r"\s*", lines[line - 1])[0]  # type: ignore[index]
+        indent = re.match(r"\s*", plan.lines[line - 1])[0]  # type: ignore[index]
         waits = [(f"{each}.{call}", FAR) for each in sorted(plan.names["BulletWorld"])[:1] for call in _WAITS]
+        place = plan.offset(line), plan.offset(line)
         for call, cost in (*waits, *self._other_calls(line)):
-            text = "".join([*lines[: line - 1], f"{indent}{call}\n", *lines[line - 1 :]])
-            yield Edit(cost, line, f"{call} before line {line}", text)
+            yield self._edit(Change(f"{call} before line {line}", cost, ((place, f"{indent}{call}\n"),)), line)
 
     def _other_calls(self, line: int) -> Iterator[tuple[str, float]]:
         """Yield calls of the plan's other statements, also with other names in the same role."""
@@ -129,9 +128,9 @@ class Editor:
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield from similar_name(node, plan)
 
-    def _moves(self, statement: ast.stmt) -> Iterator[Edit]:
-        """Yield the plan with a statement moved: in its block, to a use of its values, or into or out of a loop."""
-        plan, line = self.plan, statement.lineno
+    def _moves(self, statement: ast.stmt) -> Iterator[Change]:
+        """Yield moves of a statement: in its block, to a use of its values, or into or out of a loop."""
+        plan = self.plan
         block, parent = plan.block(statement), plan.parents[statement]
         if len(block) < 2 or isinstance(statement, ast.Import | ast.ImportFrom | ast.FunctionDef | ast.ClassDef):
             return
@@ -143,41 +142,31 @@ class Editor:
             needed = [(statement, each) if to < at else (each, statement) for each in crossed if each is not statement]
             undefined = any(loads(one, stored(other)) and not isinstance(other, ast.For) for one, other in needed)
             if 0 <= to < len(block) and not undefined and not any(map(self._is_check, crossed)):
-                where = f"{'after' if to > at else 'before'} line {block[to].lineno}"
-                yield Edit(0.7, line, f"line {line} {where}", self._moved(statement, block[to], after=to > at))
+                yield self._moved(statement, block[to], 0.7, f"line {block[to].lineno}", after=to > at)
         inner = block[uses[0]] if uses and not any(map(self._is_check, block[at + 1 : uses[0]])) else None
         while inner is not None and isinstance(inner, ast.For | ast.While | ast.With):
-            text = self._moved(statement, inner.body[0], after=False)
-            yield Edit(0.4, line, f"line {line} into the block of line {inner.lineno}", text)
+            moved = self._moved(statement, inner.body[0], 0.4, "")
+            yield moved._replace(what=f"line {statement.lineno} into the block of line {inner.lineno}")
             inner = next((each for each in inner.body if loads(each, made)), None)
         if isinstance(parent, ast.For | ast.While) and statement in parent.body:
             is_last = at == len(block) - 1
             if is_last or (at == 0 and isinstance(statement, ast.Assign)):
-                where = f"{'after' if is_last else 'before'} the loop"
-                yield Edit(0.6, line, f"line {line} {where}", self._moved(statement, parent, after=is_last))
+                yield self._moved(statement, parent, 0.6, "the loop", after=is_last)
 
     def _is_check(self, statement: ast.stmt) -> bool:
         """Return whether a statement contains an assertion, directly or in a called function."""
         names = (getattr(each, "id", "") for each in ast.walk(statement))
         return any(map(asserts, ast.walk(statement))) or not self.plan.checks.isdisjoint(names)
 
-    def _moved(self, statement: ast.stmt, other: ast.stmt, *, after: bool) -> str:
-        """Return the plan with a statement before or after another one."""
-        lines = self.plan.lines
-        start, end = statement.lineno - 1, statement.end_lineno or statement.lineno
-        shift, indent = statement.col_offset, " " * other.col_offset
-        part = [f"{indent}{line[shift:]}" if line.strip() else line for line in lines[start:end]]
-        to = (other.end_lineno or other.lineno) if after else other.lineno - 1
-        return "".join(
-            [*lines[:to], *part, *lines[to:start], *lines[end:]]
-            if to <= start
-            else [*lines[:start], *lines[end:to], *part, *lines[to:]]
-        )
+    def _moved(self, statement: ast.stmt, other: ast.stmt, cost: float, where: str, *, after: bool = False) -> Change:
+        """Return the move of a statement before or after another one."""
+        plan, start, shift = self.plan, statement.lineno, statement.col_offset
+        end, indent = statement.end_lineno or start, " " * other.col_offset
+        lines = (f"{indent}{line[shift:]}" if line.strip() else line for line in plan.lines[start - 1 : end])
+        to = plan.offset((other.end_lineno or other.lineno) + 1 if after else other.lineno)
+        what = f"line {start} {'after' if after else 'before'} {where}"
+        return Change(what, cost, (((plan.offset(start), plan.offset(end + 1)), ""), ((to, to), "".join(lines))))
 
     def _edit(self, change: Change, line: int, more: float = 0) -> Edit:
         text = self.plan.replaced(change.parts)
         return Edit(change.cost + more, line, change.what, text, change.asks, change.chance)
-
-
-def _changes(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    return (change for operator in OPERATORS for change in operator(node, plan))

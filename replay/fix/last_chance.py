@@ -13,7 +13,7 @@ import math
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import Final, Self
 from pycram.foundation.forcing import SKIPPED
 from pycram.projection.child import usable_cores
 from recorder.mcap_sink import free_path
+from recorder.plan_lines import called_name, syntax_nodes
 from recorder.records import Mutation, Query, Run, Task, argument_values
 from recorder.records.text import NOT_TRIED, TAKEN, chosen_name, fates
 from replay.compare import compare_recordings
@@ -65,10 +66,7 @@ def last_chance(
     """Search the last chance of a failed plan; the result is added to ``found``, which survives an interrupt.
 
     Args:
-        trials: the plan.
-        log: its recording.
         folder: folder for the recording of the success.
-        found: the result.
         holds: properties that must hold in a successful run.
         budget: maximum number of whole runs.
 
@@ -207,28 +205,22 @@ class _Chances:
 
     def find_choice(self) -> None:
         """Force other choices before the closing step, the latest first, until the whole plan succeeds."""
-        choices = list(self._choices())
+        choices, found = list(self._choices()), self._found
         with ThreadPoolExecutor(usable_cores()) as pool, ExitStack() as undoing:
             undoing.callback(self._prover.stop)  # without this, an interrupted block would wait for its forks
             while choices and self._left():
-                size = min(usable_cores(), self._budget - self._found.runs)
+                size = min(usable_cores(), self._budget - found.runs)
                 wave, choices = choices[:size], choices[size:]
                 for tried in pool.map(self._prover.tried, wave):
-                    self._found.runs = self._control + self._prover.forks
-                    if not self._found.choice and self._succeeds(tried):
-                        self._take(tried)
-                    else:
-                        self._found.others.append(tried.text)
-                if self._found.choice:
-                    return
-
-    def _take(self, tried: TriedTrial) -> None:
-        found = self._found
-        found.step, found.choice = tried.trial.step, tried.trial.answers[0]
-        found.recording = free_path(self._folder / f"{self._log.path.stem}.chance.mcap")
-        shutil.move(tried.file, found.recording)
-        if found.closed is None or found.closed <= found.step:
-            self.close(found.step + 1)
+                    found.runs = self._control + self._prover.forks
+                    if found.choice or not self._succeeds(tried):
+                        found.others.append(tried.text)
+                        continue
+                    found.step, found.choice, choices = tried.trial.step, tried.trial.answers[0], []
+                    found.recording = free_path(self._folder / f"{self._log.path.stem}.chance.mcap")
+                    shutil.move(tried.file, found.recording)
+                    if found.closed is None or found.closed <= found.step:
+                        self.close(found.step + 1)
 
     def _succeeds(self, tried: TriedTrial) -> bool:
         if not self._prover.succeeds(tried):
@@ -262,12 +254,11 @@ class _Chances:
         record, line = self._log[closed], self._found.line
         if not isinstance(record, Mutation) or record.task or line is None:
             return
-        with suppress(SyntaxError):
-            calls = [node.func for node in ast.walk(ast.parse(line.text)) if isinstance(node, ast.Call)]
-            for called in calls:
-                if isinstance(called, ast.Attribute) and called.attr not in ("simulate", "settle"):
-                    text = f"{called.attr}(...)={SKIPPED}"
-                    yield Trial(closed - 1, text, answers=(text,))
+        for node in syntax_nodes(line.text):
+            name = called_name(node)
+            if name not in ("", "simulate", "settle") and isinstance(node.func, ast.Attribute):  # type: ignore[attr-defined]
+                text = f"{name}(...)={SKIPPED}"
+                yield Trial(closed - 1, text, answers=(text,))
 
 
 def _put_back(case: FailureCase, names: Sequence[str], busy: set[str], then: int, end: int) -> Trial:
@@ -294,9 +285,7 @@ def _alternatives(query: Query) -> list[str]:
     if not query.grid.spots:
         untried = [name for each in query.candidates if each.reason in ("", "Untried") for name in each.names]
         return [name for name in untried if name != chosen_name(query)][:_ALTERNATIVES]
-    spots, every = [each.position[:2] for each in query.grid.spots], [*fates(query)]
-    taken = next((at for at, fate in zip(spots, every, strict=True) if fate == TAKEN), spots[0])
-    free = sorted(
-        (math.dist(at, taken), name) for at, fate, name in zip(spots, every, names, strict=True) if fate == NOT_TRIED
-    )
+    spots = [*zip((each.position[:2] for each in query.grid.spots), fates(query), names, strict=True)]
+    taken = next((at for at, fate, _ in spots if fate == TAKEN), spots[0][0])
+    free = sorted((math.dist(at, taken), name) for at, fate, name in spots if fate == NOT_TRIED)
     return [free[len(free) * share // 4][1] for share in _SHARES if free]

@@ -15,16 +15,16 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, TypeAlias
+from typing import TypeAlias
 
 from pycram.exploration import Ending
 from pycram.projection.child import usable_cores
+from recorder.plan_lines import syntax_nodes
 from replay.errors import ReplayError
 from replay.explain.why import why
 from replay.file.record_reader import RecordReader
 from replay.fix.trials import Trials, Version, alike
 
-_INDENT: Final = re.compile(r"\s*")
 #: The kind of a failure's first cause, and the first line of the plan that its text names.
 _Cause: TypeAlias = tuple[str, str]
 
@@ -45,7 +45,6 @@ def minimise(trials: Trials, budget: int) -> Minimised:
     """Remove statements of a plan while the plan still fails in the same way, and of the same cause.
 
     Args:
-        trials: the plan.
         budget: maximum number of runs.
 
     Raises:
@@ -59,7 +58,8 @@ def minimise(trials: Trials, budget: int) -> Minimised:
         search.reduce()
         short, objects = _short(search.text), search.objects
         ending, cause = search.run([short])[0]
-        if not alike(_without_line(ending), _without_line(reference)) or cause() != search.cause:
+        ends = [replace(each, plan_line="") for each in (ending, reference)]
+        if not alike(*ends) or cause() != search.cause:
             short, ending = search.text, reference  # the plan may read its own lines
     lines = len(code_lines(trials.text)), len(code_lines(short))
     return Minimised(short, lines, (len(reference.bodies), objects), trials.runs, ending.failure, trials.runs >= budget)
@@ -109,15 +109,14 @@ class _Search:
 
     def _take_first(self, texts: Sequence[str]) -> int | None:
         """Take the first version that fails like the plan; return its index, or None if there is none."""
-        tidied = {index: _tidied(text) for index, text in enumerate(texts)}
-        tried = [index for index, text in tidied.items() if text not in self._trials.failed]
+        tidied = {text: index for index, text in enumerate(map(_tidied, texts)) if text not in self._trials.failed}
         taken: int | None = None
-        for index, (ending, cause) in zip(tried, self.run([tidied[index] for index in tried]), strict=True):
+        for (text, index), (ending, cause) in zip(tidied.items(), self.run([*tidied]), strict=True):
             is_alike = alike(ending, self._trials.reference)
             if taken is None and is_alike and cause() == self.cause:
-                self.text, self.objects, taken = tidied[index], len(ending.bodies), index
+                self.text, self.objects, taken = text, len(ending.bodies), index
             elif taken is None or not is_alike:
-                self._trials.failed.add(tidied[index])
+                self._trials.failed.add(text)
         return taken
 
     def run(self, texts: Sequence[str]) -> list[tuple[Ending, Callable[[], _Cause]]]:
@@ -146,13 +145,13 @@ class _Span:
 
 
 def _levels(text: str) -> Iterator[list[_Span]]:
-    """Yield the statements of each block, outer blocks first, then items; those that share a line don't count."""
+    """Yield the statements of each block, outer blocks first, then items; those in `if x: y` or `x; y` don't count."""
     lines = text.splitlines()
     blocks: list[Sequence[ast.stmt]] = [ast.parse(text).body]
     while blocks:
         block = blocks.pop(0)
-        spans = [_span(each) for each in block]
-        yield [span for span in spans if _is_apart(lines, span)]
+        texts = {span: textwrap.dedent("\n".join(lines[span.start - 1 : span.end])) for span in map(_span, block)}
+        yield [span for span, part in texts.items() if syntax_nodes(part)]
         for statement in block:
             blocks += _blocks(statement)
     for node in ast.walk(ast.parse(text)):
@@ -185,29 +184,20 @@ def _unwrapped(text: str, node: ast.AST) -> str:
     if not isinstance(node, ast.If | ast.With | ast.Try):
         return ""
     lines, body = text.splitlines(), node.body
-    kept = lines[_span(body[0]).start - 1 : body[-1].end_lineno]
-    inner = [line[body[0].col_offset - node.col_offset :] for line in kept]
+    first, shift = _span(body[0]).start, body[0].col_offset - node.col_offset
+    inner = [line[shift:] for line in lines[first - 1 : body[-1].end_lineno]]
     lines[node.lineno - 1 : node.end_lineno] = [""] * ((node.end_lineno or node.lineno) + 1 - node.lineno)
-    lines[_span(body[0]).start - 1 : body[-1].end_lineno] = inner
+    lines[first - 1 : body[-1].end_lineno] = inner
     return "\n".join(lines) + "\n"
-
-
-def _is_apart(lines: Sequence[str], span: _Span) -> bool:
-    """Return whether a statement has its lines for itself, unlike those in `if x: y` or `x; y`."""
-    try:
-        ast.parse(textwrap.dedent("\n".join(lines[span.start - 1 : span.end])))
-    except SyntaxError:
-        return False
-    return True
 
 
 def _without(text: str, spans: Iterable[_Span]) -> str:
     """Return a plan without the given parts; the numbers of other lines don't change."""
     lines = text.splitlines()
     for span in spans:
-        indent = _INDENT.match(lines[span.start - 1])
-        lines[span.start - 1 : span.end] = [""] * (span.end + 1 - span.start)
-        lines[span.start - 1] = f"{indent[0] if indent else ''}{span.instead}".rstrip()
+        first = lines[span.start - 1]
+        instead = first.removesuffix(first.lstrip()) + span.instead
+        lines[span.start - 1 : span.end] = [instead.rstrip()] + [""] * (span.end - span.start)
     return "\n".join(lines) + "\n"
 
 
@@ -245,7 +235,3 @@ def _short(text: str) -> str:
 def code_lines(text: str) -> list[str]:
     """Return the lines of a plan without empty lines and comments."""
     return [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-
-
-def _without_line(ending: Ending) -> Ending:
-    return replace(ending, plan_line="")

@@ -6,7 +6,7 @@ import ast
 import copy
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from recorder.plan_lines import called_name, last_name, stored
@@ -97,11 +97,10 @@ def _grouping(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
     yield from (_to(node, f"({ast.unparse(each)})", 0.35 + 0.05 * isinstance(each, ast.BoolOp)) for each in new)
 
 
-def _is_same(one: ast.operator, other: ast.operator) -> bool:
-    """Return whether parentheses don't matter in a, one, b, other, c."""
-    return (isinstance(one, ast.Add) and isinstance(other, ast.Add | ast.Sub)) or (
-        isinstance(one, ast.Mult) and isinstance(other, ast.Mult | ast.Div)
-    )
+def _is_same(*operators: ast.operator) -> bool:
+    """Return whether parentheses don't matter between the first and the second operator."""
+    one, other = (type(each).__name__ for each in operators)
+    return f"{one} {other}" in ("Add Add", "Add Sub", "Mult Mult", "Mult Div")
 
 
 def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -167,14 +166,14 @@ def _shadowing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield a loop whose variable has a name of its own."""
     if not isinstance(node, ast.For):
         return
-    scope = plan.scope(node)
     for name in sorted(stored(node.target)):
-        uses = [each for each in ast.walk(scope) if name in (getattr(each, "id", ""), getattr(each, "arg", ""))]
-        names = [each for each in uses if isinstance(each, ast.Name | ast.arg)]
+        uses = [each for each in ast.walk(plan.scope(node)) if isinstance(each, ast.Name | ast.arg)]
+        names = [each for each in uses if name in (getattr(each, "id", ""), getattr(each, "arg", ""))]
         earlier = [each for each in names if each.lineno < node.lineno and not loads(each, {name})]
         if earlier and any(each.lineno > (node.end_lineno or 0) for each in names):
-            inside = {each for each in ast.walk(node) if isinstance(each, ast.Name) and each.id == name}
-            parts = tuple((each, f"{name}_2") for each in inside)
+            parts = tuple(
+                (each, f"{name}_2") for each in {*ast.walk(node)}.intersection(names) if isinstance(each, ast.Name)
+            )
             yield Change(f"{name}_2 instead of {name} in the loop of line {node.lineno}", 0.3, parts)
 
 
@@ -208,10 +207,7 @@ def _calls(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield the call of a method instead of an attribute, and calls with a forgotten world."""
     if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and node not in plan.called:
         owner = ast.unparse(node.value)
-        named = {
-            each.func.attr for each in plan.nodes if isinstance(each, ast.Call) and isinstance(each.func, ast.Attribute)
-        }
-        if node.attr in named:
+        if any(isinstance(each, ast.Attribute) and each.attr == node.attr for each in plan.called):
             yield _to(node, f"{ast.unparse(node)}()", 0.3)
         for method in plan.functions.values() if owner != "self" else ():
             stores = (each for each in ast.walk(method) if isinstance(each, ast.Attribute) and each.attr == node.attr)
@@ -232,22 +228,20 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     match node:
         case ast.BinOp(op=op) | ast.BoolOp(op=op) | ast.Compare(ops=[op]):
             for name in _OPPOSITE.get(type(op).__name__, ()):
-                other = copy.copy(node)
-                if isinstance(other, ast.Compare):
-                    other.ops = [getattr(ast, name)()]
-                    yield _to(node, ast.unparse(other), 0.55)
-                else:
-                    other.op = getattr(ast, name)()
-                    what = f"{ast.unparse(node)} with another operator"
-                    is_scale = {name, type(op).__name__} == {"Mult", "Div"}
-                    yield _to(node, f"({ast.unparse(other)})", 0.65, what, chance=is_scale)
+                other, sign, compares = copy.copy(node), getattr(ast, name)(), isinstance(node, ast.Compare)
+                vars(other).update({"ops": [sign]} if compares else {"op": sign})
+                what = "" if compares else f"{ast.unparse(node)} with another operator"
+                is_scale = {name, type(op).__name__} == {"Mult", "Div"}
+                new = ast.unparse(other) if compares else f"({ast.unparse(other)})"
+                yield _to(node, new, 0.65 - 0.1 * compares, what, chance=is_scale)
         case ast.List([_, _, *_] as items) | ast.Tuple([_, _, *_] as items) if len(items) <= 4:
             turned = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
             swapped = [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
             for order in (*turned, *swapped):
-                is_turn = order in turned
-                new = ast.unparse(type(node)(order, ast.Load()))
-                yield _to(node, new, 0.35 if is_turn else 0.42, asks=True, chance=not is_turn)
+                swaps = order not in turned
+                yield _to(
+                    node, ast.unparse(type(node)(order, ast.Load())), 0.35 + 0.07 * swaps, asks=True, chance=swaps
+                )
         case ast.Call(keywords=given) if any(each.arg == "orientation" for each in given):
             kept = [each for each in given if each.arg != "orientation"]
             yield _to(node, ast.unparse(ast.Call(node.func, node.args, kept)), FAR, "without orientation")
@@ -268,18 +262,10 @@ def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
         yield _to(node, name, 0.6, asks=name in plan.constants, chance=chance)
 
 
-#: What an edit of a line tries, for each of its nodes.
-OPERATORS: Final[tuple[Callable[[ast.AST, PlanSyntax], Iterator[Change]], ...]] = (
-    _number,
-    _bounds,
-    _grouping,
-    _angle,
-    _aliasing,
-    _default,
-    _late,
-    _shadowing,
-    _branches,
-    _handling,
-    _calls,
-    _structure,
-)
+_EXPRESSIONS: Final = (_number, _bounds, _grouping, _angle, _aliasing, _calls, _structure)
+_STATEMENTS: Final = (_default, _late, _shadowing, _branches, _handling)
+
+
+def changes(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield the changes of a node."""
+    return (change for operator in (*_EXPRESSIONS, *_STATEMENTS) for change in operator(node, plan))

@@ -84,7 +84,7 @@ class PlanSyntax:
 
     def span(self, first: ast.AST, last: ast.AST) -> tuple[int, int]:
         """Return the place of some nodes in the source, in bytes."""
-        return self._offset(first.lineno, first.col_offset), self._offset(last.end_lineno, last.end_col_offset)  # type: ignore[attr-defined]
+        return self.offset(first.lineno, first.col_offset), self.offset(last.end_lineno, last.end_col_offset)  # type: ignore[attr-defined]
 
     def segment(self, first: ast.AST, last: ast.AST | None = None) -> str:
         """Return the text of some nodes."""
@@ -101,7 +101,8 @@ class PlanSyntax:
             source = source[:first] + new.encode() + source[last:]
         return source[start : len(source) + end].decode()
 
-    def _offset(self, line: int, column: int) -> int:
+    def offset(self, line: int, column: int = 0) -> int:
+        """Return the place of a line, or a column in bytes in it, in the source."""
         return len("".join(self.lines[: line - 1]).encode()) + column
 
     def around(self, node: ast.AST) -> Iterator[ast.AST]:
@@ -126,13 +127,10 @@ class PlanSyntax:
 
     def acts(self, node: ast.AST, seen: tuple[str, ...] = ()) -> bool:
         """Return whether a node calls something that changes the world, or a container."""
-        for each in ast.walk(node):
-            name = called_name(each)
-            if name in _ACTING or name.startswith("set_"):
-                return True
-            if name in self.functions and name not in seen and self.acts(self.functions[name], (*seen, name)):
-                return True
-        return False
+        names = {*map(called_name, ast.walk(node))}
+        inner = ((self.functions[name], (*seen, name)) for name in names - {*seen} if name in self.functions)
+        acting = any(name in _ACTING or name.startswith("set_") for name in names)
+        return acting or any(self.acts(*each) for each in inner)
 
     def _protect_measurements(self) -> None:
         """Protect the statements whose values only assertions, properties and printed texts use."""

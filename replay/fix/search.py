@@ -78,13 +78,10 @@ class SearchResult:
 def search(
     trials: Trials, log: Recording, folder: Path, found: SearchResult, *, holds: Sequence[str] = (), budget: int
 ) -> None:
-    """Search for repairs of a failed plan; they are added to ``found``, which survives an interrupt.
+    """Search for repairs of a failed, recorded plan; they are added to ``found``, which survives an interrupt.
 
     Args:
-        trials: the plan.
-        log: its recording.
         folder: folder for recordings of repairs.
-        found: the result.
         holds: properties that must hold in a repaired run.
         budget: maximum number of whole runs.
 
@@ -257,11 +254,9 @@ def _checked(trials: Trials, repair: Repair, budget: int) -> Repair:
     for version, ending in zip(versions, trials.all(versions), strict=True):
         every[bool(version.elsewhere)] += 1
         good[bool(version.elsewhere)] += ending.kind == "succeeded"
-    mark = repair.mark
-    if not mark and every[0] and not good[0]:
-        mark = "it succeeds with its own seed only"
-    elif not mark and every[1] and not good[1]:
-        mark = "it fails with objects 1 cm elsewhere"
+    marks = ("it succeeds with its own seed only", "it fails with objects 1 cm elsewhere")
+    doubts = [mark for mark, right, runs in zip(marks, good, every, strict=True) if runs and not right]
+    mark = next(filter(None, (repair.mark, *doubts)), "")
     return replace(repair, seeds=good[0], elsewhere=good[1], mark=mark, checks=(every[0], every[1]))
 
 

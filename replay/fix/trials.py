@@ -151,16 +151,13 @@ class Trials:
         """Run a plan in this child process, which changes its folder; return its ending as JSON."""
         sinks: list[EndingSink] = []
         outside: list[str] = []
-        folder = None if file is None else file.parent
 
         def sink_of(began: Run) -> Sink:
             if sinks:
                 return NullSink()  # only the plan's first recording counts
             sinks.append(EndingSink(None if file is None else McapSink(file, metadata(began))))
             if not self._allow_effects:  # not earlier, because the recorder runs git to read the plan's revision
-                allowed = [
-                    each for each in (plan.parents[1], store.folder(), folder, cache_folder()) if each is not None
-                ]
+                allowed = filter(None, (plan.parents[1], store.folder(), file and file.parent, cache_folder()))
                 _watch_effects([each.resolve() for each in allowed], outside)
             return sinks[-1]
 

@@ -48,17 +48,9 @@ def of_plan(log: Recording, spec: RunSpec, file: Path, holds: Sequence[str] = ()
     given = {"seed": spec.seed, "motion": spec.motion or None, "arguments": spec.arguments or None, **spec.parameters}
     words = [repr(plan), *(f"{name}={value!r}" for name, value in given.items() if value is not None)]
     what = phrases.failure(end.failure) if isinstance(end, Run) and failed else f"violates {properties[0]}"
-    return _text(
-        f"{spec.plan.name}: {what}",
-        log,
-        ["from replay.testing import assert_holds"] if properties else [],
-        f"def test_{_name(spec.plan.stem)}(run_plan):",
-        [
-            f"run = run_plan({', '.join(words)})",
-            *(["assert run.succeeded, run.output"] if failed and not violated else []),
-            *(f"assert_holds(run, {text!r})" for text in properties),
-        ],
-    )
+    head, body = f"def test_{_name(spec.plan.stem)}(run_plan):", [f"run = run_plan({', '.join(words)})"]
+    body += ["assert run.succeeded, run.output"] if failed and not violated else []
+    return _text(f"{spec.plan.name}: {what}", log, [], head, body, "run", properties)
 
 
 def of_moment(log: Recording, task: Node, holds: Sequence[str] = ()) -> str:
@@ -73,27 +65,21 @@ def of_moment(log: Recording, task: Node, holds: Sequence[str] = ()) -> str:
     names = {body: _variable(body) for body in world.bodies}
     function = task.name.replace("-", "_")
     arguments = ", ".join(f"{name}={value}" for name, value in _arguments(task, names).items())
-    return _text(
-        f"{phrases.node(task)}, step {task.last_step}: {phrases.error(task)}",
-        log,
-        [
-            "from pycram import perform",
-            "from pycram.bullet_world import BulletWorld, Object",
-            f"from pycram.{task.kind}_designators import {function}",
-            *(["from replay.testing import assert_holds"] if holds else []),
-        ],
-        f"def test_{function}(pycram_world, pycram_record):",
-        [
-            *_scene(world, names),
-            f"perform({function}({arguments}))",
-            *(f"assert_holds(pycram_record, {text!r})" for text in holds),
-        ],
-    )
+    imports = ["from pycram import perform", "from pycram.bullet_world import BulletWorld, Object"]
+    imports.append(f"from pycram.{task.kind}_designators import {function}")
+    head = f"def test_{function}(pycram_world, pycram_record):"
+    body = [*_scene(world, names), f"perform({function}({arguments}))"]
+    what = f"{phrases.node(task)}, step {task.last_step}: {phrases.error(task)}"
+    return _text(what, log, imports, head, body, "pycram_record", holds)
 
 
-def _text(what: str, log: Recording, imports: Sequence[str], head: str, body: Sequence[str]) -> str:
+def _text(
+    what: str, log: Recording, imports: list[str], head: str, body: list[str], run: str, holds: Sequence[str]
+) -> str:
     shown = phrases.one_line(what).replace("\\", "\\\\").replace('"', "'")
     title = f'"""{shown}\n\nWritten by pycram-replay test {log.path.name}. It passes when the failure is repaired.\n"""'
+    imports = [*imports, *(["from replay.testing import assert_holds"] if holds else [])]
+    body = [*body, *(f"assert_holds({run}, {text!r})" for text in holds)]
     lines = [textwrap.fill(_without_unused_name(line, body), _WIDTH, break_long_words=False) for line in body]
     inner = textwrap.indent("\n".join(lines), "    ")
     return "\n".join((title, "", *imports, *(["", ""] if imports else [""]), head, inner, ""))
