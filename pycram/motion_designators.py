@@ -78,7 +78,7 @@ def accessing(
     arm: str | None = None,
     distance: float | None = None,
 ) -> MotionDesignator:
-    """Grips the handle of a drawer or door, and opens it by a distance; a distance of 0 means closed.
+    """Opens or closes a drawer or door by its handle, up to a distance; a distance of 0 means closed.
 
     Args:
         drawer_joint: A name.

@@ -278,7 +278,7 @@ class ActionFailed(PlanFailure):
         super().__init__(f"{action} failed after {count}, {ending}{_summary(tried, last)}{remedy and '; ' + remedy}")
         self.action = action  # type of the action
         self.tried = list(tried)  # the failed choices in order, with their failures
-        self.spent = spent  # whether the budget was spent, so that untried choices may exist
+        self.spent = spent  # whether the budget was spent; if so, untried choices may exist
         self.last = last  # failure of the search for further choices; None if the search didn't fail
 
 

@@ -204,7 +204,7 @@ class NoPath(PlanFailure):
     nearest: Mapping[str, float] = kept_as(dict)  # the reached configuration that is nearest to the goal
     distance: float  # joint distance from ``nearest`` to the goal; for a base in m, where 1 rad counts as 0.5 m
     pairs: Sequence[CollisionPair] = kept_as(list)  # the pairs of links that most often ended a path by touching
-    reason: str = ""  # the cause, if the search wasn't the cause
+    reason: str = ""  # why the arm can't stay level, if that is the cause
 
     def _message(self) -> str:
         if self.reason:

@@ -44,7 +44,7 @@ _STILL: Final = 0.01  # maximum motion in m or rad of the joint while the hand a
 
 
 class Accessing(SimulatedModule):
-    """Grips the handle of a drawer or door, and opens it by a distance; a distance of 0 means closed.
+    """Opens or closes a drawer or door by its handle, up to a distance; a distance of 0 means closed.
 
     The whole motion is planned before anything moves, so a failure of planning changes nothing.
     """
