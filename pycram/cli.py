@@ -347,9 +347,7 @@ def _add_sweep(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PLAN.py", help="the plan")
     parser.add_argument("--runs", metavar="N", type=_count, required=True, help="number of runs, numbered from 0")
     parser.add_argument("-o", "--output", metavar="FOLDER", required=True, help="the folder for the recordings")
-    parser.add_argument(
-        "--seed", metavar="N", type=_seed, default=0, help="run number I has the seed N + I (default: 0)"
-    )
+    parser.add_argument("--seed", metavar="N", type=_seed, default=0, help="run I gets the seed N + I (default: 0)")
     parser.add_argument(
         "-j", "--jobs", metavar="N", type=_count, default=0, help="number of parallel runs (default: one per core)"
     )

@@ -194,10 +194,8 @@ def from_matrix(matrix: NDArray[np.float64]) -> Quaternion:
 def look_at(eye: Numbers, target: Numbers) -> Quaternion:
     """Return the orientation of an optical frame (z forward, x right, y down) that looks from ``eye`` at ``target``.
 
-    Points are xyz in m. The z axis of the world points up in the picture, unless the view is vertical.
-
-    Raises:
-        ValueError: eye and target coincide.
+    Points are xyz in m. The z axis of the world points up in the picture, unless the view is vertical. If the points
+    coincide, ValueError is raised.
     """
     z = np.asarray(target, dtype=np.float64) - np.asarray(eye, dtype=np.float64)
     length = float(np.linalg.norm(z))

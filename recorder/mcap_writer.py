@@ -104,11 +104,9 @@ class McapWriter:
         return len(self._channels)
 
     def add_messages(self, messages: Sequence[tuple[int, int, int, bytes]]) -> None:
-        """Add messages to the chunk.
+        """Add messages to the chunk, as tuples of channel id, number, time and bytes.
 
-        Args:
-            messages: Tuples of channel id, number, time and bytes. Only the lowest 32 bits of the number are kept.
-                Times are in ns since the Unix epoch, and must not decrease within a chunk.
+        Only the lowest 32 bits of the number are kept. Times are in ns since the Unix epoch, and must not decrease.
         """
         pack, chunk, entries, size = _MESSAGE.pack, self._chunk, self._entries, self._chunk_size
         for channel, sequence, time_ns, payload in messages:

@@ -60,9 +60,7 @@ def hint(extra: str) -> str:
 def needed(extra: str | None = None) -> Iterator[None]:
     """Run a block that imports an optional module. The error names ``extra``, by default the module's first extra.
 
-    Raises:
-        NotInstalled: an extra installs the missing module.
-        ModuleNotFoundError: no extra installs the missing module.
+    NotInstalled is raised if an extra installs the missing module, otherwise ModuleNotFoundError.
     """
     try:
         yield

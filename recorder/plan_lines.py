@@ -11,9 +11,7 @@ from linecache import getlines
 def deciding(lines: Sequence[tuple[str, int]], text_of: Callable[[str], str] | None = None) -> int:
     """Return the index of the first line that chooses arguments; 0 if all lines only pass arguments on.
 
-    Args:
-        lines: Files and numbers of lines, innermost line first.
-        text_of: A function that returns the text of a file, by default from the disk.
+    ``lines`` has files and line numbers, innermost line first. ``text_of`` returns a file's text, by default from disk.
     """
     read = text_of or (lambda file: "".join(getlines(file)))
     return next((at for at, (file, number) in enumerate(lines) if not passes_on(read(file), number)), 0)

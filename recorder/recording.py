@@ -183,11 +183,8 @@ def redirected(sink_of: Callable[[Run], Sink | None]) -> Iterator[None]:
     """Write the recordings that begin inside the block to other sinks instead of files and viewers.
 
     The block runs a program from its start, so its recordings are numbered from 1 again. Recordings of forked processes
-    aren't redirected.
-
-    Args:
-        sink_of: Returns a sink, or None for an ordinary recording. Its argument is the record of the run's start, which
-            it may complete.
+    aren't redirected. ``sink_of`` gets the record of the run's start, which it may complete, and returns a sink, or
+    None for an ordinary recording.
     """
     global _redirect  # noqa: PLW0603  the process has only one redirection
     owner = process()

@@ -217,11 +217,9 @@ class _Running:
 
 
 class ChildPool(Generic[Job]):
-    """Children that run in parallel.
+    """Children that run in parallel, each for at most ``limit`` seconds of wall-clock time.
 
-    Args:
-        limit: Seconds of wall-clock time for each child; None for no limit.
-        grace: Seconds between a SIGTERM at the limit and a SIGKILL; 0 for a SIGKILL at the limit.
+    ``grace`` is the time in s between a SIGTERM at the limit and a SIGKILL; without it, SIGKILL comes at the limit.
     """
 
     def __init__(self, cores: int, limit: float | None, grace: float = 0.0) -> None:

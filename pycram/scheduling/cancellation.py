@@ -147,11 +147,7 @@ body: Final[ContextVar[BlockBody | None]] = ContextVar("pycram_block", default=N
 def before_change(change: str) -> None:
     """Make a checkpoint before a change of a world, except in :func:`uninterruptible` code or while a lock is held.
 
-    ``change`` is the name of the change, for messages.
-
-    Raises:
-        RunsEarly: Earlier actions of the plan haven't run.
-        Cancelled: The branch is cancelled.
+    Raise RunsEarly, with ``change``, if earlier actions haven't run, or Cancelled in a cancelled branch.
     """
     around = body.get()
     if around is not None:

@@ -215,11 +215,9 @@ _order = ""
 
 
 def seed_order(seed: int | None, order: str = "") -> None:
-    """Draw the order of branches from a seed, in this thread and in threads that start later.
+    """Draw the order of branches from a seed, or use an order, in this thread and in threads that start later.
 
-    Args:
-        seed: None to run the branch that has been ready longest.
-        order: Text of an order (:mod:`pycram.scheduling.order`); raises BadArgument if it isn't an order.
+    Without both, the branch that has been ready longest runs next. A text that is no order raises BadArgument.
     """
     global _seed, _order  # a process runs one plan
     order_of(order, seed)

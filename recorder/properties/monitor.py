@@ -79,11 +79,7 @@ class PropertyVerdict:
 
 
 class Monitor:
-    """A monitor of properties over the records of a run, from the first record or from keyframes of all worlds.
-
-    Args:
-        contacts: Measures contacts; None without the executor, which alone can measure contacts.
-    """
+    """A monitor of properties over the records of a run, from the first record or from keyframes of all worlds."""
 
     def __init__(self, properties: Sequence[Property], contacts: Geometry | None = None) -> None:
         self.worlds: dict[str, FoldedWorld] = {}

@@ -257,9 +257,7 @@ def walk(roots: Iterable[Node]) -> Iterator[tuple[int, Node]]:
 class Tree:
     """All tasks of a plan or recording. Trees of the same records are equal. All methods are thread-safe.
 
-    Args:
-        limit: Maximum number of tasks. When a limit is exceeded, the tasks that ended first are dropped.
-        size: Maximum number of bytes of records.
+    With more than ``limit`` tasks or ``size`` bytes of records, the tasks that ended first are dropped.
     """
 
     __hash__ = None  # type: ignore[assignment]  # mutable

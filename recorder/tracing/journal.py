@@ -369,12 +369,8 @@ def recording_number() -> int:
 def open_journal(journal: Journal, running: AbstractContextManager[Iterable[Record]] | None = None) -> None:
     """Begin recording to a journal. First, a keyframe of each existing world is recorded.
 
-    Args:
-        journal: The journal. After an error, the journal gets no further records.
-        running: A context manager that returns the records of running tasks, and keeps tasks from starting or ending.
-
-    Raises:
-        RecursionError: The stack has no room for the keyframes.
+    The context manager ``running`` returns the records of running tasks, and keeps tasks from starting or ending. After
+    an error, such as a RecursionError on a full stack, the journal gets no further records.
     """
     global _open, _opened  # noqa: PLW0603
     context.require_stack_room(context.FOR_TASK)

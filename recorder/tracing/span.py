@@ -99,8 +99,7 @@ class Span:
     def start(self, began_ns: int = 0) -> None:
         """Record the start. ``began_ns`` is the time of a start that came earlier, by the performance counter.
 
-        Raises:
-            RecursionError: The stack has no room for the task's records. The task then isn't recorded.
+        If the stack has no room for the task's records, RecursionError is raised, and the task isn't recorded.
         """
         self._start_ns = began_ns or time.perf_counter_ns()
         self._emit_begin(_STARTED, _RUNNING)

@@ -130,10 +130,7 @@ class ViewerWindow:
     """The open viewer of this user on this machine, or a new viewer that outlives this process.
 
     The viewer's server answers before the window opens. A viewer without a screen ends later, so callers that lose the
-    connection call :meth:`check`.
-
-    Raises:
-        ViewerGone: The viewer ended immediately, or another user's program took its port.
+    connection call :meth:`check`. If another user's program took the viewer's port, ViewerGone is raised.
     """
 
     def __init__(self) -> None:

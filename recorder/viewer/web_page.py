@@ -121,12 +121,9 @@ _HEADERS: Final = {
 
 
 class PageServer(ThreadingHTTPServer):
-    """A server of the page with threads of its own, until the server is closed or this process ends.
+    """A server of the page with threads of its own; raises OSError if the port is occupied. Port 0 is any free port.
 
-    Args:
-        port: The port; 0 for any free port. If the port is occupied, OSError is raised.
-        files: Returns the content of each file of the page. Each file's first request calls the function.
-        pieces: Yields the content of ``RECORDS`` from the beginning, for each browser.
+    ``files`` returns the contents of the page's files. ``pieces`` yields the content of ``RECORDS`` for a browser.
     """
 
     daemon_threads = True
