@@ -93,17 +93,12 @@ class CollisionChecker:
         names = tuple(joints)
         self._held = _held(robot)
         states = tuple((body.name, body.model.path, link, clone.state(body)) for body, link, _ in self._held)
-        self._links = links = clone.cached(
-            robot,
-            (MovingLinks, names, all_links, states),
-            lambda: MovingLinks(
-                robot,
-                clone.boxes(robot),
-                [(body, link, clone.boxes(body)) for body, link, _ in self._held],
-                names,
-                all_links=all_links,
-            ),
-        )
+
+        def moving_links() -> MovingLinks:
+            held = [(body, link, clone.boxes(body)) for body, link, _ in self._held]
+            return MovingLinks(robot, clone.boxes(robot), held, names, all_links=all_links)
+
+        self._links = links = clone.cached(robot, (MovingLinks, names, all_links, states), moving_links)
         self.moving = links.moving  # checked links of the robot
         self._link_of = {body: link for body, link, _ in self._held}
         # held objects, each with an object that overlapped it at the grasp; these pairs may pass through each other

@@ -213,37 +213,24 @@ class ArmKinematics:
         pending = list(range(len(starts)))
         for level in range(0 if quick and self._closed is not None else 1 if quick else len(_BATCHES)):
             pending = [number for number in pending if len(starts[number][1]) > level]
+            if not pending:
+                break
             batches = [starts[number][1][level] for number in pending]
-            reached = self._search(tried, pending, batches, goals, turns, stop_early=not thorough)
+            counts = [len(batch) for batch in batches]
+            which = np.repeat(np.array(pending, dtype=np.intp), counts)
+            turned = None if turns is None else turns[which]
+            found, reached = self._descend(np.vstack(batches), goals[which], turned, which, stop_early=not thorough)
+            ends = np.cumsum(counts)[:-1]
+            for number, postures in zip(pending, np.split(found, ends), strict=True):
+                tried[number].append(postures)
             if not thorough:
-                pending = [number for number, done in zip(pending, reached, strict=True) if not done]
+                missed = zip(pending, np.split(reached, ends), strict=True)
+                pending = [number for number, each in missed if not each.any()]
         chosen = []
         for number, (known, *more) in enumerate(tried):
             goal, turn = goals[number], None if turns is None else turns[number]
             chosen.append(self._best(np.vstack([known, *more]), home, goal, turn) if more else known)
         return self._postures(chosen, goals, turns)
-
-    def _search(
-        self,
-        tried: Sequence[list[Array]],
-        numbers: Sequence[int],
-        batches: Sequence[Array],
-        goals: Array,
-        turns: Array | None,
-        *,
-        stop_early: bool,
-    ) -> list[bool]:
-        """Search for targets together, append the results to ``tried``, and return whether each target is reached."""
-        if not numbers:
-            return []
-        counts = [len(batch) for batch in batches]
-        which = np.repeat(np.array(numbers, dtype=np.intp), counts)
-        turned = None if turns is None else turns[which]
-        found, reached = self._descend(np.vstack(batches), goals[which], turned, which, stop_early=stop_early)
-        ends = np.cumsum(counts)[:-1]
-        for number, postures in zip(numbers, np.split(found, ends), strict=True):
-            tried[number].append(postures)
-        return [bool(part.any()) for part in np.split(reached, ends)]
 
     def _descend(
         self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool

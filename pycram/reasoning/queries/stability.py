@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -85,7 +86,7 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     sleepers = None
     if len(standing) > _MANY and not attached and not any(copies[body.name].joints for body in on_their_own):
         fixed = [placed.body for each in furniture.values() for placed in each]
-        sleepers = _Sleepers(clone.engine, standing, fixed, steady)
+        sleepers = _Sleepers(clone.engine, {body.id: body for body in standing}, fixed, steady)
     try:
         movable = [copies[body.name] for body in free]
         return _simulate(clone.engine, copies[object.name], movable, lambda some: all(steady(some)), standing, sleepers)
@@ -187,43 +188,35 @@ def _simulate(
     return Verdict(True, {"moved": moved, "turned": turned, "simulated_steps": steps})
 
 
+@dataclass(slots=True)
 class _Sleepers:
-    """The sleeping bodies of a clone: bodies at rest that stand firmly, and have no joints and no attachments.
+    """The sleeping bodies of a clone: bodies at rest that stand firmly, and have no joints and no attachments."""
 
-    ``steady`` yields, for each given body, whether the body stands firmly.
-    """
-
-    def __init__(
-        self,
-        engine: Engine,
-        standing: Sequence[LoadedBody],
-        fixed: Sequence[LoadedBody],
-        steady: Callable[[Sequence[LoadedBody]], Iterable[bool]],
-    ) -> None:
-        self._engine, self._steady = engine, steady
-        self._standing = {body.id: body for body in standing}
-        self._fixed = fixed
-        self.asleep: set[int] = set()  # ids of the sleeping bodies
+    engine: Engine
+    standing: Mapping[int, LoadedBody]  # bodies that may sleep, by id
+    fixed: Sequence[LoadedBody]
+    steady: Callable[[Sequence[LoadedBody]], Iterable[bool]]  # yields whether each body stands firmly
+    asleep: set[int] = field(default_factory=set)  # ids of the sleeping bodies
 
     def update(self, moving: Iterable[LoadedBody]) -> None:
         """Put each group of touching bodies to sleep if no body of the group is moving or unsteady."""
-        engine = self._engine
-        self.asleep = {number for number in self.asleep if not any(engine.velocity(self._standing[number]))}
-        awake = {number: body for number, body in self._standing.items() if number not in self.asleep}
+        engine = self.engine
+        self.asleep = {number for number in self.asleep if not any(engine.velocity(self.standing[number]))}
+        awake = {number: body for number, body in self.standing.items() if number not in self.asleep}
         touching = {number: {contact.other for contact in engine.contacts(body)} for number, body in awake.items()}
         kept = _above((body.id for body in moving), touching)
         tried = [body for number, body in awake.items() if number not in kept]
-        kept |= _above((body.id for body, firm in zip(tried, self._steady(tried), strict=True) if not firm), touching)
+        kept |= _above((body.id for body, firm in zip(tried, self.steady(tried), strict=True) if not firm), touching)
         rested = [body for body in tried if body.id not in kept]
-        for body in [*rested, *(self._fixed if rested and not self.asleep else ())]:
+        for body in [*rested, *(self.fixed if rested and not self.asleep else ())]:
             engine.sleep(body, asleep=True)
         self.asleep.update(body.id for body in rested)
 
     def wake(self) -> None:
         """Wake all bodies. Bodies wake in the engine's next step, so this step is made here, before later queries."""
-        for body in (*self._standing.values(), *self._fixed):
-            self._engine.sleep(body, asleep=False)
-        self._engine.step(1)
+        for body in (*self.standing.values(), *self.fixed):
+            self.engine.sleep(body, asleep=False)
+        self.engine.step(1)
 
 
 def _speeds(engine: Engine, body: LoadedBody) -> tuple[float, float]:

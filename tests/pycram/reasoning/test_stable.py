@@ -295,7 +295,7 @@ def simulated(query: Callable[[], object], monkeypatch: pytest.MonkeyPatch) -> t
 
     def counted(self: stability._Sleepers, moving: list[LoadedBody]) -> None:
         update(self, moving)
-        awake.append(len(self._standing) - len(self.asleep))
+        awake.append(len(self.standing) - len(self.asleep))
 
     with monkeypatch.context() as patch:
         patch.setattr(stability._Sleepers, "update", counted)
