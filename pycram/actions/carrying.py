@@ -177,11 +177,7 @@ def _crowded(body: Object) -> bool:
 
 
 def _clear_away(body: Object, arm: str | None) -> None:
-    """Move the objects that block an arm's way to an object to other surfaces.
-
-    Raises:
-        ReasoningError: No blocking object can be moved, or two objects block each other.
-    """
+    """Move the objects that block an arm's way to an object to other surfaces; raise ReasoningError if it fails."""
     robot = BulletWorld.current_robot()
     description = robot.description
     tools = [] if description is None else [each for each in description.arms.values() if arm in (None, each.name)]

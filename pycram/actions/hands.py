@@ -58,12 +58,7 @@ def holding_arm(body: Object) -> Arm:
 
 
 def free_arms(name: str | None = None) -> list[str]:
-    """Return the names of the arms that hold no object, of all arms or only of the arm ``name``.
-
-    Raises:
-        MissingPart: The robot has no arm.
-        ReasoningError: No arm is free.
-    """
+    """Return the names of the free arms, or of the arm ``name`` if free; raise ReasoningError if no arm is free."""
     wanted = [arm for arm in arms() if name is None or arm.name == name]
     found = [arm.name for arm in wanted if held_by(arm) is None]
     if not found:

@@ -216,10 +216,7 @@ def not_projecting() -> Binding[bool]:
 
 
 def thinking(*, wanted: bool | None) -> Thinking | None:
-    """Return the limits for projecting an action's choices; None if its choices aren't projected.
-
-    ``wanted`` is the value of the action's slot ``projected``; None without this slot.
-    """
+    """Return the limits for projecting an action's choices, or None; ``wanted`` is the slot ``projected``, if given."""
     if _ended.get() or wanted is False:
         return None
     return _thinking.get() or (Thinking() if wanted else None)

@@ -198,14 +198,9 @@ def _refused(reason: str) -> int:
 
 
 def describe_robot(urdf: str | Path, *, suction: bool = False) -> str:
-    """Return a guessed description of a robot as TOML.
+    """Return a guessed description of a robot as TOML; raise an AssetError if the URDF can't be loaded.
 
-    Args:
-        urdf: File of the robot's URDF, or the name of a bundled robot.
-        suction: Whether arms without a recognised gripper get a suction cup at the end of their last link.
-
-    Raises:
-        AssetError: The URDF can't be loaded.
+    With ``suction``, arms without a recognised gripper get a suction cup at the end of their last link.
     """
     model = load.load(urdf)
     found = guess(model, suction=suction)
@@ -235,11 +230,7 @@ def is_furniture(model: Model) -> bool:
 
 
 def describe_furniture(model: Model, urdf: str | Path) -> str:
-    """Return the TOML of found furniture with its corrections.
-
-    Raises:
-        AssetError: The corrections don't match the furniture.
-    """
+    """Return the TOML of found furniture with its corrections; raise AssetError for corrections of other furniture."""
     tree = model.urdf
     found, now = find_furniture(model.path, tree), furniture_of(model)
     beside = next((file for file in model.files if file.name.endswith(SUFFIX)), None)

@@ -69,11 +69,9 @@ def guess(model: Model, *, suction: bool = False) -> Guess:
 def as_toml(
     guess: Guess, postures: Mapping[str, Sequence[float]] | None = None, may_touch: Iterable[tuple[str, str]] = ()
 ) -> str:
-    """Return the TOML of a guess.
+    """Return the TOML of a guess, with pairs of links that may touch.
 
-    Args:
-        postures: Joint positions of parked arms by the arm's name, rad or m.
-        may_touch: Pairs of links that may overlap.
+    ``postures`` are the joint positions of parked arms by the arm's name, rad or m.
     """
     return "\n".join(_lines(guess, postures or {}, sorted(may_touch))) + "\n"
 

@@ -143,7 +143,7 @@ def _known(corrections: Corrections, where: str, key: str, value: str | None, kn
 
 
 def correct(found: Furniture, corrections: Corrections, urdf: Urdf) -> Furniture:
-    """Return the corrected furniture; raise an AssetError for a correction of unknown furniture, or for equal names."""
+    """Return the corrected furniture; raise an AssetError for corrections of unknown furniture, or for equal names."""
     return _Correction(corrections, urdf).apply(found)
 
 

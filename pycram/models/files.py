@@ -142,13 +142,10 @@ def _with_gripper(name: str, arm: Path) -> Path:
 
 
 def mount_gripper(robot: ET.Element, link: str, xyz: str, rpy: str, prefix: str = "") -> None:
-    """Add PyCRAM's two-finger gripper to the URDF of a robot.
+    """Add PyCRAM's two-finger gripper to a link of a robot's URDF; x of the gripper points away from the link.
 
-    Args:
-        link: The link that gets the gripper; x of the gripper points away from it.
-        xyz: Position of the gripper in the link, m.
-        rpy: Orientation of the gripper in the link, rad.
-        prefix: Prefix of the names of the gripper's links and joints.
+    ``xyz`` (m) and ``rpy`` (rad) are the pose of the gripper in the link. ``prefix`` is the prefix of the names of the
+    gripper's links and joints.
     """
     text = read_text(resources() / "two_finger_gripper.urdf").replace('"gripper_', f'"{prefix}gripper_')
     hand = ET.fromstring(text)  # noqa: S314  an installed file

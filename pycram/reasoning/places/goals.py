@@ -88,7 +88,7 @@ class Goal(Protocol):
 
 
 def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
-    """Return the goal for a target. ``grasp`` is the side from which the arm must take an object; None for any side.
+    """Return the goal for a target; an arm takes an object from the side ``grasp``, or from any side if None.
 
     Raises:
         BadArgument: The target has another type, or is in another world.
