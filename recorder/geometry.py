@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 Vector: TypeAlias = tuple[float, float, float]  # a vector xyz; a position is in m
 Quaternion: TypeAlias = tuple[float, float, float, float]  # a rotation, xyzw
 Pose: TypeAlias = tuple[Vector, Quaternion]  # position in m and orientation xyzw
-Numbers: TypeAlias = "Sequence[float] | NDArray[np.float64]"  # the type of arguments that are a vector or a quaternion
+Array: TypeAlias = "NDArray[np.float64]"  # an array of numbers, of any shape
+Numbers: TypeAlias = "Sequence[float] | Array"  # the type of arguments that are a vector or a quaternion
 PoseLike: TypeAlias = "tuple[Numbers, Numbers]"  # the type of arguments that are a pose
 Point: TypeAlias = tuple[float, float]  # a point of the plane
 Polygon: TypeAlias = "Sequence[Point]"  # counterclockwise corners; fewer than three corners without area

@@ -105,23 +105,18 @@ _BUDGET: Final = ValueKind("A whole number, 0 or more", checks.count, "int")
 _THING: Final = "Object | ObjectDesignator | str"
 _PLACE: Final = "LocationDesignator | Surface | Object | str | Sequence[float]"
 
-#: An object that a gripper can take; robots and furniture are excluded.
 portable: Final = ValueKind("An object that a gripper can take", _portable, _THING)
-#: A place where the robot can put down an object.
 place_for_an_object: Final = ValueKind("A place where the robot can put the object", _place_for_an_object, _PLACE)
-#: A place where the robot can stand.
 place_for_the_robot: Final = ValueKind(
     "A place where the robot can stand", _place_for_the_robot, "LocationDesignator | Sequence[float]"
 )
 
-#: A target of the robot's camera: an Object or a place.
 looked_at: Final = ValueKind(
     "An Object, a LocationDesignator, a surface, or [x, y, z] in m, world frame",
     lambda name, value: POINT(name, value) if isinstance(value, Object) else _place(name, value),
     _PLACE,
 )
 
-#: The checks of the slots of PyCRAM's actions, by the names of the slots.
 _BY_SLOT: Final[Mapping[str, Check]] = {
     "object": ValueKind("An Object of a world, an ObjectDesignator, or a type of objects", thing, _THING),
     "target": ValueKind("A LocationDesignator, a surface, an Object, or [x, y, z] in m, world frame", _place, _PLACE),

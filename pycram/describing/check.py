@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.describing.chains import ArmChain, JointTree
 from pycram.describing.grippers import Corners, guess_hand
@@ -23,10 +22,6 @@ from pycram.reasoning.kinematics.inverse import Solver, halton_postures
 from pycram.world.object import Object
 from recorder import geometry
 from recorder.geometry import Pose, Vector
-
-if TYPE_CHECKING:
-    Array = NDArray[np.float64]
-
 
 OBJECTS: Final = ("cup", "bottle", "spoon")  # names of the objects that an arm picks up
 _PLACES: Final = 5  # number of places on the table for each object

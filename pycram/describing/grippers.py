@@ -8,19 +8,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.describing.chains import ArmChain, JointTree, fingers_of, limits
 from pycram.models.robots.description import Gripper
 from pycram.models.shapes import pieces_of
 from recorder import geometry
-from recorder.geometry import IDENTITY, Pose, Quaternion
+from recorder.geometry import IDENTITY, Array, Pose, Quaternion
 from recorder.urdf import UrdfJoint
 
 if TYPE_CHECKING:
     from pycram.models.load import Model
 
-    Array = NDArray[np.float64]
 
 TIPS: Final = 0.015  # distance in m from the tool frame to the finger tips
 _PADS: Final = 0.02  # length in m of the pads on the fingers, measured from the tips

@@ -12,17 +12,14 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pycram.models.shapes import convex_hulls, distinct, pieces_of
 from recorder import geometry
-from recorder.geometry import Pose
-
-if TYPE_CHECKING:
-    Array = NDArray[np.float64]
+from recorder.geometry import Array, Pose
 
 
 class Least(NamedTuple):

@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from PIL import Image
 
     from pycram.models.texture import Rgba
+    from recorder.geometry import Array
 
-    Array = NDArray[np.float64]
 else:
     with needed("executor"):
         collada, trimesh = LazyModule("collada"), LazyModule("trimesh")

@@ -11,18 +11,16 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Final, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pycram.models import conversion_cache, mesh, store
 from recorder import geometry
+from recorder.geometry import Array
 from recorder.packages import LazyModule, needed
 from recorder.urdf import Shape, shapes_in
-
-if TYPE_CHECKING:
-    Array = NDArray[np.float64]
 
 Number = TypeVar("Number", np.float64, np.int64)
 Ends: TypeAlias = "tuple[Sequence[float] | Array, Sequence[float] | Array]"  # lowest and highest corner of a box, m

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from pathlib import Path
 
-    from numpy.typing import NDArray
     from PIL import Image
 
-    Array = NDArray[np.float64]
+    from recorder.geometry import Array
+
     Rgba = tuple[float, float, float, float]
 else:
     with needed("executor"):

@@ -21,13 +21,12 @@ from pycram.models.store import stored_tree
 from pycram.reasoning.kinematics.forward import Articulation, drivers
 from pycram.world import attachment
 from recorder import geometry
-from recorder.geometry import Pose
+from recorder.geometry import Array, Pose
 from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
 
-    Array = NDArray[np.float64]
     Indices = NDArray[np.intp]
     Owner = tuple[str, str]
 

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from pycram.models.shapes import solids_of
 from recorder import geometry
-from recorder.geometry import Pose, Quaternion, Vector
+from recorder.geometry import Array, Pose, Quaternion, Vector
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
 
-    Array = NDArray[np.float64]
 
 _PADDING: Final = 1e-3  # thickness in m of the padding that the engine adds to convex hulls
 _PARALLEL: Final = 1e-9  # a line with a smaller component along a plane's unit normal is parallel to the plane

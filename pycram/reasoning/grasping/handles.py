@@ -31,13 +31,12 @@ from pycram.reasoning.kinematics.inverse import Solver
 from pycram.reasoning.rejections import Contorted, OutOfReach, Rejection, Touching
 from pycram.world import attachment
 from recorder import geometry
-from recorder.geometry import Pose, Quaternion, Vector
+from recorder.geometry import Array, Pose, Quaternion, Vector
 
 if TYPE_CHECKING:
     from pycram.models.robots.description import Arm, Gripper
     from pycram.world.object import Object
 
-    Array = NDArray[np.float64]
 
 ANGLES: Final = tuple(math.radians(angle) for angle in range(-90, 91, 30))
 """Allowed turns in rad of a gripper about the bar of a handle; at 0 the gripper comes from the front."""

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 
 from pycram.models.shapes import distinct
 from pycram.reasoning.kinematics import forward
+from recorder.geometry import Array
 
 if TYPE_CHECKING:
-    Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
     Hinge = tuple[Array, Array, Array]
 

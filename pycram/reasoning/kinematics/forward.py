@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from pycram.models.store import stored_tree
 from recorder import geometry
-from recorder.geometry import Pose
+from recorder.geometry import Array, Pose
 from recorder.urdf import Urdf, UrdfJoint
 
 if TYPE_CHECKING:
     from pycram.physics.body import LoadedBody
     from pycram.physics.engine import Engine
 
-    Array = NDArray[np.float64]
     Flags = NDArray[np.bool_]
 
 _OPPOSITE: Final = 1e-6  # sine of half a turn; a smaller sine gives no axis of the rotation

@@ -21,12 +21,11 @@ from numpy.typing import NDArray
 from pycram.reasoning.kinematics.closed_form import ClosedForm
 from pycram.reasoning.kinematics.forward import Chain, norms, rotation_error
 from recorder import geometry
-from recorder.geometry import IDENTITY, Pose, PoseLike, Quaternion, Vector
+from recorder.geometry import IDENTITY, Array, Pose, PoseLike, Quaternion, Vector
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
 
-    Array = NDArray[np.float64]
     Target = tuple[Sequence[float], Sequence[float] | None]
     WorldTarget = tuple[Sequence[float], Sequence[float] | None, PoseLike | None]
 

@@ -6,10 +6,9 @@ import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias, get_args
+from typing import Final, Literal, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.foundation import checks
 from pycram.foundation.failures import BadArgument, PlaceFailed, UnknownName
@@ -34,10 +33,7 @@ from pycram.scheduling.future import unwrap
 from pycram.world.attachment import held
 from pycram.world.object import Object
 from recorder import geometry
-from recorder.geometry import Polygon, Pose, Quaternion, Vector
-
-if TYPE_CHECKING:
-    Array = NDArray[np.float64]
+from recorder.geometry import Array, Polygon, Pose, Quaternion, Vector
 
 #: A side of a surface or an object from the robot's view; "front" faces the robot.
 Side: TypeAlias = Literal["front", "back", "left", "right"]

@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,8 @@ from pycram.scheduling.schedule import run_seed
 from pycram.world.attachment import held
 from pycram.world.object import Object
 from recorder import geometry
-from recorder.geometry import Vector
+from recorder.geometry import Array, Vector
 from recorder.urdf import Urdf
-
-if TYPE_CHECKING:
-    Array = NDArray[np.float64]
 
 _UPRIGHT: Final = 0.999  # minimum vertical component of a unit axis of an upright box
 _LYING: Final = np.array([(1, 2), (0, 2), (0, 1)])  # the two horizontal axes of a box, for each vertical axis

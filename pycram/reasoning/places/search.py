@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.foundation.failures import NoPlace, NotDrivable
 from pycram.reasoning.choosing import Choice
@@ -21,14 +20,13 @@ from pycram.reasoning.rejections import TAKEN, NoRoom, OutOfReach, Rejection, To
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry, records
-from recorder.geometry import Pose, Quaternion, Vector
+from recorder.geometry import Array, Pose, Quaternion, Vector
 from recorder.records.text import rejection_text
 from recorder.tracing import journal
 
 if TYPE_CHECKING:
     from pycram.reasoning.places.maps import Grid
 
-    Array = NDArray[np.float64]
 
 _UNEVEN: Final = 0.05  # largest difference in m of heights on one ground
 _TILT: Final = math.radians(2)  # largest lean of a driving base

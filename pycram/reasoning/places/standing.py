@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.foundation import checks
 from pycram.foundation.failures import MissingPart, UnknownName
@@ -28,12 +27,11 @@ from pycram.scheduling.future import unwrap
 from pycram.world.object import Object
 from pycram.world.trajectory import BaseFrame
 from recorder import geometry
-from recorder.geometry import Pose, Vector
+from recorder.geometry import Array, Pose, Vector
 
 if TYPE_CHECKING:
     from pycram.reasoning.places.goals import Goal
 
-    Array = NDArray[np.float64]
 
 _SPOTS: Final = (30, 120, 120)  # number of places in a batch, by the number of batches since the last found place
 _AT_FIRST: Final = 4  # number of first places that are checked together; each next group is twice as large
