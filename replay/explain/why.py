@@ -218,7 +218,8 @@ def _sources(why: Why) -> Iterator[Line]:
         numbers = flow.lines(ranks, failed.number if failed is not None and failed.file == file else 0)
         for number in numbers[:_MAX_SOURCES]:
             found = case.source.line(file, number)
-            yield from [found] if found is not None else []
+            if found is not None and not case.source.is_ahead(found, stack[0]):
+                yield found
 
 
 def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:

@@ -28,7 +28,7 @@ _FIRST, _LAST = 2, 5  # number of first and of last attempts that are listed
 _MAX_ROWS: Final = 3  # maximum number of rows of local variables
 _WIDTH: Final = 100  # maximum number of characters in a row of variables
 _NO_CAUSE: Final = (
-    "no cause is on record; these were looked for: failures and refusals before it, moved and removed objects, "
+    "no cause was found; these were looked for: failures and refusals before it, moved and removed objects, "
     "wrong beliefs, full or empty hands, obstacles, distances, deadlines, other worlds and gravity"
 )
 _MAX_LINES: Final = 12  # maximum number of lines for a difference of states
@@ -308,7 +308,7 @@ def _line(line: Line, why: Why) -> Iterator[str]:
 def _tasks(why: Why) -> Iterator[str]:
     if why.task is None:
         if why.failure is not None:
-            yield f"no task: the plan's own code raised{f', in thread {why.thread}' if why.thread else ''}"
+            yield f"no task: this was raised outside of tasks{f', in thread {why.thread}' if why.thread else ''}"
             yield from (f"  {line}" for line in format_failure(why.failure).splitlines())
         return
     path = list(why.task.around())

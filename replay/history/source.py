@@ -60,6 +60,15 @@ class PlanSource:
         body = inner.handlers[0].body if isinstance(inner, ast.Try) and inner.handlers else ()
         return self.line(line.file, body[0].lineno) if body else None
 
+    def is_ahead(self, line: Line, reached: Line) -> bool:
+        """Return whether a line of a module comes after a reached line, outside of loops and ``try`` around both."""
+        if (line.file, line.function) != (reached.file, "<module>") or line.number <= reached.number:
+            return False
+        around = (
+            node for node in syntax_nodes(self.text(line.file)) if isinstance(node, ast.For | ast.While | ast.Try)
+        )
+        return not any(each.lineno <= reached.number and line.number <= (each.end_lineno or 0) for each in around)
+
     def call_stack(self, record: Record) -> tuple[Line, ...]:
         """Return the plan's lines that led to a record, outermost first; () if unknown."""
         if isinstance(record, Run | Keyframe | Envelope):

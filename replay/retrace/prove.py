@@ -124,6 +124,7 @@ class Prover:
         if why.task is not None and (finished := why.task.motion.finished or why.task.finished) is not None:
             self._task, self._failure = why.task.motion.started, finished.failure
             self._size = finished.seq - self._task.seq
+            self._succeeded = _succeeded(log, self._task, finished.seq)
             alike = {exact: _alike(log, self._task, exact=exact) for exact in (True, False)}
             self._numbers = {exact: sum(each.seq < self._task.seq for each in alike[exact]) for exact in alike}
         self.forks = 0
@@ -198,6 +199,9 @@ class Prover:
         said = phrases.failure(failure)
         if trial.compares:
             return self._compared(failure, same=same, later=later)
+        if same and failure.type == "TimedOut" and started is not None and finished is not None:
+            same = _succeeded(forked, started, finished.seq) <= self._succeeded  # more time helps, and isn't enough
+            later = not same
         further = "gets further, and " * later
         text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
         return REFUTED if same else CONFIRMED if later else UNTESTED, text
@@ -230,6 +234,11 @@ class Prover:
                 ends = (each for each in every if (each.task, each.phase) == (started.task, Task.FINISHED))
                 return started, next(ends, None)
         return None, None
+
+
+def _succeeded(log: RecordReader, started: Task, end: int) -> int:
+    """Return the number of tasks that succeeded within a task."""
+    return sum(each.status == Task.SUCCEEDED for each in log.records(Task, started.seq, end))
 
 
 def _signature(failure: Failure) -> tuple[str, str]:

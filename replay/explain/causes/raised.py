@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import builtins
+import operator
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
@@ -103,6 +105,8 @@ class Raised(Cause):
 
     def _words(self) -> Iterator[str]:
         what = "the plan raised the failure" if self.own else f"a mistake in the plan: {self.type}"
+        if not self.own and not _is_mistake(self.type):
+            what = f"{self.type} came from a call"
         inside = f", in {phrases.node(self.task)}" if self.task is not None else ""
         yield f"{what} at {phrases.place(self.line)}{inside}: {phrases.short(self.line.text)}"
         for answer in self.answers:
@@ -137,14 +141,18 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
         return
     if last.type == "DeadlockedBranches":
         return  # the other branches waited for the failed branch
-    if last.own if _is_raise(last.lines[-1]) else last.type in USAGE_ERRORS or hasattr(builtins, last.type):
+    if last.own if _is_raise(last.lines[-1]) else _is_mistake(last.type):
         line = last.lines[-1] if last.own else case.line(last.lines) or last.lines[-1]
         yield Raised((end.seq,), last.type, line, last.own and _is_raise(line), None, (end,))
 
 
 def is_mistake(case: FailureCase) -> bool:
     """Return whether Python or PyCRAM rejects the plan's code in every state of the world."""
-    return case.failure.type in USAGE_ERRORS or hasattr(builtins, case.failure.type)
+    return _is_mistake(case.failure.type)
+
+
+def _is_mistake(failure: str) -> bool:
+    return failure in USAGE_ERRORS or hasattr(builtins, failure)
 
 
 def _refusals(case: FailureCase) -> Iterator[Refusal]:
@@ -199,6 +207,8 @@ def answers(case: FailureCase) -> Iterator[Query | Task]:
 
 
 _AXES: Final = ("x", "y", "z")
+_ORDERS: Final = {ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge}
+_SUMS: Final = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul}
 _READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("turn",) * 4}
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
 _ASIDE: Final = (0.01, 1.0)  # by so much trials change a compared coordinate, m
@@ -329,7 +339,7 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
     frames = {(each.file, each.line): each.variables for each in case.failure.frames}
     values = {each.name: each.value for each in frames.get((line.file, line.number), ())}
     robot = case.world.robot if case.world is not None else ""
-    for owner, part in _reads(syntax_nodes(case.source.text(line.file)), line):
+    for owner, part in _reads(syntax_nodes(case.source.text(line.file)), line, values):
         named = [robot] if isinstance(owner, ast.Attribute) and owner.attr == "robot" else _objects(owner, values)
         if len(named) != 1 and part:
             named = [name for name in case.mentioned if name in named] or list(case.mentioned)
@@ -337,8 +347,8 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
             yield from ((name, part) for name in named if name == robot or case.free_body(name) is not None)
 
 
-def _reads(nodes: Sequence[ast.AST], line: Line) -> Iterator[tuple[ast.expr, str]]:
-    """Yield the owner and the coordinate of each pose that a check of the plan reads."""
+def _reads(nodes: Sequence[ast.AST], line: Line, values: Mapping[str, str]) -> Iterator[tuple[ast.expr, str]]:
+    """Yield the owner and the coordinate of each pose that a check of the plan reads, without conditions that hold."""
     around = [
         each for each in nodes if isinstance(each, ast.stmt) and each.lineno <= line.number <= (each.end_lineno or 0)
     ]
@@ -353,23 +363,69 @@ def _reads(nodes: Sequence[ast.AST], line: Line) -> Iterator[tuple[ast.expr, str
     scope = [each for each in (ast.walk(around[0]) if outer else nodes) if isinstance(each, ast.Assign)]
     scope = sorted((each for each in scope if outer or id(each) not in others), key=lambda each: each.lineno)
     tests = [each.test for each in around if isinstance(each, ast.Assert | ast.If)][-1:]
+    if isinstance(around[-1], ast.Assert):
+        parts = [part for test in tests for part in (test.values if isinstance(test, ast.BoolOp) else [test])]
+        tests = [part for part in parts if not _holds(part, values)] or tests
     waiting: list[tuple[ast.AST, str | None, int]] = [(test, None, _DEPTH) for test in tests]
-    seen: set[str] = set()
+    seen: set[tuple[str, str | None]] = set()
     for node, wanted, depth in waiting:  # the list grows
         for each in ast.walk(node):
             if isinstance(each, ast.Call) and isinstance(each.func, ast.Attribute) and each.func.attr in _READS:
                 yield each.func.value, wanted if wanted is not None else _part(node, each)
             elif isinstance(each, ast.Call):
                 yield from ((given, "") for given in each.args if isinstance(given, ast.Name))
-            elif isinstance(each, ast.Name) and each.id not in seen and depth:
-                seen.add(each.id)
+            elif isinstance(each, ast.Name) and (each.id, _item(node, each)) not in seen and depth:
+                seen.add((each.id, _item(node, each)))
                 made = [other for other in scope if other.lineno < line.number and _binds(other, each.id)]
                 last = made[-1:]
-                waiting += [(other.value, _unpacked(other, each.id) or _item(node, each), depth - 1) for other in last]
+                waiting += [
+                    (_given(other, each.id), _unpacked(other, each.id) or _item(node, each), depth - 1)
+                    for other in last
+                ]
+
+
+def _holds(test: ast.expr, values: Mapping[str, str]) -> bool:
+    """Return whether a comparison of recorded numbers is true; False if a value is unknown."""
+    match test:
+        case ast.Compare(left=left, ops=[order], comparators=[right]) if type(order) in _ORDERS:
+            one, other = _value(left, values), _value(right, values)
+            return isinstance(one, float) and isinstance(other, float) and _ORDERS[type(order)](one, other)
+    return False
+
+
+def _value(node: ast.expr, values: Mapping[str, str]) -> object:
+    """Return the value of an expression at the failure: a number, or a container of numbers; None if unknown."""
+    match node:
+        case ast.Constant(value=int() | float() as number):
+            return float(number)
+        case ast.Name(id=name) if name in values:
+            with suppress(ValueError, SyntaxError):
+                value = ast.literal_eval(values[name])
+                return float(value) if isinstance(value, int) else value
+        case ast.Subscript(value=owner, slice=ast.Constant(value=int() as index)):
+            items = _value(owner, values)
+            if isinstance(items, list | tuple) and index < len(items):
+                return items[index]
+        case ast.BinOp(left=left, op=sum_, right=right) if type(sum_) in _SUMS:
+            one, other = _value(left, values), _value(right, values)
+            if isinstance(one, float) and isinstance(other, float):
+                return _SUMS[type(sum_)](one, other)
+        case ast.Call(func=ast.Name(id="abs"), args=[given]) if isinstance(one := _value(given, values), float):
+            return abs(one)
+    return None
 
 
 def _binds(statement: ast.Assign, name: str) -> bool:
     return any(isinstance(each, ast.Name) and each.id == name for part in statement.targets for each in ast.walk(part))
+
+
+def _given(statement: ast.Assign, name: str) -> ast.expr:
+    """Return the value that a statement gives a name: one of several if both sides have several."""
+    target, value = statement.targets[0], statement.value
+    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
+        pairs = zip(target.elts, value.elts, strict=True)
+        return next((made for each, made in pairs if isinstance(each, ast.Name) and each.id == name), value)
+    return value
 
 
 def _unpacked(statement: ast.Assign, name: str) -> str | None:

@@ -137,7 +137,7 @@ class SimulatedLine:
     steps: tuple[int, ...]  # steps of the line's records
 
     def __str__(self) -> str:
-        at = f"{phrases.place(self.line)} simulated" if self.line is not None else "the plan simulated"
+        at = f"{phrases.place(self.line)} simulated" if self.line is not None else "the block simulated"
         calls = f" in {len(self.steps)} calls" if len(self.steps) > 1 else ""
         return f"{at} {phrases.number(self.seconds)} s{calls}"
 
