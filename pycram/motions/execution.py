@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from contextvars import ContextVar
 from functools import partial
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 from weakref import WeakKeyDictionary
 
 from pycram import planning
@@ -112,13 +112,9 @@ class Execution:
         """Move the joints of a gripper to positions at which nothing stops the fingers."""
         return partial(robot.set_joint_positions, positions)
 
-    def open(self, robot: Object, arm: Arm) -> Step:
-        """Open a gripper as far as possible."""
-        return partial(robot.set_joint_positions, arm.gripper.positions("open"))
-
-    def close(self, robot: Object, arm: Arm) -> Step:
-        """Close a gripper as far as possible; without simulated time, even through an object."""
-        return partial(robot.set_joint_positions, arm.gripper.positions("close"))
+    def turn_fingers(self, robot: Object, arm: Arm, share: Literal[0, 1]) -> Step:
+        """Close a gripper (0) or open it (1) as far as possible; without simulated time, even through an object."""
+        return partial(robot.set_joint_positions, arm.gripper.positions("open" if share else "close"))
 
     def pull(
         self,
@@ -283,13 +279,9 @@ class ContinuousExecution(Execution):
             return _all(())
         return partial(_along, (robot, [_now(robot, positions), _led(robot, positions)]))
 
-    def open(self, robot: Object, arm: Arm) -> Step:
-        """Open the fingers until something stops them."""
-        return self.grip(robot, fingers.finger_motion(robot, arm, 1.0).positions)
-
-    def close(self, robot: Object, arm: Arm) -> Step:
-        """Close the fingers until something stops them."""
-        return self.grip(robot, fingers.finger_motion(robot, arm, 0.0).positions)
+    def turn_fingers(self, robot: Object, arm: Arm, share: Literal[0, 1]) -> Step:
+        """Close (0) or open (1) the fingers until something stops them."""
+        return self.grip(robot, fingers.finger_motion(robot, arm, share).positions)
 
     def pull(
         self,

@@ -68,8 +68,6 @@ def search(
     """Return a free path (n, d), or None, and the reached configuration (d,) nearest to the goal.
 
     Args:
-        start: (d,) first configuration.
-        goal: (d,) last configuration.
         step: weighted change of any coordinate between checked configurations in the search.
         fine: weighted change of any coordinate between checked configurations while the path is shortened.
         seed: an integer from 1 to 2**31.

@@ -93,11 +93,11 @@ class Accessing(SimulatedModule):
                 if abs(now - start) > _STILL:
                     reason = f"the joint moved from {start:.3f} to {now:.3f} while the hand approached; try again"
                     raise AccessFailed(joint, reason, handle=link, arm=arm.name, asked=end)
-                close = self.execution.close(robot, arm)
+                close = self.execution.turn_fingers(robot, arm, 0)
             close()
             pull()
             with robot.world.lock:
-                release = self.execution.open(robot, arm)
+                release = self.execution.turn_fingers(robot, arm, 1)
             release()
             with robot.world.lock:
                 retreat = self.execution.retreat(robot, arm, [(container, link)])
