@@ -239,9 +239,8 @@ def falls(before: Value, after: Value) -> bool:
 class PulseCounter(Leaf):
     """Counts the unhandled pulses of an expression; its value is True while a pulse is unhandled, else None.
 
-    Args:
-        is_pulse: :func:`changes`, :func:`rises` or :func:`falls`; returns whether a change from a value to the next is
-            a pulse. By default each assignment to a variable is a pulse, and each change of the value of a network.
+    ``is_pulse`` (:func:`changes`, :func:`rises` or :func:`falls`) returns whether a change of the value is a pulse. By
+    default, each assignment to a variable is a pulse, and each change of a network's value.
     """
 
     __slots__ = ("is_pulse", "kind", "missed")

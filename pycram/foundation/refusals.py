@@ -29,11 +29,9 @@ _RECORDED: Final = "_is_on_record"  # name of an attribute that marks recorded e
 
 
 def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorate a function so that its refusals are recorded, also those of calls with wrong arguments.
+    """Decorate a function so that its refusals are recorded, also refusals of calls with wrong arguments.
 
-    Args:
-        subject: Name of the argument ``self`` in records, such as "object" or "world"; by default "self".
-        name: Name of the function in records; by default its name in the code.
+    In records, ``subject`` replaces the name "self" of the first argument, and ``name`` the function's own name.
     """
 
     def decorate(function: Callable[P, T]) -> Callable[P, T]:

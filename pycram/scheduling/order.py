@@ -123,10 +123,7 @@ class Pct:
     A race of depth d needs d ordered pairs of steps. With n branches and k turns or fewer, a run finds a race of depth
     d or less with a probability of at least 1 / (n k^(d-1)) (Burckhardt, Kothari, Musuvathi, Nagarakatte: A randomized
     scheduler with probabilistic guarantees of finding bugs, ASPLOS 2010), if no branch exceeds MOST_IN_A_ROW turns.
-
-    Args:
-        depth: The depth d; priorities change d - 1 times.
-        steps: The expected number k of turns.
+    ``depth`` is d, and ``steps`` is the expected number k. Priorities change d - 1 times.
     """
 
     def __init__(self, seed: int | None, number: int, depth: int, steps: int) -> None:

@@ -55,13 +55,10 @@ def unknown_reason() -> tuple[str, str, Collection[str]]:
 
 
 class Waiter:
-    """A wait of a branch, or of code outside of all branches.
+    """A wait of a branch, or of code outside of all branches. During the ``with`` block, ``sources`` wake the wait.
 
-    Args:
-        sources: The conditions that wake the wait during its ``with`` block.
-        patience: Returns whether the wait may resume now, although no source woke it: the wait is patient, and resumes
-            when no branch is ready. None if the wait isn't patient.
-        last: Whether all other patient waits resume before this one.
+    With ``patience``, the wait is patient: if no branch is ready and ``patience()`` is true, the wait also resumes.
+    Waits with ``last`` resume after all other patient waits.
     """
 
     def __init__(
