@@ -91,8 +91,7 @@ def last_chance(
         if found.repair is not None:
             found.recording = found.repair.recording
             with Recording(found.recording) as repaired:
-                parted = compare_recordings(log, repaired).divergence
-            first = parted.first.seq if parted is not None and parted.first is not None else len(log)
+                first = compare_recordings(log, repaired).equal  # the step of the first difference
             found.step = first - 1
             if found.closed is None or found.closed < first:
                 chances.close(first)
