@@ -18,6 +18,7 @@ from recorder.plan_lines import called_name, last_name, stored, syntax_nodes
 
 _FUNCTIONS: Final = ast.FunctionDef | ast.AsyncFunctionDef
 _DECLARING: Final = _FUNCTIONS | ast.ClassDef | ast.Import | ast.ImportFrom
+_LEAVING: Final = ast.Continue | ast.Break | ast.Return | ast.Raise
 _CHANGING: Final = ("pop", "popleft", "remove", "clear", "append", "add", "extend", "insert", "update", "setdefault")
 _STORING: Final = (*_CHANGING, "set_value")
 _STEP: Final = 0.75  # increase of the rank from a line to a line whose values flow into it
@@ -60,12 +61,14 @@ class Flow:
                 self._returns[function].add(node.lineno)
         if isinstance(node, ast.If | ast.While):
             conditions = (*conditions, node.lineno)
+        guards: dict[ast.AST, tuple[int, ...]] = {}
         for _, block in ast.iter_fields(node):
             statements = [each for each in block if isinstance(each, ast.stmt)] if isinstance(block, list) else []
             lines = [each.lineno for each in statements if not isinstance(each, _DECLARING) and not _is_text(each)]
             self._before |= {line: lines[max(at - _BEFORE, 0) : at] for at, line in enumerate(lines)}
-        for each in ast.iter_child_nodes(node):
-            self._visit(each, function, conditions)
+            guards |= _guards(statements)
+        for child in ast.iter_child_nodes(node):
+            self._visit(child, function, (*conditions, *guards.get(child, ())))
 
     def lines(self, starts: Mapping[int, float], failed: int = 0) -> list[int]:
         """Return the lines whose values flow into some lines, the most probable first.
@@ -106,6 +109,12 @@ class Flow:
             for name in (_named(node), f"{_named(node)}[]") if loaded else ():
                 yield from self._made.get((function, name), self._made.get(("", name), ()))
                 yield from self._returns.get(name.removeprefix("."), ())
+
+
+def _guards(block: Sequence[ast.stmt]) -> dict[ast.AST, tuple[int, ...]]:
+    """Return for each statement of a block the lines of conditions before it that may leave the block."""
+    leaving = [each for each in block if isinstance(each, ast.If) and isinstance(each.body[-1], _LEAVING)]
+    return {each: tuple(guard.lineno for guard in leaving if guard.lineno < each.lineno) for each in block}
 
 
 def _own(statement: ast.stmt) -> Iterator[ast.AST]:
