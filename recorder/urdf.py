@@ -36,8 +36,7 @@ class Urdf:
     def parse(cls, text: str | bytes, *, chains: bool = False) -> Urdf:
         """Parse a URDF document. ``chains`` accepts planar and floating joints, which loading replaces by chains.
 
-        Raises:
-            UrdfError: The document isn't XML, or isn't a single tree of named links with joints of known types.
+        UrdfError is raised if the document isn't a single tree of named links with joints of known types.
         """
         return _parse(text, chains)
 

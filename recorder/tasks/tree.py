@@ -241,10 +241,7 @@ class Node:
 
 
 def decisive(origins: Sequence[Node]) -> Node | None:
-    """Return the last task that isn't dealt with (:attr:`Node.dealt_with`), or else the last task.
-
-    ``origins`` are the tasks in which failures began, in the order of their ends.
-    """
+    """Return the last task that isn't dealt with, or else the last task. ``origins`` are in the order of their ends."""
     return next((task for task in reversed(origins) if not task.dealt_with), origins[-1] if origins else None)
 
 

@@ -111,10 +111,7 @@ _OF_PATHS: Final = getattr(os, "O_NOFOLLOW", 0)  # flag for not following links;
 
 
 def _separate_file_positions() -> None:
-    """Give this forked child its own positions in the files that are open for reading only.
-
-    If both processes shared a position, the parent would miss the content that the child reads.
-    """
+    """Give this child its own positions in files open for reading, so that the parent reads the whole content, too."""
     try:
         descriptors = os.listdir(_OPEN)  # noqa: PTH208  few allocations, because each written page is copied
     except OSError:

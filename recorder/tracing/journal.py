@@ -237,10 +237,7 @@ def is_unrecorded() -> bool:
 
 @contextmanager
 def unrecorded(*journals: Journal) -> Iterator[None]:
-    """Isolate a block from the plan's recordings. Only ``journals`` record the block.
-
-    Worlds that the block opens are unknown outside, until :func:`announce`.
-    """
+    """Isolate a block: only ``journals`` record the block, and its new worlds are unknown until :func:`announce`."""
     token = _isolated.set(journals)
     try:
         yield

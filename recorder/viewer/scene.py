@@ -132,10 +132,7 @@ class ViewerScene:
     def link_position(
         self, world: str, body: str, link: str, offset: Vector
     ) -> Callable[[Mapping[str, float]], Vector] | None:
-        """Return a function that computes the position of a link's point in the body's base; None if there is none.
-
-        The argument of the function has positions of joints in rad or m. Other joints don't move.
-        """
+        """Return a function from joint positions (rad or m) to a link's point in the base; None without the link."""
         found = self._with_link(world, body, link)
         if found is None:
             return None
