@@ -91,7 +91,9 @@ def last_chance(
         if found.repair is not None:
             found.recording = found.repair.recording
             with Recording(found.recording) as repaired:
-                first = compare_recordings(log, repaired).equal  # the step of the first difference
+                parted = compare_recordings(log, repaired).divergence
+            differs = parted and (parted.first or parted.second)  # an inserted call is only in the second run
+            first = differs.seq if differs else len(log)
             found.step = first - 1
             if found.closed is None or found.closed < first:
                 chances.close(first)
