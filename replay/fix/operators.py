@@ -234,6 +234,12 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 is_scale = {name, type(op).__name__} == {"Mult", "Div"}
                 new = ast.unparse(other) if compares else f"({ast.unparse(other)})"
                 yield _to(node, new, 0.65 - 0.1 * compares, what, chance=is_scale)
+            if (
+                isinstance(node, ast.BinOp)
+                and isinstance(op, ast.Add | ast.Sub)
+                and isinstance(node.right, ast.Constant)
+            ):
+                yield _to(node, f"({ast.unparse(node.left)})", 0.5)
         case ast.List([_, _, *_] as items) | ast.Tuple([_, _, *_] as items) if len(items) <= 4:
             turned = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
             swapped = [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
