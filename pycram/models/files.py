@@ -168,7 +168,7 @@ def with_absolute_meshes(robot: ET.Element, source: Path) -> bytes:
 
 
 def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
-    """Return package folders as absolute paths; raise BadArgument if they aren't a list of existing folders."""
+    """Return package folders as absolute paths; raise BadArgument for anything but a list of folders."""
     expected = "a list of folders that exist"
     if isinstance(packages, str | bytes) or not all(isinstance(folder, str | Path) for folder in packages):
         raise BadArgument("packages", packages, expected)
@@ -179,7 +179,7 @@ def check_packages(packages: Sequence[str | Path]) -> tuple[Path, ...]:
 
 
 def find_mesh(source: Path, name: str, packages: Sequence[Path] = ()) -> Path:
-    """Return the file of a mesh or texture; raise an AssetError if it doesn't exist."""
+    """Return the file of a mesh or texture; raise an AssetError if the file doesn't exist."""
     if not name:
         raise AssetError(source, "the URDF has a <mesh> without filename")
     if name.startswith(_PACKAGE):
@@ -210,7 +210,7 @@ def _unknown(package: str) -> str:
 
 
 def find_package(source: Path, package: str, packages: Sequence[Path] = ()) -> Path:
-    """Return the folder of a package that a file names; raise an AssetError if it isn't known."""
+    """Return the folder of a package that a file names; raise an AssetError for an unknown package."""
     for folder in _candidates(source, package, packages):
         if (folder.name == package or _is_package(folder, package)) and folder.is_dir():
             return folder

@@ -33,7 +33,7 @@ _LOCK: Final = "lock"  # name of a file in each store
 
 @cache
 def folder() -> Path:
-    """Return the folder of the store; the end of the process removes it."""
+    """Return the folder of the store, which is removed at the end of the process."""
     _remove_abandoned(Path(tempfile.gettempdir()))
     made, owner = _make(), os.getpid()
 
