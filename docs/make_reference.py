@@ -56,7 +56,7 @@ def reference() -> str:
     parts = [_HEAD, "## Actions\n", _ACTIONS, _table(common)]
     for each in types:
         fails = (
-            "The action fails with `ActionFailed` if no choice succeeds."
+            "The action tries several arms, grasps or places. If none of them succeeds, it fails with `ActionFailed`."
             if each.choices
             else "If a motion or action within this action fails, this action fails with the same failure."
         )

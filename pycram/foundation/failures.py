@@ -377,7 +377,7 @@ class AccessFailed(PlanFailure):
     handle: str = ""  # name of the handle's link
     arm: str = ""
     asked: float | None = None  # requested position of the joint in rad or m
-    value: float | None = None  # joint position at which the arm's path ends early; None if the path isn't the cause
+    value: float | None = None  # joint position up to which the arm can follow; None if there is another cause
     reached: float | None = None  # the last joint position that the arm could reach; None if it reaches no position
     orientation: Sequence[float] | None = kept_as(floats, default=None)  # orientation of the tool at ``value``
     remedies: Sequence[str] = kept_as(list, default=())  # ways to succeed, as texts
