@@ -183,6 +183,6 @@ class Clearance:
         usual = self._checker.least(pair)
         if pair[0] is pair[2]:
             usual += 0.0 if self.strict else _SLACK
-        elif self.strict and pair[2] is not self._checker.robot:
-            usual = -MARGIN
+        elif pair[2] is not self._checker.robot and (self.strict or not pair[2].fixed):
+            usual = -MARGIN if self.strict else 0.0  # the robot would drag a loose object along
         return max(usual, self._allowed.get(pair, usual))
