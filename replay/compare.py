@@ -485,7 +485,7 @@ class PairedNames:
         return before - after if before is not None and after is not None else 0
 
     def text(self, text: str) -> str:
-        """Return the translation of a text of the second run."""
+        """Return a text of the second run with the names of the first run."""
         return _NUMBERED.sub(self._renamed, text)
 
     def _renamed(self, match: re.Match[str]) -> str:

@@ -215,7 +215,7 @@ def _delivering_choices(
     target: Any,
     place: LocationDesignator | None = None,
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield places for the object and for the robot; if the robot lost the object, the last choice is empty."""
+    """Yield places for the object, each with one for the robot; at the end {} if the robot lost the object."""
     body, robot = object_of(object), BulletWorld.current_robot()
     arm = holding_arm(body)
     unreachable: list[NoPlace] = []

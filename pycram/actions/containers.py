@@ -250,7 +250,7 @@ def opening(
     """Opens a drawer or door by its handle; returns the name of the arm.
 
     Args:
-        container: A container of furniture, its name, or the furniture itself.
+        container: A container such as a drawer, its name, or the whole furniture.
         joint: Name of the container's joint, if ``container`` is the furniture.
         handle: Link of the container's handle, if ``container`` is the furniture.
         arm: Name of the arm; by default any arm within reach.
@@ -289,7 +289,7 @@ def closing(
     """Closes a drawer or door by its handle.
 
     Args:
-        container: A container of furniture, its name, or the furniture itself.
+        container: A container such as a drawer, its name, or the whole furniture.
         joint: Name of the container's joint, if ``container`` is the furniture.
         handle: Link of the container's handle, if ``container`` is the furniture.
         arm: Name of the arm; by default any arm within reach.

@@ -124,7 +124,11 @@ _SLOTS: Final = SlotTable(
             ValueKind("", thing, _THING),
             text="the object that the robot's camera must see from the place",
         ),
-        Slot("away-from", ValueKind("", _near, _POINT), text="an object or a point at least 0.4 m from the place"),
+        Slot(
+            "away-from",
+            ValueKind("", _near, _POINT),
+            text="an object or a point, at least 0.4 m away from the place",
+        ),
         Slot("arm", ARM, text="the arm that must reach the target; by default any arm"),
     ),
     one_of=("position", "on", "in", "near", "reachable-for", "visible-for"),

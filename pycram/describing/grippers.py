@@ -132,11 +132,11 @@ def suction_cup(tree: JointTree, arm: ArmChain, corners: Corners) -> SuctionGues
 def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | str:
     """Return the gripper of an arm, or a text: why no gripper that closes from two sides was found."""
     if not arm.fingers:
-        return "no movable joint is below the arm"
+        return "no movable joint follows the arm's last link"
     ends = [joint for joint in arm.fingers if not tree.below(joint) and joint.type != "continuous"]  # without screws
     tips = list(fingers_of(tree, arm, {link for link in tree.urdf.links if link in corners}))
     if any(len(moving) > _PHALANGES for _, moving in tips):
-        return f"{len(arm.fingers)} joints are below the arm, in fingers that curl"
+        return f"{len(arm.fingers)} joints follow the arm's last link, in fingers that curl"
     if len(tips) < max(min(len(ends), _SIDES), 1):
         solid = {link for link, _ in tips}
         names = [joint.child for joint in ends or arm.fingers if joint.child not in solid]

@@ -124,7 +124,7 @@ class Block:
         self._refuse_in_timeout(name)
         host = current_block()
         if host is not None and host is not self:
-            host._refuse_early(f"add {name} to the {self.name} block around it", self)  # noqa: SLF001  same class
+            host._refuse_early(f"call {name} directly in the {self.name} block", self)  # noqa: SLF001  same class
         branch = Branch(name, action, self._changed, ordered=ordered, dropped=dropped, span=span)
         branch.span.source = current_call_stack()
         branch.label = label or partial(call_label, branch.name, tuple(branch.span.parameters.values()), {})
@@ -458,7 +458,7 @@ class Kind(Opening):
         """Open a block, or run functions as its branches.
 
         Args:
-            branches: Nothing, functions, or one list that collects the failures of the block's branches.
+            branches: Functions, or one list to which the block adds the failures of its branches; none to open a block.
 
         Returns:
             Without functions, a context manager. With functions, a list of the results; ``pursue``, ``try_all`` and

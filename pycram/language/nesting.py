@@ -151,7 +151,7 @@ def nothing_open() -> None:
 
 
 def await_turn() -> None:
-    """Wait until the code of the body may run; see :class:`pycram.language.block.ReadBlock`."""
+    """Wait until the code in the ``with`` block may run; see :class:`pycram.language.block.ReadBlock`."""
     host = body_context.get()
     if host is not None:
         host.await_turn()

@@ -262,7 +262,7 @@ class ChildPool(Generic[Job]):
 
 
 def first_true(questions: Sequence[Callable[[], bool]]) -> int | None:
-    """Return the index of the first question that is true; None without such a question, or without copies.
+    """Return the index of the first question with the answer True; None if there is none, or if copying is impossible.
 
     A copy of this process answers each question. Nothing is recorded, and an error counts as False.
     """

@@ -385,7 +385,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     "Slips": lambda data: (
         "its fingers would touch the object on one side only" if data["sides"] else "its fingers would close on nothing"
     ),
-    "Contorted": lambda data: f"the arm would have to change its posture at {data['value']:.3f}",
+    "Contorted": lambda data: f"the arm would have to jump to another posture at {data['value']:.3f}",
     "Unseen": unseen_text,
     "Unreached": lambda data: (
         f"no path in {data['checks']} checks, which came within {data['distance']:.2f} of the goal"
@@ -393,7 +393,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     ),
     "Inferior": lambda data: f"{data['by']} {data['value']:g}",
     "Untried": lambda _: "not tried",
-    "Excluded": lambda _: "excluded by the fork",
+    "Excluded": lambda _: "the fork forces another one",
     "Unfit": lambda data: str(data["reason"]),
 }
 

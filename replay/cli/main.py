@@ -75,7 +75,7 @@ _MAX_SKIPPED: Final = 8  # maximum number of skipped files that are named
 
 
 class Verb(NamedTuple):
-    """The functions of a verb. Functions that run the verb may return an exit code; None stands for 0."""
+    """The functions of a subcommand, such as ``why``. A function that runs one may return an exit code."""
 
     add: Callable[[argparse.ArgumentParser], None]  # a function that adds the arguments of the verb
     #: A function that runs the verb on a recording; None if the verb only takes folders.

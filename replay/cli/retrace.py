@@ -139,9 +139,9 @@ def add_fork(parser: argparse.ArgumentParser) -> None:
         metavar="WHAT=VALUE",
         action="append",
         default=[],
-        help="set a value after the step: milk.position=1,2,0.9 (also orientation, color), pr2.torso_lift_joint=0.2, "
-        "milk.hand=left (or none), gravity=0,0,-9.8, or a fluent, battery=20 (fluent:left.battery=20 if its name has a "
-        "dot); repeatable",
+        help="set a value after the step; repeatable. Objects: milk.position=1,2,0.9, also orientation and color. "
+        "Joints: pr2.torso_lift_joint=0.2. Hands: milk.hand=left, or none. Gravity: gravity=0,0,-9.8. Fluents: "
+        "battery=20; if the name has a dot, fluent:left.battery=20",
     )
     parser.add_argument("--world", metavar="NAME", help="world of the values (default: the last opened world)")
     parser.add_argument(

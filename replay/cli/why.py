@@ -93,7 +93,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> None:
             explained.append(facts | {"why": why_report.data(why, good)})
             text += ["", f"{plural(cause.count, 'run')}, {percent(cause.share)}: {cause.cause}"]
             headline, *sections = "\n".join(why_report.lines(why, good=good)).split("\n\n")
-            shown = [headline, *(part for part in sections if part.startswith(("Why", "Beside")))]
+            shown = [headline, *(part for part in sections if part.startswith(("Why", "Compared")))]
             text += [f"first in {cause.first}:", *(f"  {each}".rstrip() for each in "\n\n".join(shown).splitlines())]
     if options.json:
         print_json({"runs": stats.success.of, "failed": failed, "causes": explained})

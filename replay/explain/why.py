@@ -107,7 +107,7 @@ class Why:
     #: Local variables of the plan's functions at the failure, by file and line: names, and values as text.
     variables: Mapping[tuple[str, int], Mapping[str, str]] = field(default_factory=dict)
     world: World | None = None  # the world of the failure; None without an open world
-    is_default: bool = True  # whether verbs use this world by default
+    is_default: bool = True  # whether ``pycram-replay`` uses this world by default
     bodies: tuple[InvolvedBody, ...] = ()  # the robot, and the bodies of the task
     removed: tuple[str, ...] = ()  # names of the task's bodies that were removed before the failure
     attempts: tuple[FailedAttempt, ...] = ()  # attempts at the task with the same objects, including this one

@@ -177,7 +177,7 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = (), good: GoodRun |
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
     yield from origin if forked else ()
     if good is not None:
-        yield from section(f"Beside {good.file}, where the plan succeeded", good.lines())
+        yield from section(f"Compared with {good.file}, where the plan succeeded", good.lines())
     yield from () if slips else sources
     yield from section("Where in the plan", _where(why))
     threads = (
@@ -454,7 +454,7 @@ def _movable(why: Why) -> list[InvolvedBody]:
 
 
 def _nearer(why: Why) -> str:
-    """Return the option that moves the object nearer to the robot; "" if there is no robot."""
+    """Return the command-line option that moves the object nearer to the robot; "" if there is no robot."""
     if not why.bodies:  # the bodies may be missing in a damaged recording
         return ""
     robot = next((involved.body for involved in why.bodies if involved.is_robot), None)

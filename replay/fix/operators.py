@@ -59,7 +59,7 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)
         what = f"{value} times {factor:.3g}"
         yield _to(node, f"{value * factor:.6g}", cost, what, asks=not is_unit, chance=not is_unit)
-    if isinstance(value, float) or node not in plan.counts:
+    if value and (isinstance(value, float) or node not in plan.counts):
         yield _to(node, f"{-value!r}", 0.5, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":
         for other in (value - 1, value + 1):

@@ -171,7 +171,7 @@ class CausingTasks:
 
 
 def causing_tasks(log: RecordReader, record: Record) -> CausingTasks:
-    """Return the tasks around a record. The record of a task counts as inside the task."""
+    """Return the tasks that enclose a record. The record of a task counts as inside the task."""
     from replay.history.source import PlanSource  # noqa: PLC0415  as above
 
     source = PlanSource(log)

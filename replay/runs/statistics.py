@@ -60,7 +60,7 @@ class FailureCause:
     share: float  # share of this cause among all failures
     first: str  # name of the first run
     step: int | None  # step at which the failure of that run began, if known
-    message: str  # message of that failure
+    message: str  # message of the first run's failure
     runs: tuple[str, ...]  # names of all runs with this cause
     steps: tuple[int | None, ...]  # steps at which the failures began
 

@@ -49,7 +49,7 @@ class FingerMotion:
 
     positions: Mapping[str, float]  # final joint positions of the gripper by name
     share: float  # final opening of the gripper, from 0 (closed) to 1 (open)
-    stopped_by: Sequence[CollisionPair] = ()  # links that stop the fingers, deepest first; empty at the goal
+    stopped_by: Sequence[CollisionPair] = ()  # links that stop the fingers, largest overlap first; empty if none does
     gap: float = 2 * CLEAR  # distance in m between the fingers and the released object, at most 2 * CLEAR
 
 

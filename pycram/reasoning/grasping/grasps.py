@@ -1,7 +1,7 @@
 """Candidates for grasps: the sides and positions from which a gripper can take an object.
 
 Ray casts find candidates: from the front, the top, the left and the right if the object fits between the fingers,
-otherwise from the top over the object's rim. If the object lies across or leans, the gripper turns with the object.
+otherwise from the top over the object's rim. If the object is turned or leans, the gripper turns with the object.
 :mod:`pycram.reasoning.grasping.choice` chooses a candidate.
 """
 

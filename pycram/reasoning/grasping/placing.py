@@ -230,7 +230,7 @@ def placements(
 
 
 def lying(robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> Quaternion | None:
-    """Return an orientation in which an arm can lay an object on a side where the object stays; else None."""
+    """Return an orientation in which an arm can lay an object on a side that is stable; None without one."""
     held = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
     tool_T_body = geometry.product(geometry.conjugate(held), body.get_orientation())
     for name in grasps.GRASPS:

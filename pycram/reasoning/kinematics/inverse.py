@@ -444,7 +444,7 @@ class Solver:
     def closed_form(
         self, targets: Sequence[WorldTarget], seed: Mapping[str, float] | None = None
     ) -> list[list[Posture]]:
-        """Return the solutions of the closed form for targets, nearest first; a target without any may be reachable."""
+        """Return the closed form's solutions, nearest first; a target without a solution may be reachable."""
         if not self.joints:
             return [[] for _ in targets]
         goals = [self._in_root(*target) for target in targets]

@@ -273,7 +273,7 @@ class SolidPart(Solid):
 def stand_firmly(
     engine: Engine, solid_of: Callable[[int], Solid], standing: Sequence[LoadedBody], gravity: Vector
 ) -> Iterator[bool]:
-    """Yield whether each body certainly stands firmly, immediately after a simulation.
+    """Yield for each body whether it certainly stands firmly. A simulation must have ended just before.
 
     Bodies that aren't in ``standing`` count as immovable. The support polygon contains the contacts that friction
     holds, and the points where the underside of a body and the top of its support overlap.

@@ -185,7 +185,7 @@ def _pixels(
     # the number 0 stands for the object, -1 for no object
     owners = np.where(before.depth < alone.depth, before.bodies + 1, alone.bodies)
     near = [int(owner) for owner in distinct(owners) if owner > 0][:_MAX_NAMES]
-    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # numbers by owner; the last number is for no object
+    numbers = np.zeros(len(others) + 2, dtype=np.uint8)  # of each owner; the last is for pixels without an object
     numbers[0] = 1
     numbers[near] = range(2, len(near) + 2)
     return [body.name, *(others[owner - 1].name for owner in near)], numbers[owners]

@@ -84,7 +84,7 @@ class Raised(Cause):
         return self.own and not self.answers and any(each.kind == "written" for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials with other answers, longer waits, another arm, or without the refused call of a mistake."""
+        """Yield the trials with other answers, longer waits, or another arm, or without a refused call."""
         if not self.own:
             yield from (each for refusal in _refusals(case) for each in trials.skipped(refusal))
             return

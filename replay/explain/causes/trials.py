@@ -146,7 +146,7 @@ def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Tria
 
 
 def freed(case: FailureCase, body: str) -> Iterator[Trial]:
-    """Yield the trial in which nothing holds a body. A body that the motion doesn't need is moved far away."""
+    """Yield the trial in which a body is released. A body that the motion doesn't need is moved far away."""
     if body in case.subjects:
         yield _set(case, None, f"nothing holds {body}", {f"{written(body)}.hand": NONE})
     else:

@@ -51,7 +51,7 @@ def runs(tmp_path: Path) -> Path:
 def test_why_says_where_the_good_run_went_on_otherwise(runs: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["why", str(runs / "bad.mcap")]) == 0
     text = capsys.readouterr().out
-    beside = text.split("Beside good.mcap, where the plan succeeded\n")[1].split("\n\n")[0]
+    beside = text.split("Compared with good.mcap, where the plan succeeded\n")[1].split("\n\n")[0]
     assert "both runs called the same lines up to shelf.py:16 (step " in beside
     assert "before it, stable(object=milk) was answered no at step" in beside
     assert "there it was answered yes at step" in beside
