@@ -257,7 +257,7 @@ class Bomb(McapWriter):
 
     def inflate(self, compression: str, data: bytes, size: int, crc: int = 1) -> None:
         chunk = Chunk(compression, data, 0, 0, crc, size)
-        at, content = self._at, packed(chunk)
+        at, content = self.size, packed(chunk)
         self._write(content)
         self._chunks.append(ChunkIndex(len(content), at, compression, len(data), 0, 0, {1: 0, 2: 0}, 0, size))
 
