@@ -45,7 +45,7 @@ def test_a_branch_of_an_outer_block_that_would_come_before_them_is_refused(apple
             s(apple.set_position, HIGHER)
             p(done.append, "early")
 
-    with pytest.raises(RunsEarly, match="to the par block around it"):
+    with pytest.raises(RunsEarly, match="directly in the par block"):
         plan()
     assert not done
 
