@@ -60,7 +60,7 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         what = f"{value} times {factor:.3g}"
         yield _to(node, f"{value * factor:.6g}", cost, what, asks=not is_unit, chance=not is_unit)
     if value and (isinstance(value, float) or node not in plan.counts):
-        yield _to(node, f"{-value!r}", 0.5, f"the sign of {value}", asks=True)
+        yield _to(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":
         for other in (value - 1, value + 1):
             yield _to(node, repr(other), 0.45, asks=True)
