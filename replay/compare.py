@@ -407,7 +407,7 @@ def differing(
     after = record_data(b)
     if names is not None and names.any:
         after = {key: names.data(value, key) for key, value in after.items()}
-    return dict(_leaves(record_data(a), after, "", tolerance))
+    return dict(leaves(record_data(a), after, "", tolerance))
 
 
 def _without_incidental_fields(record: Record) -> Record:
@@ -440,13 +440,14 @@ def _without_recordings(result: Plain) -> Plain:
     return result
 
 
-def _leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[str, tuple[Plain, Plain]]]:
+def leaves(a: Plain, b: Plain, name: str, tolerance: float) -> Iterator[tuple[str, tuple[Plain, Plain]]]:
+    """Yield the parts of two values that differ, by path; numbers within the tolerance are equal."""
     if isinstance(a, dict) and isinstance(b, dict):
         for key in {**a, **b}:
-            yield from _leaves(a.get(key), b.get(key), f"{name}.{key}" if name else key, tolerance)
+            yield from leaves(a.get(key), b.get(key), f"{name}.{key}" if name else key, tolerance)
     elif isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
         for at, pair in enumerate(zip(a, b, strict=True)):
-            yield from _leaves(*pair, f"{name}[{at}]", tolerance)
+            yield from leaves(*pair, f"{name}[{at}]", tolerance)
     elif isinstance(a, str) and isinstance(b, str):
         if a != b and without_addresses(a) != without_addresses(b):
             yield name, (a, b)

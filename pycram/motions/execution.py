@@ -392,8 +392,11 @@ def _now(robot: Object, joints: Iterable[str]) -> dict[str, float]:
 
 def _joint_plan(robot: Object, goal: Mapping[str, float], **options: Any) -> Callable[..., planning.PlannedMotion]:
     """Return a plan for joints that first tries the ways back along the robot's latest motions."""
-    earlier = _followed.setdefault(robot, deque(maxlen=_REMEMBERED))
-    return partial(planning.joint_motion, robot, goal, earlier=earlier, **options)
+    return partial(planning.joint_motion, robot, goal, earlier=_latest(robot), **options)
+
+
+def _latest(robot: Object) -> deque[planning.PlannedMotion]:
+    return _followed.setdefault(robot, deque(maxlen=_REMEMBERED))
 
 
 def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Step:
@@ -412,7 +415,7 @@ def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Ste
             simulation.wait(robot.world, lambda: all(each.body is not robot for each in active.values()))
             planned = plan()  # the path begins at the new posture
         if planned.trajectory.joints and planned.search.planner != STRAIGHT:
-            _followed.setdefault(robot, deque(maxlen=_REMEMBERED)).append(planned)
+            _latest(robot).append(planned)
         _follow(robot.world, [(robot, planned)])
 
     return step

@@ -624,7 +624,8 @@ _COMPARISONS: Final[Mapping[type, Callable[[Any, Any], Truth]]] = {
 
 def _point(value: Any) -> Sequence[float]:
     if isinstance(value, BodyQuantities):
-        return value.part("position")  # type: ignore[no-any-return]
+        position: Sequence[float] = value.part("position")
+        return position
     if isinstance(value, tuple) and len(value) == 3 and all(map(_is_number, value)):
         return value
     raise NoValue(f"{_described(value)} is neither an object nor a point [x, y, z]")

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Mutation
 from replay.cli.console import print_message, print_result
 from replay.cli.main import FAILED, FINE
 from replay.cli.minimise import add_trials
@@ -39,7 +38,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:
-    from replay.fix.last_chance import LastChance, other_choice  # noqa: PLC0415  needs the executor
+    from replay.fix.last_chance import LastChance, last_by_fork, other_choice  # noqa: PLC0415  needs the executor
     from replay.fix.search import SearchResult, search  # noqa: PLC0415  as above
     from replay.fix.trials import Trials  # noqa: PLC0415  as above
 
@@ -47,7 +46,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     found, chance = SearchResult(""), LastChance()
     with Trials(log, allow_effects=options.allow_effects) as trials:
         print_message(f"{trials.program.name} runs again, up to {options.budget} times; {AGAIN}")
-        by_fork = any(each.by_fork for each in log.records(Mutation))
+        by_fork = last_by_fork(log) >= 0
         try:
             few = options.budget if by_fork else min(_FIRST, options.budget // 4)
             chance = other_choice(trials, log, folder, options.holds, few)

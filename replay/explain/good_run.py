@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from recorder.records import Mutation, Plain, Query, Run, Task, argument_values, from_json
 from recorder.records.text import is_choice
-from replay.compare import NOTABLE_METRES
+from replay.compare import NOTABLE_METRES, leaves
 from replay.errors import ReplayError
 from replay.file.lifetimes import closes_world
 from replay.file.record_reader import RecordReader
@@ -88,9 +88,9 @@ def good_run(log: RecordReader, why: Why) -> GoodRun | None:
     for file in files[:_OPENED]:
         try:
             with RecordReader(file) as other:
-                end = next(other.backwards(), None)
-                if other.metadata.get("plan") == log.metadata["plan"] and isinstance(end, Run) and end.succeeded:
-                    found.append(_compared(log, why, other))
+                if other.metadata.get("plan") == log.metadata["plan"]:  # the end is only read for runs of the plan
+                    end = next(other.backwards(), None)
+                    found += [_compared(log, why, other)] if isinstance(end, Run) and end.succeeded else []
         except (ReplayError, OSError):  # such a file is no good run
             continue
         if len(found) == _COMPARED:
@@ -167,13 +167,5 @@ def _values(own: object, good: object) -> Iterator[tuple[str, tuple[Plain, Plain
     if isinstance(own, Task) and isinstance(good, Task):
         others = argument_values(good.parameters)
         for name, value in argument_values(own.parameters).items():
-            if name in others and _differ(value, others[name]):
+            if name in others and any(leaves(value, others[name], name, NOTABLE_METRES)):
                 yield name, (value, others[name])
-
-
-def _differ(a: Plain, b: Plain) -> bool:
-    if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
-        return any(map(_differ, a, b))
-    if isinstance(a, int | float) and isinstance(b, int | float):
-        return abs(a - b) > NOTABLE_METRES
-    return a != b

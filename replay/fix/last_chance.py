@@ -108,6 +108,11 @@ def other_choice(trials: Trials, log: Recording, folder: Path, holds: Sequence[s
     return found
 
 
+def last_by_fork(log: Recording) -> int:
+    """Return the step of the last change of the world by a fork; -1 without one."""
+    return max((each.seq for each in log.records(Mutation) if each.by_fork), default=-1)
+
+
 class _Chances:
     def __init__(
         self, trials: Trials, log: Recording, folder: Path, found: LastChance, holds: Sequence[str], budget: int
@@ -124,8 +129,7 @@ class _Chances:
         self._end = why.step - 1 if why.case is None or why.case.motion is None else why.case.began
         self._step = why.step
         self._source = PlanSource(log)
-        #: The last change of the world by a fork; -1 without one. A fork before this step wouldn't repeat the change.
-        self._by_fork = max((each.seq for each in log.records(Mutation) if each.by_fork), default=-1)
+        self._by_fork = last_by_fork(log)  # a fork before this step wouldn't repeat the change
 
     def __enter__(self) -> Self:
         return self

@@ -104,9 +104,10 @@ class Raised(Cause):
                     yield from trials.other_arm(case, failed)
 
     def _words(self) -> Iterator[str]:
-        what = "the plan raised the failure" if self.own else f"a mistake in the plan: {self.type}"
-        if not self.own and not _is_mistake(self.type):
-            what = f"{self.type} came from a call"
+        if self.own:
+            what = "the plan raised the failure"
+        else:
+            what = f"a mistake in the plan: {self.type}" if _is_mistake(self.type) else f"{self.type} came from a call"
         inside = f", in {phrases.node(self.task)}" if self.task is not None else ""
         yield f"{what} at {phrases.place(self.line)}{inside}: {phrases.short(self.line.text)}"
         for answer in self.answers:
