@@ -27,6 +27,24 @@ from typing import Any, ClassVar, NoReturn, TypeVar, cast, dataclass_transform
 from recorder.errors import PortableError, nearest, suggestion
 from recorder.records import escaped
 
+__all__ = [
+    "AssetError",
+    "AttachmentError",
+    "BadArgument",
+    "ChangeRefused",
+    "DisplayError",
+    "FollowsTrajectory",
+    "JointLimitError",
+    "NoWorld",
+    "ObjectsChanged",
+    "PlanFailure",
+    "PycramError",
+    "ReadOnly",
+    "UnknownName",
+    "UsageError",
+    "WorldClosed",
+]
+
 Given = TypeVar("Given")
 ErrorType = TypeVar("ErrorType", bound=BaseException)
 

@@ -10,70 +10,38 @@ from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, asdict, dataclass
 from typing import Any, Final
 
-from pycram.foundation.errors import (
-    AssetError,
-    AttachmentError,
-    BadArgument,
-    ChangeRefused,
-    DisplayError,
-    FollowsTrajectory,
-    JointLimitError,
-    NoWorld,
-    ObjectsChanged,
-    PlanFailure,
-    PycramError,
-    ReadOnly,
-    UnknownName,
-    UsageError,
-    WorldClosed,
-    dataclass_error,
-    export,
-    floats,
-    kept_as,
-)
+from pycram.foundation import errors
+from pycram.foundation.errors import *  # noqa: F403  the module errors.py lists its exports
+from pycram.foundation.errors import PlanFailure, dataclass_error, export, floats, kept_as
 from recorder.geometry import PoseLike
 from recorder.records.text import pair_text
 
 __all__ = [
     "AccessFailed",
-    "AssetError",
-    "AttachmentError",
-    "BadArgument",
     "Blocked",
-    "ChangeRefused",
     "CollisionPair",
     "Displaced",
-    "DisplayError",
     "DoesNotFit",
-    "FollowsTrajectory",
     "GraspFailed",
     "GripperBlocked",
     "HandleBlocked",
     "HandleUnreachable",
     "InCollision",
-    "JointLimitError",
     "LookingFailed",
     "MissingPart",
     "NoPath",
     "NoPlace",
-    "NoWorld",
     "NotDrivable",
-    "ObjectsChanged",
     "PerceptionError",
     "PlaceFailed",
-    "PlanFailure",
     "PostureInCollision",
     "PropertyViolated",
-    "PycramError",
-    "ReadOnly",
     "ReasoningError",
     "TrackingLost",
     "TrajectoryEnded",
-    "UnknownName",
     "Unreachable",
-    "UsageError",
-    "WorldClosed",
 ]
+__all__ += errors.__all__
 
 _MAX_DIGITS: Final = 3  # maximum number of decimal places of millimetres in messages
 _MAX_LISTED: Final = 3  # maximum number of collision pairs in a message
