@@ -53,12 +53,13 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     is_count = isinstance(value, int) and value <= _FEW and node in plan.counts
     usual = max((each for each in plan.numbers if each != value), default=math.inf)
     for number, factor in enumerate(_FACTORS if value and not is_count else ()):
-        is_unit = value in plan.numbers and value >= _MANY * usual and value * factor <= usual
+        new = f"{value * factor:.6g}"  # without rounding errors, for the comparison too
+        is_unit = value in plan.numbers and value >= _MANY * usual and float(new) <= usual
         is_unit |= factor == _FACTORS[2] and not value % _RIGHT_ANGLES
         cost = 0.25 + 0.05 * number if is_unit else 0.3 + 0.1 * number + 0.4 * (number > 2)
         cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)
         what = f"{value} times {factor:.3g}"
-        yield _to(node, f"{value * factor:.6g}", cost, what, asks=not is_unit, chance=not is_unit)
+        yield _to(node, new, cost, what, asks=not is_unit, chance=not is_unit)
     if value and (isinstance(value, float) or node not in plan.counts):
         yield _to(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":

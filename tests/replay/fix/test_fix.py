@@ -240,6 +240,12 @@ def test_counts_are_shifted_not_scaled_and_stale_reads_move_first() -> None:
     assert (likely.what, likely.cost < unlikely.cost) == ("line 2 after line 3", True)
 
 
+def test_a_decimal_point_is_suggested_by_an_equal_number_in_spite_of_rounding() -> None:
+    edits = {edit.what: edit.chance for edit in Editor("load([0.5, 0.2, 0.83])\nput([0.5, 0.2, 8.3])\n").edits(2)}
+    assert not edits["8.3 times 0.1"]  # 8.3 times 0.1 is a little more than 0.83
+    assert edits["0.5 times 0.1"]
+
+
 def test_statements_stay_on_their_side_of_an_assertion() -> None:
     text = "def check(x):\n    assert x\nx = a()\ncheck(x)\nb()\nif x:\n    raise ValueError\nc()\n"
     moves = [edit for line in (3, 5, 8) for edit in Editor(text).edits(line) if edit.what.startswith("line")]
