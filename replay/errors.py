@@ -11,14 +11,17 @@ from recorder.errors import PortableError, suggestion
 
 
 class ReplayError(PortableError):
-    """Base class of the errors of this package."""
+    """Base class of the errors of this package. A message with several parts has colons between them."""
+
+    def __init__(self, *parts: object) -> None:
+        super().__init__(": ".join(map(str, parts)))
 
 
 class NotALog(ReplayError):
     """The file isn't a recording of PyCRAM, or is completely unreadable."""
 
     def __init__(self, path: str | Path, cause: str) -> None:
-        super().__init__(f"{path}: {cause}")
+        super().__init__(path, cause)
         self.path = str(path)
         self.cause = cause
 

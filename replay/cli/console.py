@@ -11,6 +11,7 @@ import math
 import os
 import re
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Final
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from replay.recording import Recording
 
 _STDOUT, _STDERR = 1, 2
+_PROGRESS_PERIOD: Final = 0.2  # minimum time in s between two messages of progress
 #: Texts with a colour on a terminal.
 _COLOURED: Final = re.compile(
     r"(?P<bold>^[a-z]{1,10}(?=  +\S)|(?:(?<=\n\n)|(?<=\A\n)|\A)[A-Z][^\n.]*(?=\n  ))"  # names of fields, and headings
@@ -93,6 +95,27 @@ def _sound(value: object) -> object:
 def print_message(text: str) -> None:
     """Print a message on stderr."""
     print(f"pycram-replay: {visible(text)}", file=messages())
+
+
+@contextmanager
+def progress(words: str) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function that prints words and the progress, such as "step 3 of 9", in a line that the block removes.
+
+    Nothing is printed if stderr isn't a terminal.
+    """
+    began = printed = time.monotonic()
+
+    def show(done: int, of: int) -> None:
+        nonlocal printed
+        if time.monotonic() - printed > _PROGRESS_PERIOD and sys.stderr.isatty():
+            printed = time.monotonic()
+            print(f"\r{words} {done} of {of}", end="", file=sys.stderr, flush=True)
+
+    try:
+        yield show
+    finally:
+        if printed > began:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -534,8 +534,7 @@ class Prompt(cmd.Cmd):
     def complete_break(self, text: str, *_: Any) -> list[str]:
         """Complete the name of a task or an event."""
         timeline = self.session.timeline
-        names = {*timeline.kinds.values(), *(path[-1] for path in timeline.paths.values()), *timeline.events}
-        return _beginning(text, (*names, "failure", "event"))
+        return _beginning(text, (*timeline.names, *timeline.events, "failure", "event"))
 
     def complete_watch(self, text: str, *rest: Any) -> list[str]:
         """Complete the name of a quantity."""

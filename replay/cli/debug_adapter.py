@@ -372,11 +372,9 @@ class Adapter:
         for number, each in enumerate(self._at_prompt.stack):
             place = {"source": self._source(each["file"]), "line": each["line"], "column": 1}
             frames.append({"id": number, "name": each["function"], **place})
-        for task in map(self._session.log.__getitem__, self._session.timeline.around(self._session.step)):
-            if isinstance(task, Task):
-                name = phrases.task(task.kind, task.name, argument_values(task.parameters))
-                label = {"line": 0, "column": 0, "presentationHint": "label"}
-                frames.append({"id": _TASK_FRAMES + task.seq, "name": name, **label})
+        for task in self._session.timeline.around(self._session.step):
+            label = {"line": 0, "column": 0, "presentationHint": "label"}
+            frames.append({"id": _TASK_FRAMES + task.started.seq, "name": phrases.node(task), **label})
         first = arguments.get("startFrame") or 0
         last = first + arguments["levels"] if arguments.get("levels") else len(frames)
         return {"stackFrames": frames[first:last], "totalFrames": len(frames)}

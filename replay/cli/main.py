@@ -8,16 +8,15 @@ import importlib
 import io
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 from recorder.errors import discard, suggestion, until_closed
 from recorder.packages import NotInstalled, needed
 from recorder.terminal import Parser, complete, paged, typed_words
-from replay.cli.console import print_message
+from replay.cli.console import print_message, progress
 from replay.errors import Damaged, ReplayError, Unreadable
 
 if TYPE_CHECKING:
@@ -70,18 +69,7 @@ _LOG_HELP: Final = dict.fromkeys(("sql", "stats", "separate"), _FOLDER) | dict.f
 )
 FINE, FAILED, USAGE, INCOMPLETE, INTERNAL = 0, 1, 2, 3, 4
 _INTERRUPTED = 130
-_PROGRESS_PERIOD: Final = 1.0  # time in s until the first line of progress
 _MAX_SKIPPED: Final = 8  # maximum number of skipped files that are named
-
-
-class Verb(NamedTuple):
-    """The functions of a subcommand, such as ``why``. A function that runs one may return an exit code."""
-
-    add: Callable[[argparse.ArgumentParser], None]  # a function that adds the arguments of the verb
-    #: A function that runs the verb on a recording; None if the verb only takes folders.
-    run: Callable[[Recording, argparse.Namespace], int | None] | None
-    #: A function that runs the verb on a folder of recordings; None if the verb takes no folders.
-    run_folder: Callable[[Runs, argparse.Namespace], int | None] | None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -135,7 +123,7 @@ def _command(arguments: list[str]) -> int:
     if summarised:
         options.next_steps = True
     editor = options.log is None or getattr(options, "dap", False)
-    return _serve_editor(options) if editor else _run(_verb(options.verb), options)
+    return _serve_editor(options) if editor else _run(options)
 
 
 def _serve_editor(options: argparse.Namespace) -> int:
@@ -158,9 +146,7 @@ def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
         SystemExit: The arguments were wrong, and a message was printed.
         ReplayError: The verb failed.
     """
-    run = _verb(verb).run
-    assert run is not None  # noqa: S101  for mypy
-    run(log, _parser([verb]).parse_args([verb, str(log.path), *arguments]))
+    _function(verb, "run")(log, _parser([verb]).parse_args([verb, str(log.path), *arguments]))
 
 
 def _own_error(error: Exception) -> str:
@@ -180,11 +166,13 @@ def _own_error(error: Exception) -> str:
     return f"this is an internal error of PyCRAM; please report it with the recording and {file.name}: {summary}"
 
 
-def _verb(name: str) -> Verb:
-    module = importlib.import_module(f"replay.cli.{_FILES.get(name, name.replace('-', '_'))}")
-    suffix = f"_{name}" if name in _FILES else ""
-    add, run, run_folder = (getattr(module, f"{part}{suffix}", None) for part in ("add", "run", "run_folder"))
-    return Verb(add or (lambda _: None), run, run_folder)
+def _function(verb: str, name: str) -> Any:
+    """Return a function of a verb, None if it is missing: "add" (adds arguments), "run" or "run_folder" (run the verb).
+
+    A function that runs the verb on a recording or on a folder may return an exit code.
+    """
+    module = importlib.import_module(f"replay.cli.{_FILES.get(verb, verb.replace('-', '_'))}")
+    return getattr(module, f"{name}_{verb}" if verb in _FILES else name, None)
 
 
 def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
@@ -214,26 +202,27 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
             module = _FILES.get(name, name.replace("-", "_"))
-            add_cached(name, module, verb, lambda parser: _verb(parser.prog.split()[-1]).add(parser))
+            add_cached(name, module, verb, lambda parser: _function(parser.prog.split()[-1], "add")(parser))
         elif name in arguments:
-            _verb(name).add(verb)
+            _function(name, "add")(verb)
         verb.add_argument("--json", action="store_true", help="print JSON")
     verbs.add_parser(_CHEAT, help="print a cheat sheet with examples of all verbs")
     return parser
 
 
-def _run(verb: Verb, options: argparse.Namespace) -> int:
+def _run(options: argparse.Namespace) -> int:
     from replay.recording import Recording  # noqa: PLC0415  slow to import
 
     try:
-        if verb.run is None or Path(options.log).is_dir():
-            return _run_on_folder(verb, options)
+        run = _function(options.verb, "run")
+        if run is None or Path(options.log).is_dir():
+            return _run_on_folder(options)
         with Recording(options.log) as log:
             if log.newer is not None:
                 print_message(f"{log.path}: {log.newer}")
             try:
                 with needed(), _paged(options):
-                    code = verb.run(log, options) or FINE
+                    code = run(log, options) or FINE
             except ReplayError as error:
                 lost = log.problems or isinstance(error, Damaged | Unreadable)
                 code = _report(str(error), INCOMPLETE if lost else USAGE)
@@ -258,13 +247,14 @@ def _paged(options: argparse.Namespace) -> AbstractContextManager[None]:
     return paged() if options.verb in _READ and not follows else nullcontext()
 
 
-def _run_on_folder(verb: Verb, options: argparse.Namespace) -> int:
-    if verb.run_folder is None:
+def _run_on_folder(options: argparse.Namespace) -> int:
+    run = _function(options.verb, "run_folder")
+    if run is None:
         takes = ", ".join(name for name in VERBS if name in _LOG_HELP)
         return _report(f"{options.log}: {options.verb} takes a single recording; verbs for folders are {takes}", USAGE)
     try:
         with needed(), opened(options.log) as runs, _paged(options):  # the verb may need a package that isn't installed
-            code = verb.run_folder(runs, options)
+            code = run(runs, options)
             skipped = runs.skipped
     except NotInstalled as error:
         return _report(f"{options.verb}: {error}", USAGE)
@@ -280,20 +270,11 @@ def opened(path: str) -> Iterator[Runs]:
     """Open a folder of recordings, and print progress on a terminal."""
     with needed("runs"):
         from replay.runs.folder import Runs  # noqa: PLC0415  an extra
-    began, shown = time.monotonic(), False
-
-    def progress(done: int, of: int) -> None:
-        nonlocal shown
-        if sys.stderr.isatty() and time.monotonic() - began > _PROGRESS_PERIOD:
-            shown = True
-            print(f"\rpycram-replay: reading recordings: {done} of {of}", end="", file=sys.stderr, flush=True)
-
     with ExitStack() as opening:
         if Path(path).is_file():  # a single recording becomes a folder of one recording
             path = opening.enter_context(_folder_of(Path(path).absolute()))
-        runs = opening.enter_context(Runs(path, progress))
-        if shown:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+        with progress("pycram-replay: reading recordings:") as show:
+            runs = opening.enter_context(Runs(path, show))
         yield runs
 
 

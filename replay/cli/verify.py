@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import asdict
-from typing import Final
 
-from replay.cli.console import native_output_to_stderr, print_result
+from replay.cli.console import native_output_to_stderr, print_result, progress
 from replay.cli.main import FAILED, FINE, INCOMPLETE
 from replay.recording import Recording
 from replay.report.phrases import plural
 from replay.state.integrity import Deviation, Verification, verify_static
-
-_PERIOD: Final = 0.2  # time in s between two messages of progress
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -27,39 +22,23 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> int:
     start = time.perf_counter()
-    with _progress(len(log)) as progress:
+    with progress("step") as show:
+
+        def report(step: int) -> None:
+            show(step, len(log))
+
         if options.static:
-            verification = verify_static(log, progress)
+            verification = verify_static(log, report)
         else:
             from replay.restore.verify import verify  # noqa: PLC0415  imports the engine
 
             with native_output_to_stderr():
-                verification = verify(log, progress)
+                verification = verify(log, report)
     seconds = time.perf_counter() - start
     print_result(lambda: _data(verification, seconds), _lines(verification, seconds), as_json=options.json)
     if verification.damage or verification.incomplete:
         return INCOMPLETE
     return FINE if verification.sound else FAILED
-
-
-@contextmanager
-def _progress(steps: int) -> Iterator[Callable[[int], None] | None]:
-    """Yield a function that prints the progress, or None if stderr isn't a terminal."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    printed = time.monotonic()
-
-    def report(step: int) -> None:
-        nonlocal printed
-        if time.monotonic() - printed > _PERIOD:
-            printed = time.monotonic()
-            print(f"\rstep {step} of {steps}", end="", file=sys.stderr, flush=True)
-
-    try:
-        yield report
-    finally:
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 def _lines(verification: Verification, seconds: float) -> Iterator[str]:

@@ -38,7 +38,6 @@ class PlanEnded(ReplayError):
 
     def __init__(self, printed: str) -> None:
         super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
-        self.printed = printed  # last text that the process wrote to stderr
 
 
 class EndedByInterrupt(Exception):

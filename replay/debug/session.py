@@ -19,6 +19,7 @@ from recorder.errors import suggestion
 from recorder.properties.expressions import PARTS, ROUNDING, BadProperty, NoValue, PropertyExpression, Scene, plain
 from recorder.records import Envelope, Event, Keyframe, Mutation, Output, Record, Run, Task
 from recorder.records.fold import FoldedWorld, apply
+from recorder.tasks import Node, Tree
 from replay.debug.stopped_plan import WatchedExpression
 from replay.errors import NoSuchName, NoSuchStep, ReplayError
 from replay.file.record_reader import RecordReader
@@ -36,7 +37,7 @@ _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
 class NoFurther(ReplayError):
-    """There is no further step, because the recording begins or ends, or the plan differs from the recording."""
+    """There is no step beyond this step, because the recording begins or ends, or the plan differs from it."""
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(cause)
@@ -213,14 +214,11 @@ class Timeline:
 
     def __init__(self, log: RecordReader) -> None:
         self.steps = len(log)  # number of steps
-        self.paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by step of the start
-        self.kinds: dict[int, str] = {}  # kinds of tasks, by the step of the start
+        self.tasks: dict[int, Node] = {}  # tasks that have started, by the step of the start
         self.failures: list[int] = []  # steps with a failure
         self.events: dict[str, list[int]] = defaultdict(list)  # steps of events, by name
         self._levels = [0] * self.steps
-        self._starts: dict[int, int] = {}
-        self._parents: dict[int, int] = {}
-        self._names: dict[int, tuple[str, ...]] = {0: ()}
+        self._tree = Tree()
         self._ends: dict[int, int] = {}
         self._stacks: list[tuple[Site, ...]] = [()] * self.steps  # the plan's lines that led to a step, outermost first
         self._lines: dict[Site, list[int]] = defaultdict(list)
@@ -246,12 +244,9 @@ class Timeline:
         self._levels[record.seq] = record.task
         if isinstance(record, Task):
             self._levels[record.seq] = record.parent
-            self._parents[record.task] = record.parent
+            task = self._tree.apply(record)
             if record.phase == Task.STARTED:
-                names = (*self._names.get(record.parent, ()), record.name)
-                self._names[record.task] = self.paths[record.seq] = names
-                self.kinds[record.seq] = record.kind
-                self._starts[record.task] = record.seq
+                self.tasks[record.seq] = task
             elif record.phase != Task.ASKED:
                 self._ends[record.task] = record.seq
         if isinstance(record, Event):
@@ -259,16 +254,21 @@ class Timeline:
         if "failure" in record.DESCRIPTOR.fields_by_name and record.HasField("failure"):
             self.failures.append(record.seq)
 
+    @property
+    def names(self) -> set[str]:
+        """The names and kinds of all tasks."""
+        return {word for task in self.tasks.values() for word in (task.name, task.kind)}
+
     # --- targets of commands ----------------------------------------------------------------------------------------
 
     def following(self, step: int) -> int:
         """Return the next step on the same level or an outer level, or else the last step."""
-        around = {*self._around(step)}
+        around = self._around(step)
         return next((at for at in range(step + 1, self.steps) if self._levels[at] in around), self.steps - 1)
 
     def preceding(self, step: int) -> int:
         """Return the previous step on the same level or an outer level, or else the first step."""
-        around = {*self._around(step)}
+        around = self._around(step)
         return next((at for at in range(step - 1, -1, -1) if self._levels[at] in around), 0)
 
     def end(self, step: int) -> int:
@@ -277,7 +277,7 @@ class Timeline:
 
     def onwards(self, step: int) -> int:
         """Return the next step that is on this level at a later line of the same file, or on an outer level."""
-        site, level, around = self.site(step), self._levels[step], {*self._around(step)}
+        site, level, around = self.site(step), self._levels[step], self._around(step)
         for at in range(step + 1, self.steps):
             if self._levels[at] in around:
                 file, line = self.site(at)
@@ -285,17 +285,14 @@ class Timeline:
                     return at
         return self.steps - 1
 
-    def around(self, step: int) -> list[int]:
-        """Return the starts of the tasks around a step, innermost first."""
-        return [self._starts[task] for task in self._around(step) if task in self._starts]
+    def around(self, step: int) -> list[Node]:
+        """Return the tasks around a step, innermost first."""
+        innermost = self._tree.nodes.get(self._levels[step])
+        return [] if innermost is None else [task for task in innermost.around() if task.started.seq in self.tasks]
 
-    def _around(self, step: int) -> Iterator[int]:
-        """Yield the level of a step, and then the outer levels."""
-        task = self._levels[step]
-        yield task
-        while task:
-            task = self._parents.get(task, 0)
-            yield task
+    def _around(self, step: int) -> set[int]:
+        """Return the level of a step, and the outer levels."""
+        return {self._levels[step], *(task.id for task in self.around(step)), 0}
 
     # --- lines ------------------------------------------------------------------------------------------------------
 
@@ -340,11 +337,7 @@ def _own_stack(record: Record) -> tuple[Site, ...]:
 
 
 class NoSuchPlace(ReplayError, LookupError):
-    """The recording doesn't have the place of a breakpoint."""
-
-    def __init__(self, place: str, cause: str) -> None:
-        super().__init__(f"{place}: {cause}")
-        self.place = place  # text of the place, as the user wrote it
+    """The recording doesn't have the place of a breakpoint; the error is made from the place and the cause."""
 
 
 @dataclass(slots=True)
@@ -388,11 +381,11 @@ def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -
     match = _LINE.fullmatch(place)
     if match is not None and not place.startswith("task:"):
         return _at_line(timeline, number, match["file"], int(match["line"]))
-    searched = tuple(place.strip("/").casefold().split("/"))
+    searched = place.strip("/").casefold().split("/")[::-1]
     steps = [
         step
-        for step, path in timeline.paths.items()
-        if tuple(name.casefold() for name in path)[-len(searched) :] == searched or timeline.kinds[step] == place
+        for step, task in timeline.tasks.items()
+        if task.kind == place or [each.name.casefold() for each in task.around()][: len(searched)] == searched
     ]
     if steps:
         return Breakpoint(number, f"task {place}", steps)
@@ -401,8 +394,7 @@ def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -
     except NoSuchStep as error:
         if re.fullmatch(r"-?[\d.]+s?|last|task:.*", place):
             raise
-        known = {*timeline.kinds.values(), *(path[-1] for path in timeline.paths.values())}
-        raise NoSuchPlace(place, f"there is no such step or task; {suggestion(place, known)}") from error
+        raise NoSuchPlace(place, f"there is no such step or task; {suggestion(place, timeline.names)}") from error
 
 
 def _some(place: str, steps: list[int], otherwise: str) -> list[int]:
@@ -427,11 +419,7 @@ def _at_line(timeline: Timeline, number: int, name: str, line: int) -> Breakpoin
 
 
 class NoQuantity(ReplayError):
-    """An expression has no value in any recorded state, for example because a name is unknown."""
-
-    def __init__(self, expression: str, cause: str) -> None:
-        super().__init__(f"{expression}: {cause}")
-        self.expression = expression
+    """An expression has no value in any recorded state; the error is made from the expression and the cause."""
 
 
 class ValueChange(NamedTuple):

@@ -51,8 +51,7 @@ class BadQuestion(ReplayError):
     """A question has errors, or the world of the step can't answer it."""
 
     def __init__(self, question: str, cause: str) -> None:
-        super().__init__(f"{question}: {cause}")
-        self.question = question
+        super().__init__(question, cause)
         self.cause = cause
 
 

@@ -34,11 +34,7 @@ _MOST_IN_A_ROW: Final = 100  # number of successive turns of a polling branch, a
 
 
 class BadChange(ReplayError):
-    """A fork can't make a change."""
-
-    def __init__(self, change: str, cause: str) -> None:
-        super().__init__(f"{change}: {cause}")
-        self.change, self.cause = change, cause
+    """A fork can't make a change; the error is made from the change and the cause."""
 
 
 @dataclass(slots=True)

@@ -37,10 +37,6 @@ _CACHE: Final = "__pycache__"  # folder of compiled files, which don't belong to
 class CantRetrace(ReplayError):
     """The recording lacks data to run the plan again, or the plan can't be run here."""
 
-    def __init__(self, cause: str) -> None:
-        super().__init__(cause)
-        self.cause = cause  # why the plan can't run, and a remedy
-
 
 @dataclass(frozen=True, slots=True)
 class Guidance:

@@ -46,12 +46,7 @@ _SMALL: Final = 2000  # number of recordings below which a part is small
 
 
 class NotRead(ReplayError):
-    """The tables of a folder of recordings can't be made or read."""
-
-    def __init__(self, path: Path, cause: str) -> None:
-        super().__init__(f"{path}: {cause}")
-        self.path = str(path)
-        self.cause = cause
+    """The tables of a folder of recordings can't be made or read; the error is made from the path and the cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -358,7 +353,6 @@ class Refused(ReplayError):
     def __init__(self, sql: str, cause: str) -> None:
         super().__init__(cause)
         self.sql = sql
-        self.cause = cause
 
 
 class Answer:
