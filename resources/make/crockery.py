@@ -19,19 +19,14 @@ def bowl() -> Thing:
     floor = [(0.018, 0.0080), (0.0, 0.0075)]
     solid = revolve([*foot, *outer, *inner[::-1], *floor], SEGMENTS)
     glaze = revolve([(0.0, 0.0078), (0.018, 0.0083), *_lifted(inner), *inner[::-1], *floor], SEGMENTS)
-    pieces = (disc(0.035, (MARGIN, 0.0075 - MARGIN)), *_wall(inner, outer))
     oval = 0.139 / 0.140
-    return Thing(
-        "bowl",
-        0.30,
-        0.9,
-        solid.scaled(y=oval),
-        tuple(piece.scaled(y=oval) for piece in pieces),
-        (
-            Part("glaze", (0.93, 0.90, 0.82), glaze.scaled(y=oval)),
-            Part("ceramic", (0.16, 0.38, 0.62), solid.scaled(0.9985, 0.9985 * oval, 0.9985)),
-        ),
-    ).centred()
+    foot_and_wall = (disc(0.035, (MARGIN, 0.0075 - MARGIN)), *_wall(inner, outer))
+    pieces = tuple(piece.scaled(y=oval) for piece in foot_and_wall)
+    parts = (
+        Part("glaze", (0.93, 0.90, 0.82), glaze.scaled(y=oval)),
+        Part("ceramic", (0.16, 0.38, 0.62), solid.scaled(0.9985, 0.9985 * oval, 0.9985)),
+    )
+    return Thing("bowl", 0.30, 0.9, solid.scaled(y=oval), pieces, parts).centred()
 
 
 def cup() -> Thing:
@@ -49,17 +44,11 @@ def cup() -> Thing:
         block((0.041, 0.053), (-0.0042, 0.0042), (0.0695, 0.0775)),
     ]
     pieces = (disc(0.0355, (MARGIN, 0.0055 - MARGIN)), *_wall(inner, outer), *grip)
-    return Thing(
-        "cup",
-        0.32,
-        0.8,
-        join([shell, handle]),
-        pieces,
-        (
-            Part("lining", (0.95, 0.94, 0.90), lining),
-            Part("ceramic", (0.80, 0.22, 0.16), join([shell.scaled(0.9985, 0.9985, 0.9985), handle])),
-        ),
-    ).centred()
+    parts = (
+        Part("lining", (0.95, 0.94, 0.90), lining),
+        Part("ceramic", (0.80, 0.22, 0.16), join([shell.scaled(0.9985, 0.9985, 0.9985), handle])),
+    )
+    return Thing("cup", 0.32, 0.8, join([shell, handle]), pieces, parts).centred()
 
 
 def plate() -> Thing:
@@ -69,14 +58,8 @@ def plate() -> Thing:
     solid = revolve([(0.0, 0.0), (0.065, 0.0), *outer, *inner[:0:-1], inner[0], (0.0, 0.0060)], SEGMENTS)
     ring = revolve([(0.0920, 0.0168), (0.1055, 0.0217), (0.1055, 0.0221), (0.0920, 0.0172)], SEGMENTS)
     pieces = (disc(0.065, (MARGIN, 0.0060 - MARGIN)), *_wall(inner[:3], [*outer[:2], (0.1100, 0.0195)]))
-    return Thing(
-        "plate",
-        0.48,
-        0.8,
-        solid,
-        pieces,
-        (Part("rim", (0.16, 0.38, 0.62), ring), Part("ceramic", (0.95, 0.94, 0.90), solid)),
-    ).centred()
+    parts = (Part("rim", (0.16, 0.38, 0.62), ring), Part("ceramic", (0.95, 0.94, 0.90), solid))
+    return Thing("plate", 0.48, 0.8, solid, pieces, parts).centred()
 
 
 def glass() -> Thing:
@@ -106,17 +89,11 @@ def pot() -> Thing:
         handles += [piece.turned("z", turn) for piece in bar]
         grips += [piece.turned("z", turn) for piece in grip]
     pieces = (disc(0.0950, (MARGIN, 0.0055 - MARGIN)), *_wall(inner, outer), *grips)
-    return Thing(
-        "pot",
-        1.25,
-        0.6,
-        join([shell, rim, *handles]),
-        pieces,
-        (
-            Part("steel", (0.72, 0.73, 0.76), join([shell, rim])),
-            Part("handles", (0.12, 0.12, 0.13), join(handles)),
-        ),
-    ).centred()
+    parts = (
+        Part("steel", (0.72, 0.73, 0.76), join([shell, rim])),
+        Part("handles", (0.12, 0.12, 0.13), join(handles)),
+    )
+    return Thing("pot", 1.25, 0.6, join([shell, rim, *handles]), pieces, parts).centred()
 
 
 def _wall(inner: Profile, outer: Profile) -> list[Solid]:

@@ -60,7 +60,7 @@ def spoon() -> Thing:
     rhos = [0.45, 0.75, 1.0]
     low = [(rho, dish(rho) + MARGIN * 0.9) for rho in rhos]
     high = [(rho, dish(rho) + max(thick - MARGIN * 0.9, MARGIN)) for rho in rhos]
-    rim = [piece.scaled(half_length - MARGIN, half_width - MARGIN) for piece in _bands(high, low)]
+    rim = [piece.scaled(half_length - MARGIN, half_width - MARGIN) for piece in sectors(high, low, 12)]
     floor = revolve([(0.0, MARGIN), (0.45, MARGIN), (0.45, MARGIN + 0.0002), (0.0, MARGIN + 0.0002)], 16)
     pieces += [piece.moved(middle) for piece in (*rim, floor.scaled(half_length, half_width))]
     return Thing("spoon", 0.04, 0.8, solid, tuple(pieces), (Part("steel", STEEL, solid),)).centred()
@@ -145,10 +145,6 @@ def _handle(stations: list[float], spine: Curve, breadth: Curve, thick: float) -
         _strip(x, spine(x) + 0.9 * MARGIN, breadth(x) - MARGIN, max(thick - 1.8 * MARGIN, 0.0002)) for x in stations
     ]
     return [loft([first, second]) for first, second in itertools.pairwise(rings)]
-
-
-def _bands(high: list[tuple[float, float]], low: list[tuple[float, float]]) -> list[Solid]:
-    return sectors(high, low, 12)
 
 
 def _strip(x: float, z: float, half_width: float, thick: float) -> Points:

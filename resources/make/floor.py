@@ -16,12 +16,9 @@ MATERIALS = {
     "joint": Material((0.66, 0.64, 0.60), 2000.0),
 }
 
-HALF = 15.0
-"""Half the width of the visible middle, metres."""
-WIDTH = 2_000.0
-"""Of the whole slab, metres."""
-TILED = 6
-"""Distance from the origin in metres up to which tiles are visible; a tile is one metre wide."""
+HALF = 15.0  # half the width of the visible middle, metres
+WIDTH = 2_000.0  # width of the whole slab, metres
+TILED = 6  # distance from the origin in metres up to which tiles are visible; a tile is one metre wide
 
 
 def floor() -> str:

@@ -27,8 +27,7 @@ MATERIALS = {
     "wall": Material((0.80, 0.83, 0.85), 1200.0),
 }
 
-FRONT = 0.281
-"""Outer face of a drawer's front panel in the drawer's frame, metres."""
+FRONT = 0.281  # outer face of a drawer's front panel in the drawer's frame, metres
 
 
 def drawer(width: float, height: float, back: float, wall: float, front: str = "front") -> list[Shape]:
@@ -54,12 +53,9 @@ def drawer(width: float, height: float, back: float, wall: float, front: str = "
 
 
 def handle(length: float, depth: float = 0.0515, upright: bool = False) -> list[Shape]:
-    """A bar on two posts. The frame is in the bar.
+    """A bar on two posts, along y, or along z if ``upright``. The frame is in the bar.
 
-    Args:
-        length: Length of the bar, metres.
-        depth: Distance of the front panel behind the frame.
-        upright: Whether the bar is along z, not along y.
+    ``length`` is the length of the bar, and ``depth`` is the distance from the frame back to the front panel, metres.
     """
     half, thick, post = length / 2, 0.0077, 0.006
     shapes = []
@@ -80,11 +76,11 @@ def knob() -> list[Shape]:
     ]
 
 
-def board(x: tuple[float, float], half: float, z: float, thick: float = 0.025) -> list[Shape]:
-    """A board of a tall pull-out with a low rail on either side."""
-    top = z + thick / 2
+def board(x: tuple[float, float], half: float, z: float) -> list[Shape]:
+    """A board of a tall pull-out, 25 mm thick, with a low rail on either side."""
+    top = z + 0.0125
     rails = [span(x, y, (top, top + 0.05), "steel") for y in ((-half, 0.012 - half), (half - 0.012, half))]
-    return [span(x, (-half, half), (z - thick / 2, top), "drawer_wood"), *rails]
+    return [span(x, (-half, half), (z - 0.0125, top), "drawer_wood"), *rails]
 
 
 def tall_drawer() -> list[Shape]:
@@ -103,15 +99,14 @@ def panel(width: float, low: float, high: float, front: str = "front") -> list[S
 def rack(x: tuple[float, float], half: float, z: float, rim: float) -> list[Shape]:
     """A wire rack: a thin floor that collides, visible wires, and a rim if it has a height."""
     floor = span(x, (-half, half), (z, z + 0.006), "dark_steel")
-    count = 9
-    step = 2 * half / (count - 1)
+    step = half / 4
     wires = [
         span(x, (k * step - half - 0.002, k * step - half + 0.002), (z + 0.006, z + 0.009), "steel", solid=False)
-        for k in range(count)
+        for k in range(9)
     ]
     if not rim:
         return [floor, *wires]
-    edges = [span(x, y, (z + rim - 0.005, z + rim), "steel") for y in ((-half, 0.005 - half), (half - 0.005, half))]
     rail = (z + rim - 0.005, z + rim)
+    edges = [span(x, y, rail, "steel") for y in ((-half, 0.005 - half), (half - 0.005, half))]
     ends = [span((at, at + 0.005), (-half, half), rail, "steel", solid=False) for at in (x[0], x[1] - 0.005)]
     return [floor, *wires, *edges, *ends]

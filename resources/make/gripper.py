@@ -13,14 +13,9 @@ MATERIALS = {
     "pad": Material((0.10, 0.10, 0.10), 1100.0),
 }
 
-PALM, REACH = 0.065, 0.145
-"""Ends of the palm and of the fingers, metres along x."""
-
-STROKE = 0.045
-"""Travel of each finger from the middle, metres."""
-
-TOOL = 0.128
-"""The tool frame, metres along x: in the middle of the pads."""
+PALM, REACH = 0.065, 0.145  # ends of the palm and of the fingers, metres along x
+STROKE = 0.045  # travel of each finger from the middle, metres
+TOOL = 0.128  # the tool frame in the middle of the pads, metres along x
 
 
 def two_finger_gripper() -> str:

@@ -20,12 +20,7 @@ def kitchen() -> str:
     """The URDF of the kitchen; its root link ``world`` is the origin of the room, on the floor."""
     rows = json.loads(TABLE.read_text(encoding="utf-8"))["links"]
     shapes = _shapes()
-    links = []
-    for row in rows:
-        made = shapes.get(row["link"])
-        if made is None:
-            made = _as_described(row)
-        links.append(Link(row["link"], tuple(made), _joint(row)))
+    links = [Link(row["link"], tuple(shapes.get(row["link"]) or _as_described(row)), _joint(row)) for row in rows]
     return document("kitchen", links, MATERIALS, "Written by make_resources.py. Metres, kilograms, radians.")
 
 

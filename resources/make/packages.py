@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from make.solids import Profile, Solid, bevelled, block, disc, extrude, join, revolve, rounded
+from make.solids import Profile, bevelled, block, disc, extrude, join, revolve, rounded
 from make.thing import MARGIN, Part, Thing, lettering
 
 
@@ -78,13 +78,12 @@ def bottle() -> Thing:
     cap = [(0.0, 0.2280), (0.0150, 0.2280), (0.0150, 0.2490), (0.0140, 0.2500), (0.0, 0.2500)]
     label = [(0.0, 0.0550), (0.0354, 0.0550), (0.0354, 0.1350), (0.0, 0.1350)]
     i = MARGIN
-    pieces = (
-        _convex_piece(
-            [(0.0, i), (0.0315, i), (0.0350 - i, 0.0040), (0.0350 - i, 0.1550), (0.0330 - i, 0.1720), (0.0, 0.1720)]
-        ),
-        _convex_piece([(0.0, 0.1720), (0.0330 - i, 0.1720), (0.0260 - i, 0.1920), (0.0170 - i, 0.2070), (0.0, 0.2070)]),
-        _convex_piece([(0.0, 0.2070), (0.0150 - i, 0.2070), (0.0150 - i, 0.2500 - i), (0.0, 0.2500 - i)]),
-    )
+    profiles: list[Profile] = [
+        [(0.0, i), (0.0315, i), (0.0350 - i, 0.0040), (0.0350 - i, 0.1550), (0.0330 - i, 0.1720), (0.0, 0.1720)],
+        [(0.0, 0.1720), (0.0330 - i, 0.1720), (0.0260 - i, 0.1920), (0.0170 - i, 0.2070), (0.0, 0.2070)],
+        [(0.0, 0.2070), (0.0150 - i, 0.2070), (0.0150 - i, 0.2500 - i), (0.0, 0.2500 - i)],
+    ]
+    pieces = tuple(revolve(profile, 16) for profile in profiles)
     solid = revolve([*body, (0.0130, 0.2160), (0.0130, 0.2280), *cap[1:]], 40)
     parts = (
         Part("body", (0.20, 0.55, 0.38), revolve([*body, *neck], 40)),
@@ -125,9 +124,4 @@ def apple() -> Thing:
         (0.0, high),
     ]
     parts = (Part("skin", (0.75, 0.13, 0.12), body), Part("stalk", (0.32, 0.21, 0.10), stalk))
-    return Thing("apple", 0.18, 0.7, join([body, stalk]), (_convex_piece(core, 12),), parts).centred()
-
-
-def _convex_piece(profile: Profile, segments: int = 16) -> Solid:
-    """A convex piece of revolution for collision."""
-    return revolve(profile, segments)
+    return Thing("apple", 0.18, 0.7, join([body, stalk]), (revolve(core, 12),), parts).centred()

@@ -69,13 +69,9 @@ def join(solids: Iterable[Solid]) -> Solid:
 
 
 def loft(rings: Sequence[Points]) -> Solid:
-    """The skin over a row of rings, closed by a cap at each end.
+    """The skin over a row of rings (k, 3) in metres, closed by a cap at each end; ``k`` is even.
 
-    Args:
-        rings: Rings of the same even number ``k`` of points, each of shape (k, 3) in metres, in the same sense.
-
-    Returns:
-        The solid between the first and the last ring.
+    All rings have the same sense of rotation.
     """
     count, sides = len(rings), len(rings[0])
     faces: list[tuple[int, int, int]] = []
@@ -91,12 +87,10 @@ def loft(rings: Sequence[Points]) -> Solid:
 
 
 def revolve(profile: Profile, segments: int = 48) -> Solid:
-    """The solid that a profile sweeps when it turns about the z axis.
+    """The solid that a profile of points (radius, z) in metres sweeps when it turns about the z axis.
 
-    Args:
-        profile: Points (radius, z) in metres. Either both ends lie on the axis (radius 0), or the profile is closed
-            to a torus-like ring.
-        segments: Number of flat sides that approximate the circle. A multiple of 4 makes the extents in x and y exact.
+    Either both ends of the profile are on the axis (radius 0), or the profile is closed to a ring. ``segments`` flat
+    sides approximate the circle; if their number is a multiple of 4, the extents in x and y are exact.
     """
     angles = 2.0 * np.pi * np.arange(segments) / segments
     vertices: list[Points] = []
@@ -178,12 +172,8 @@ def tube(path: Profile, radius: float, sides: int = 8) -> Solid:
 def sectors(inner: Profile, outer: Profile, segments: int) -> list[Solid]:
     """A hollow of revolution in convex pieces: a piece for each band of the wall in each segment of the turn.
 
-    Every face of a piece is a plane trapezoid, so the pieces are exactly convex.
-
-    Args:
-        inner: Points (radius, z) of the inside from bottom to rim, metres.
-        outer: The same number of points of the outside.
-        segments: Number of pieces in a full turn.
+    Every face of a piece is a plane trapezoid, so the pieces are exactly convex. The profiles of the inside and of the
+    outside have the same number of points (radius, z) from bottom to rim, metres.
     """
     pieces = []
     for k in range(segments):

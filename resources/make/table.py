@@ -11,8 +11,7 @@ MATERIALS = {
     "leg": Material((0.35, 0.36, 0.39), 2500.0),
 }
 
-HEIGHT = 0.72
-"""Height of the table top above the floor, metres."""
+HEIGHT = 0.72  # height of the table top above the floor, metres
 
 
 def table() -> str:

@@ -1,22 +1,14 @@
 """A thing is a household object: its visible parts, its convex pieces for collision, its mass and friction.
 
-PyBullet turns a concave mesh into its convex hull, so a bowl would be solid, and shows one colour for each mesh. So a
-thing consists of several files, and PyCRAM finds the others next to ``X.stl``:
-
-``X.stl``
-    The whole body, one watertight mesh, origin at the middle of its bounding box.
-``X.collision.obj``
-    The same body as convex pieces, with a group ``o part_k`` for each piece. PyBullet reads the file as a compound of
-    convex hulls. PyBullet adds a margin of 1 mm to each hull, so the pieces are 1 mm smaller than the body; then things
-    rest on their real underside.
-``parts/X.NAME.stl`` and ``objects.toml``
-    The visible parts in their colours, in the frame of ``X.stl``. ``[X]`` in ``objects.toml`` lists them as
-    ``visual = [{ mesh, rgba }, ...]``, with ``mass`` in kg and ``friction``. Each part becomes a ``<visual>`` element.
+``X.stl`` has the whole body, with its origin at the middle of its bounding box. PyBullet makes concave meshes convex,
+so ``X.collision.obj`` has the body as convex pieces. PyBullet adds a margin of 1 mm to each piece, so the pieces are
+1 mm smaller than the body. PyBullet shows one colour for each mesh, so the coloured parts are ``parts/X.NAME.stl``; the
+table ``[X]`` of ``objects.toml`` lists these parts.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -25,49 +17,37 @@ from make.solids import Solid, block, join
 
 Colour: TypeAlias = tuple[float, float, float]
 
-MARGIN = 0.001
-"""Margin in metres that PyBullet adds to a convex hull from a mesh."""
+MARGIN = 0.001  # margin in metres that PyBullet adds to a convex hull from a mesh
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """A visible piece of a thing in one colour (red, green, blue from 0 to 1)."""
+    """A visible piece of a thing."""
 
     name: str
-    colour: Colour
+    colour: Colour  # red, green, blue from 0 to 1
     solid: Solid
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Thing:
-    """A household object.
+    """A household object."""
 
-    Attributes:
-        name: Stem of the names of the files.
-        mass: Kilograms.
-        friction: Lateral friction coefficient. PyBullet multiplies the coefficients of touching bodies; default 0.5.
-        solid: The whole body, watertight.
-        pieces: Convex pieces for collision, drawn ``MARGIN`` smaller than the body.
-        parts: Visible parts.
-    """
-
-    name: str
-    mass: float
-    friction: float
-    solid: Solid
-    pieces: tuple[Solid, ...]
+    name: str  # stem of the names of the files
+    mass: float  # kg
+    friction: float  # coefficient of lateral friction; PyBullet multiplies the coefficients of touching bodies
+    solid: Solid  # the whole body, watertight
+    pieces: tuple[Solid, ...]  # convex pieces for collision, ``MARGIN`` smaller than the body
     parts: tuple[Part, ...]
 
     def centred(self) -> Thing:
         """The same thing with its origin at the middle of the bounding box of its solid."""
-        x, y, z = (float(value) for value in -self.solid.bounds.mean(axis=0))
-        return Thing(
-            self.name,
-            self.mass,
-            self.friction,
-            self.solid.moved(x, y, z),
-            tuple(piece.moved(x, y, z) for piece in self.pieces),
-            tuple(Part(part.name, part.colour, part.solid.moved(x, y, z)) for part in self.parts),
+        middle = [float(value) for value in -self.solid.bounds.mean(axis=0)]
+        return replace(
+            self,
+            solid=self.solid.moved(*middle),
+            pieces=tuple(piece.moved(*middle) for piece in self.pieces),
+            parts=tuple(replace(part, solid=part.solid.moved(*middle)) for part in self.parts),
         )
 
 
@@ -84,12 +64,9 @@ LETTERS = {
 
 
 def lettering(text: str, width: float, depth: float) -> Solid:
-    """Raised capital letters on the sides -y and +y of a thing, centred on x = 0, z = 0.
+    """Letters from ``LETTERS`` on the sides -y and +y of a thing, centred on x = 0, z = 0, raised by 0.4 mm.
 
-    Args:
-        text: Capital letters from ``LETTERS``.
-        width: Width of the whole word in metres.
-        depth: Distance of the two faces from y = 0 in metres; the letters stand out by 0.4 mm.
+    ``width`` is the width of the whole word, and ``depth`` is the distance of both sides from y = 0, metres.
     """
     columns = 6 * len(text) - 1
     dot = width / columns

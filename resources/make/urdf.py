@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 Triple: TypeAlias = tuple[float, float, float]
 
-FRAME_MASS = 0.01
-"""Mass in kg of a link without a shape; the engine's default is 1 kg."""
+FRAME_MASS = 0.01  # mass in kg of a link without a shape; the engine's default is 1 kg
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,23 +36,14 @@ class Material:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A box, or a cylinder within that box, in the frame of its link.
+    """A box, or a cylinder within that box, in the frame of its link."""
 
-    Attributes:
-        centre: Middle, metres.
-        size: Extents along x, y, z, metres.
-        material: Name in the table of materials.
-        solid: Whether the shape collides.
-        round_about: Axis ``x``, ``y`` or ``z`` of the visible cylinder; the collision shape is a box nevertheless.
-        collides: Extents of the collision shape, metres; None for ``size``.
-    """
-
-    centre: Triple
-    size: Triple
-    material: str
-    solid: bool = True
-    round_about: str = ""
-    collides: Triple | None = None
+    centre: Triple  # metres
+    size: Triple  # extents along x, y, z, metres
+    material: str  # name in the table of materials
+    solid: bool = True  # whether the shape collides
+    round_about: str = ""  # axis "x", "y" or "z" of the visible cylinder; the collision shape is always a box
+    collides: Triple | None = None  # extents of the collision shape, metres; None for ``size``
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,14 +77,7 @@ def span(x: Span, y: Span, z: Span, material: str, *, solid: bool = True, round_
 
 
 def document(name: str, links: Sequence[Link], materials: Mapping[str, Material], about: str) -> str:
-    """The whole URDF.
-
-    Args:
-        name: Name of the robot element.
-        links: Links in any order; one link has no joint.
-        materials: All materials that the shapes name.
-        about: A line for the comment on top.
-    """
+    """The whole URDF, with the comment ``about`` on top; one of the links has no joint."""
     lines = ['<?xml version="1.0"?>', f"<!-- {about} -->", f"<robot name={quoteattr(name)}>"]
     for key, material in materials.items():
         lines.append(f'  <material name="{key}"><color rgba="{_row((*material.colour, 1.0))}"/></material>')
