@@ -224,6 +224,8 @@ def state_delta(body: Object, now: Snapshot, last: Snapshot | None, tolerance: f
         tolerance: Differences of poses and joints up to this limit (m, rad, quaternion components) don't count. If the
             tolerance isn't 0, a change of only velocities doesn't count.
     """
+    if now is last:  # the engine returns the same snapshot until a body changes
+        return None
     state = records.BodyState(body=body.name)
     changed = False
     numbers = () if last is None else zip((*now.pose[0], *now.pose[1]), (*last.pose[0], *last.pose[1]), strict=True)
