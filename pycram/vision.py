@@ -126,16 +126,6 @@ def drawable(body: Object) -> Drawable:
 
 
 @dataclass(frozen=True, slots=True)
-class _Boxes:
-    """Bounding boxes of k links, in the links' frames."""
-
-    low: NDArray[np.float64]  # (k, 3) lowest corners, m
-    high: NDArray[np.float64]  # (k, 3) highest corners, m
-    positions: NDArray[np.float64]  # (k, 3) positions of the links' frames, m
-    turns: NDArray[np.float64]  # (k, 3, 3) orientations of the links' frames
-
-
-@dataclass(frozen=True, slots=True)
 class Camera:
     """A pinhole camera in the world."""
 
@@ -194,29 +184,28 @@ class Camera:
         links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
         if not links:
             return
-        boxes = _Boxes(
-            low=np.concatenate([shapes.low for shapes in models]),
-            high=np.concatenate([shapes.high for shapes in models]),
-            positions=np.array([at for body in bodies for at in body.positions]),
-            turns=geometry.to_matrices(np.array([turn for body in bodies for turn in body.orientations])),
-        )
+        low = np.concatenate([shapes.low for shapes in models])  # lowest corners of the links, in the links' frames
+        high = np.concatenate([shapes.high for shapes in models])
+        positions = np.array([at for body in bodies for at in body.positions])
+        turns = geometry.to_matrices(np.array([turn for body in bodies for turn in body.orientations]))
         of_robots = np.array([bodies[index].is_robot for index, _ in links])
-        eye = np.einsum("kji,kj->ki", boxes.turns, np.asarray(self.pose[0]) - boxes.positions)
-        around = ((eye >= boxes.low - _HOUSING) & (eye <= boxes.high + _HOUSING)).all(axis=1)
-        shown = self._shown(boxes, window, far) & ~(of_robots & around)
+        eye = np.einsum("kji,kj->ki", turns, np.asarray(self.pose[0]) - positions)
+        around = ((eye >= low - _HOUSING) & (eye <= high + _HOUSING)).all(axis=1)
+        centers = np.einsum("kij,kj->ki", turns, (low + high) / 2) + positions
+        shown = self._shown(centers, np.linalg.norm(high - low, axis=1) / 2, window, far) & ~(of_robots & around)
         to_camera = geometry.to_matrix(self.pose[1]).T
         for number in np.flatnonzero(shown):
             index, link = links[number]
             colors, paint = models[index].colors(link), bodies[index].color
             if paint is not None:
                 colors = np.tile(paint[:3], (len(colors), 1))
-            turned = models[index].triangles(link) @ (to_camera @ boxes.turns[number]).T
-            yield index, models[index].links[link], turned + self.to_frame(boxes.positions[number]), colors
+            turned = models[index].triangles(link) @ (to_camera @ turns[number]).T
+            yield index, models[index].links[link], turned + self.to_frame(positions[number]), colors
 
-    def _shown(self, boxes: _Boxes, window: Window, far: float) -> NDArray[np.bool_]:
-        """Return whether each box's bounding sphere is in the view frustum of a window."""
-        centers = np.einsum("kij,kj->ki", boxes.turns, (boxes.low + boxes.high) / 2) + boxes.positions
-        radii = np.linalg.norm(boxes.high - boxes.low, axis=1) / 2
+    def _shown(
+        self, centers: NDArray[np.float64], radii: NDArray[np.float64], window: Window, far: float
+    ) -> NDArray[np.bool_]:
+        """Return whether each sphere is in the view frustum of a window."""
         x, y, z = self.to_frame(centers).T
         shown = (z + radii >= self.near) & (z - radii <= far)
         sides = ((x, window.left, 1), (x, window.right, -1), (y, window.top, 1), (y, window.bottom, -1))

@@ -57,19 +57,21 @@ class Urdf:
     def chain(self, base_link: str, tip_link: str) -> tuple[UrdfJoint, ...]:
         """Return all joints from a link to a link below it. Other links raise :class:`UrdfError`."""
         self.parent_joint(base_link)
-        self.parent_joint(tip_link)
-        above, below = self._above[base_link], self._above[tip_link]
-        if below[: len(above)] != above:
-            raise UrdfError(self.name, f"link {tip_link} isn't below link {base_link}")
-        return below[len(above) :]
+        joints: list[UrdfJoint] = []
+        link = tip_link
+        while link != base_link:
+            joint = self.parent_joint(link)
+            if joint is None:
+                raise UrdfError(self.name, f"link {tip_link} isn't below link {base_link}")
+            joints.append(joint)
+            link = joint.parent
+        return tuple(joints[::-1])
 
     def forward_kinematics(self, positions: Mapping[str, float], link: str) -> Pose:
         """Return the pose of a link in the root link for joint values in rad or m, by name; see :meth:`value`."""
         pose = IDENTITY
         for joint in self.chain(self.root, link):
-            fixed = joint.type == "fixed"  # the transform of a fixed joint is the origin; most joints are fixed
-            at = joint.origin if fixed else joint.pose(self.value(joint.name, positions))
-            pose = geometry.multiply(pose, at)
+            pose = geometry.multiply(pose, joint.pose(self.value(joint.name, positions)))
         return pose
 
     def link_poses(self, positions: Mapping[str, float]) -> dict[str, Pose]:
@@ -121,14 +123,6 @@ class Urdf:
                 above = self.joints[leader].mimic
                 mimic = above and Mimic(above.leader, multiplier * above.multiplier, multiplier * above.offset + offset)
         return MappingProxyType(found)
-
-    @cached_property
-    def _above(self) -> dict[str, tuple[UrdfJoint, ...]]:
-        above: dict[str, tuple[UrdfJoint, ...]] = {self.root: ()}
-        for link in self.links[1:]:  # parents come before their children
-            joint = self._parents[link]
-            above[link] = (*above[joint.parent], joint)
-        return above
 
     @cached_property
     def _parents(self) -> dict[str, UrdfJoint]:

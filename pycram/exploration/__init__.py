@@ -34,19 +34,8 @@ from recorder.mcap_sink import McapSink, free_path
 from recorder.plan_lines import deciding
 from recorder.provenance import look_up_revisions, metadata
 from recorder.recording import record, redirected
-from recorder.records import (
-    Attachment,
-    BodyState,
-    Check,
-    Effect,
-    Fluent,
-    Keyframe,
-    Mutation,
-    Record,
-    Run,
-    format_failure,
-    without_addresses,
-)
+from recorder.records import Check, Fluent, Keyframe, Mutation, Record, Run, format_failure, without_addresses
+from recorder.records.fold import FoldedWorld, apply
 from recorder.tracing.journal import NullSink, Sink
 
 __all__ = [
@@ -465,6 +454,7 @@ class EndingSink:
         #: Lines of the tracebacks of failed tasks, by failure: for each task, (FILE, FILE:LINE), outermost line first.
         self._lines: dict[str, list[list[tuple[str, str]]]] = {}
         self._violated: dict[str, None] = {}  # violated properties, in the order of violations
+        self._worlds: dict[str, FoldedWorld] = {}
         self.ending = Ending(DIED, "the process ended")  # replaced when the record of the run's end comes
         if file is not None:
             self.path = file.path  # recordings of projections are written next to this file
@@ -472,11 +462,9 @@ class EndingSink:
     def write(self, topic: str, record: Record, payload: bytes) -> None:
         """Evaluate and forward a record."""
         self._file.write(topic, record, payload)
-        if isinstance(record, Mutation):
-            self._change(record.world, record.WhichOneof("command") or "", record.effect)
-        elif isinstance(record, Keyframe):
-            self._take(record.world, record.bodies)
-            self._attach(record.world, record.attachments)
+        if isinstance(record, Mutation | Keyframe):
+            if not (isinstance(record, Mutation) and record.HasField("close_world")):  # closed worlds are compared, too
+                apply(self._worlds, record)
         elif isinstance(record, Check):
             self._violated |= {record.property: None} if record.phase == Check.VIOLATED and record.only_record else {}
         elif isinstance(record, Fluent):
@@ -486,44 +474,22 @@ class EndingSink:
             lines = [(frame.file, f"{frame.file}:{frame.line}") for frame in failure.frames]
             self._lines.setdefault(format_failure(failure), []).append(lines)
         if isinstance(record, Run) and record.phase == Run.FINISHED:
-            ending = self.ending
-            ending.kind, ending.failure = VIOLATED if self._violated else SUCCEEDED, "; ".join(self._violated)
-            if not record.succeeded:
-                ending.failure = format_failure(record.failure)
-                if passed := self._lines.get(ending.failure):
-                    plan = passed[-1][0][0]  # file of the plan
-                    ending.line = passed[0][-1][1]
-                    own = [at for lines in passed for file, at in reversed(lines) if file == plan]
-                    ending.plan_line = own[deciding([(plan, int(at.rpartition(":")[2])) for at in own])]
-                ending.kind = DEADLOCK if record.failure.type == "DeadlockedBranches" else FAILED
+            self._finish(record)
 
-    def _change(self, world: str, command: str, effect: Effect) -> None:
+    def _finish(self, record: Run) -> None:
         ending = self.ending
-        if command == "open_world":  # this world replaces an earlier world with the same name
-            ending.bodies = {name: body for name, body in ending.bodies.items() if name.partition("/")[0] != world}
-            ending.held = [each for each in ending.held if not each.startswith(f"{world}: ")]
-        self._take(world, effect.bodies)
-        for body in effect.removed:
-            ending.bodies.pop(f"{world}/{body}", None)
-        for each in effect.detached:
-            held = _held(world, each)
-            if held in ending.held:
-                ending.held.remove(held)
-        self._attach(world, effect.attached)
-
-    def _take(self, world: str, bodies: Iterable[BodyState]) -> None:
-        for state in bodies:
-            body = self.ending.bodies.setdefault(f"{world}/{state.body}", {"position": [0] * 3, "orientation": [0] * 4})
-            if state.position:
-                body["position"], body["orientation"] = list(state.position), list(state.orientation)
-            for joint, position in zip(state.joints, state.joint_positions, strict=True):
-                body[f"/{joint}"] = [position]
-
-    def _attach(self, world: str, attachments: Iterable[Attachment]) -> None:
-        for each in attachments:
-            if (held := _held(world, each)) not in self.ending.held:
-                self.ending.held.append(held)
-
-
-def _held(world: str, each: Attachment) -> str:
-    return f"{world}: {each.carrier} holds {each.body}"
+        ending.kind, ending.failure = VIOLATED if self._violated else SUCCEEDED, "; ".join(self._violated)
+        if not record.succeeded:
+            ending.failure = format_failure(record.failure)
+            if passed := self._lines.get(ending.failure):
+                plan = passed[-1][0][0]  # file of the plan
+                ending.line = passed[0][-1][1]
+                own = [at for lines in passed for file, at in reversed(lines) if file == plan]
+                ending.plan_line = own[deciding([(plan, int(at.rpartition(":")[2])) for at in own])]
+            ending.kind = DEADLOCK if record.failure.type == "DeadlockedBranches" else FAILED
+        for name, world in self._worlds.items():
+            for body, state in world.bodies.items():
+                joints = {f"/{joint}": [position] for joint, position in state.joints.items()}
+                pose = {"position": list(state.position), "orientation": list(state.orientation)}
+                ending.bodies[f"{name}/{body}"] = pose | joints
+            ending.held += [f"{name}: {carrier} holds {body}" for carrier, body in world.attachments]

@@ -87,6 +87,7 @@ class Block:
 
     def before_change(self, change: str) -> None:
         """Reject a premature change of a world by the body's own code; a body that runs in place is never premature."""
+        self._refuse_early(f"{change} in the world", None)
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
         """Raise RunsEarly if the body's earlier actions haven't ended; ``what`` may change an ``outer`` block."""
@@ -344,10 +345,6 @@ class ReadBlock(Block):
         if not self.policy.concurrent:
             for branch in self.branches:
                 branch.wait()
-
-    def before_change(self, change: str) -> None:
-        """Reject a change of a world by the body's own code while earlier actions haven't ended."""
-        self._refuse_early(f"{change} in the world", None)
 
     def _refuse_early(self, what: str, outer: Block | None) -> None:
         block: Block = self

@@ -59,17 +59,19 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     if limit < 0:
         raise BadArgument("seconds", seconds, "a number from 0 up")
     clock = "simulated" if simulated else "wall"
-    with sequential() as settle, (_simulated_timer if simulated else _timer)(limit) as cancel_scope:
+    with sequential() as settle, (_simulated_deadline if simulated else Deadline)(limit) as deadline:
         outer = current_scope()
+        cancel_scope = CancelScope(outer, deadline)
         with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}) as task:
             try:
                 with entered(cancel_scope):
                     raise_if_cancelled()
                     yield
                     settle()
-                    cancel_scope.refuse_late()  # motions aren't interrupted, and may end long after the deadline
+                    if deadline.was_missed:  # motions aren't interrupted, and may end long after the deadline
+                        raise Cancelled  # noqa: TRY301  as at a checkpoint
             except Cancelled as cancelled:
-                if cancel_scope.is_overdue and not (outer is not None and outer.is_cancelled):
+                if deadline.has_come and not (outer is not None and outer.is_cancelled):
                     task.checkpoint = 0 if simulated else cancel_scope.struck or scheduler().checkpoints
                     raise TimedOut(limit, clock) from cancelled
                 raise
@@ -92,13 +94,7 @@ class _SimulatedDeadline(Limit):
 
 
 @contextmanager
-def _timer(seconds: float) -> Iterator[CancelScope]:
-    with Deadline(seconds) as deadline:
-        yield CancelScope(current_scope(), deadline)
-
-
-@contextmanager
-def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
+def _simulated_deadline(seconds: float) -> Iterator[Limit]:
     from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds don't know plans
 
     world = BulletWorld.current_bullet_world
@@ -107,6 +103,6 @@ def _simulated_timer(seconds: float) -> Iterator[CancelScope]:
     deadline = _SimulatedDeadline(world, seconds)
     world.time_listeners[deadline.notify_all] = deadline.end
     try:
-        yield CancelScope(current_scope(), deadline)
+        yield deadline
     finally:
         world.time_listeners.pop(deadline.notify_all, None)

@@ -68,11 +68,8 @@ class Engine:
         self._window = window
         self._grip: tuple[int, int] | None = None  # the body and the link that the mouse drags
         self._known: dict[int, list[Snapshot]] = {}  # states of bodies by id, one or none; threads share the lists
-        if window:
-            with silenced(1):
-                self._client: int = bullet.connect(bullet.GUI)
-        else:
-            self._client = bullet.connect(bullet.DIRECT)
+        with silenced(1) if window else nullcontext():
+            self._client: int = bullet.connect(bullet.GUI if window else bullet.DIRECT)
         if self._client < 0:
             raise RuntimeError("PyBullet has no free physics client; too many worlds may be open")
         # PyBullet caches files by name; the names of models contain the hash of their content.
@@ -315,23 +312,17 @@ class Engine:
 
     def link_frames(self, body: LoadedBody, links: Sequence[str]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the frames of links in the world: (n, 3) positions in m, (n, 4) orientations xyzw."""
-        if len(body.links) == 1:
-            at, turn = self.snapshot(body).pose
-            return np.array([at] * len(links)).reshape(-1, 3), np.array([turn] * len(links)).reshape(-1, 4)
         indices = [body.links[link] for link in links]
-        distinct = sorted(set(indices))
-        moving = [index for index in distinct if index >= 0]
+        moving = sorted({index for index in indices if index >= 0})
         states = (
             bullet.getLinkStates(body.id, moving, computeForwardKinematics=1, physicsClientId=self._client)
             if moving
             else ()
         )
-        poses = [(*state[4], *state[5]) for state in states]
-        if len(moving) < len(distinct):
-            at, turn = self.pose(body)
-            poses.insert(0, (*at, *turn))
-        numbers = {index: number for number, index in enumerate(distinct)}
-        found = np.array(poses).reshape(-1, 7).take([numbers[index] for index in indices], axis=0)
+        at, turn = self.pose(body)
+        poses = np.array([(*at, *turn), *((*state[4], *state[5]) for state in states)])
+        rows = {index: row for row, index in enumerate((-1, *moving))}
+        found = poses[[rows[index] for index in indices]]
         return found[:, :3], found[:, 3:]
 
     def boxes(self, links: Iterable[tuple[LoadedBody, str]]) -> list[tuple[Vector, Vector]]:

@@ -36,28 +36,20 @@ def checked_display(open_windows: Sequence[str]) -> Iterator[None]:
     display = os.environ.get("DISPLAY", "")
     if not display:
         raise DisplayError("DISPLAY is not set")
-    with _opened(display) as problem:
-        if problem is not None:
-            raise DisplayError(f"no X server answers at DISPLAY={display}{problem}")
-        yield
-
-
-@contextmanager
-def _opened(display: str) -> Iterator[str | None]:
-    """Open a display with PyBullet's library; yield None, or why the display doesn't answer."""
+    problem = f"no X server answers at DISPLAY={display}"
     try:
-        x11 = ctypes.CDLL("libX11.so.6")
+        x11 = ctypes.CDLL("libX11.so.6")  # the library that PyBullet uses
     except OSError as error:
-        yield f" ({error})"
-        return
+        raise DisplayError(f"{problem} ({error})") from error
     x11.XOpenDisplay.restype = ctypes.c_void_p
     x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
     opened = x11.XOpenDisplay(display.encode())
+    if not opened:
+        raise DisplayError(problem)
     try:
-        yield None if opened else ""
+        yield
     finally:
-        if opened:
-            x11.XCloseDisplay(opened)
+        x11.XCloseDisplay(opened)
 
 
 def watch(engine: Engine) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import itertools
+import math
 import os
 import random
 import select
@@ -135,7 +136,7 @@ def _run(answer: Callable[[], bytes], writing: int, parent: int) -> NoReturn:
         begin_alone()
         interrupts.drop_pending()
         for world in open_worlds():
-            world.waits.forget()
+            world.waits.clear()  # the child doesn't continue the waiting branches
         nothing_open()
         forget_claims()
         text = answer()
@@ -191,20 +192,18 @@ class _Running:
 
     def __init__(self, child: Child, limit: float | None, grace: float) -> None:
         self.child = child
-        self._end = None if limit is None else child.began + limit
+        self._end = math.inf if limit is None else child.began + limit
         self._grace = grace
         self._late = False
 
     def time_left(self) -> float:
         """Return the seconds until the next signal, at most the period after which missed signals are noticed."""
-        if self._end is None:
-            return MISSED_SIGNALS_EVERY
         return min(max(0.0, self._end - time.monotonic()), MISSED_SIGNALS_EVERY)
 
     def result(self) -> ChildResult | None:
         """Send the signal that is due. Return the child's result, or None while it runs."""
         child = self.child
-        if not child.ended and self._end is not None and time.monotonic() >= self._end:
+        if not child.ended and time.monotonic() >= self._end:
             if self._late or not self._grace:
                 child.kill()
             else:

@@ -64,16 +64,6 @@ class CancelScope(Condition):
         self.struck = 0  # number of the checkpoint at which the thread noticed that the deadline had passed; or 0
 
     @property
-    def is_overdue(self) -> bool:
-        """Whether the deadline of this scope has passed; deadlines of outer scopes don't count."""
-        return self.deadline is not None and self.deadline.has_come
-
-    def refuse_late(self) -> None:
-        """Raise Cancelled if the deadline of this scope has passed."""
-        if self.deadline is not None and self.deadline.was_missed:
-            raise Cancelled
-
-    @property
     def sources(self) -> tuple[Condition, ...]:
         """The conditions that can wake the waits in this scope."""
         return (self, *self.around, *self.deadlines)
@@ -171,7 +161,7 @@ def raise_if_cancelled() -> None:
     scope = _scope.get()
     if scope is not None and scope.is_cancelled:
         for each in (scope, *scope.around):
-            if not each.struck and each.is_overdue:
+            if not each.struck and each.deadline is not None and each.deadline.has_come:
                 each.struck = thread.checkpoints
         raise Cancelled
 

@@ -195,7 +195,7 @@ def _hold(
     _pass_through(body, left, enable=True)
     attachment = BodyAttachment(carrier, link, body, body_link, pose, constraint, loose, left)
     carrier._attachments[body] = body._attachments[carrier] = attachment  # noqa: SLF001  as in end()
-    transaction.mark_attached(attachment)
+    transaction.attached[carrier.name, body.name] = attachment
 
 
 def _pass_through(body: Object, others: Iterable[Object], *, enable: bool) -> None:

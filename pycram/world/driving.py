@@ -365,12 +365,8 @@ def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, floa
         now, near = [x, y, geometry.to_rpy(orientation)[2]], list(_BASE_START)
         off = [abs(a - b) for a, b in zip(now, trajectory.positions[0], strict=True)]
         off[2] = abs(math.remainder(off[2], math.tau))
-    for name, at, start, distance, limit in zip(
-        trajectory.coordinates, now, trajectory.positions[0], off, near, strict=True
-    ):
-        if distance > limit:
-            return name, start, at
-    return None
+    rows = zip(trajectory.coordinates, trajectory.positions[0], now, off, near, strict=True)
+    return next(((name, start, at) for name, start, at, distance, limit in rows if distance > limit), None)
 
 
 def _touching(body: Object, joint: str) -> list[CollisionPair]:

@@ -138,9 +138,7 @@ class Event:
         """
         self.prepare(*args, **kwargs)()
 
-    def __call__(self, *args: object, **kwargs: object) -> None:
-        """Fire the event."""
-        self.fire(*args, **kwargs)
+    __call__ = fire
 
     def __record__(self) -> object:
         """Return the event's reference in records."""

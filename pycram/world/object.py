@@ -123,13 +123,11 @@ class Object(ReadOnlyAttributes):
         self.model = model or load.load(path, self.color, packages, self.scale)
         self.urdf: Urdf = self.model.urdf
         self.description: RobotDescription | MaybeNone = None
-        if self.is_robot:
-            misfits: Mapping[str, str] = {}
-            if description is not None:
-                description.check(self.urdf)
-                self.description = description
-            else:
-                self.description, misfits = find_description(self.urdf)
+        if self.is_robot and description is not None:
+            description.check(self.urdf)
+            self.description = description
+        elif self.is_robot:
+            self.description, misfits = find_description(self.urdf)
             if misfits and model is None:  # the user saw this warning during the recording
                 _warn_of_misfits(self, misfits)
         self.original_pose: Pose = pose
@@ -143,7 +141,9 @@ class Object(ReadOnlyAttributes):
         if model is not None:  # the user saw these warnings during the recording
             return
         if self.overlaps:
-            warnings.warn_explicit(overlaps.warning(self.name, self.overlaps), overlaps.Overlapping, *call_site())
+            others = ", ".join(f"{each.depth * 1e3:.0f} mm inside of {each.body}" for each in self.overlaps)
+            text = f"{self.name} is {others}; world.settle() lifts free objects apart before it simulates"
+            warnings.warn_explicit(text, overlaps.Overlapping, *call_site())
         _warn_of_shape(self)
 
     def __repr__(self) -> str:
@@ -477,10 +477,16 @@ def _warn_of_shape(body: Object) -> None:
     """Warn that an object's mesh is probably in millimetres, or that hollow meshes of a URDF are filled."""
     is_mesh = not body.path.lower().endswith((".urdf", ".xacro"))  # lengths in a URDF are always in m
     wide = width(body.model.path) if is_mesh and not body.fixed else 0.0
-    if wide > WIDEST:
-        warnings.warn_explicit(warning_of_size(body.name, wide), Oversized, *call_site())
+    if wide > _WIDEST:
+        text = f"{body.name} is {wide:.3g} m wide: is its file in millimetres? Object(..., scale=0.001)"
+        warnings.warn_explicit(text, Oversized, *call_site())
     if not is_mesh and not body.is_robot and (filled := load.filled_links(body.model)):
-        warnings.warn_explicit(warning_of_filled(body.name, filled), Filled, *call_site())
+        names = ", ".join(filled[:_NAMED]) + (f" and {len(filled) - _NAMED} more" if len(filled) > _NAMED else "")
+        text = (
+            f"{body.name}: the collision mesh of {names} is hollow and in one piece, so the engine takes its solid "
+            "convex hull; write its convex parts as an OBJ with a group for each, or as several <collision> elements"
+        )
+        warnings.warn_explicit(text, Filled, *call_site())
 
 
 def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
@@ -494,7 +500,7 @@ def _warn_of_misfits(robot: Object, misfits: Mapping[str, str]) -> None:
     warnings.warn_explicit(f"{robot.name} has {what}; {remedy}", Misfitting, *call_site())
 
 
-WIDEST: Final = 10.0  # maximum width in m of a free object's mesh; the unit of wider meshes is probably wrong
+_WIDEST: Final = 10.0  # maximum width in m of a free object's mesh; the unit of wider meshes is probably wrong
 _NAMED: Final = 5  # maximum number of links that a warning names
 
 
@@ -515,18 +521,4 @@ def width(model: Path) -> float:
         highs[link] = [*map(max, high, highs.get(link, high))]
     return max(
         (top - bottom for link in lows for bottom, top in zip(lows[link], highs[link], strict=True)), default=0.0
-    )
-
-
-def warning_of_size(body: str, wide: float) -> str:
-    """Return the message of the warning that an object is oversized."""
-    return f"{body} is {wide:.3g} m wide: is its file in millimetres? Object(..., scale=0.001)"
-
-
-def warning_of_filled(body: str, links: Sequence[str]) -> str:
-    """Return the message of the warning that hollow collision meshes are filled."""
-    names = ", ".join(links[:_NAMED]) + (f" and {len(links) - _NAMED} more" if len(links) > _NAMED else "")
-    return (
-        f"{body}: the collision mesh of {names} is hollow and in one piece, so the engine takes its solid convex hull; "
-        "write its convex parts as an OBJ with a group for each, or as several <collision> elements"
     )

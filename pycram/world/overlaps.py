@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry, records
@@ -57,9 +56,3 @@ def sunk(world: BulletWorld) -> list[tuple[Object, records.Overlap, float]]:
                     found.append((body, records.Overlap(**links, depth=-deepest.distance), rise))
                     break
     return found
-
-
-def warning(body: str, found: Sequence[records.Overlap]) -> str:
-    """Return the message of the warning that an object was loaded inside of other objects."""
-    others = ", ".join(f"{overlap.depth * 1e3:.0f} mm inside of {overlap.body}" for overlap in found)
-    return f"{body} is {others}; world.settle() lifts free objects apart before it simulates"

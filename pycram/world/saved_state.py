@@ -11,13 +11,13 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from pycram.foundation.failures import BadArgument, ObjectsChanged, WorldClosed
 from pycram.physics.body import Snapshot
 from pycram.world import attachment
 from pycram.world.object import Object
-from pycram.world.transaction import Transaction, take_snapshot, update
+from pycram.world.transaction import AT_REST, Transaction, take_snapshot, update
 from recorder import records
 from recorder.records.beliefs import Key
 from recorder.tracing.journal import Journal
@@ -25,8 +25,6 @@ from recorder.tracing.journal import Journal
 if TYPE_CHECKING:
     from pycram.world.beliefs import Steps
     from pycram.world.world import BulletWorld
-
-_AT_REST: Final = (0.0,) * 6  # m/s and rad/s
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -154,7 +152,7 @@ def _state_of(body: Object) -> records.SavedBody:
         body=body.name,
         position=position,
         orientation=orientation,
-        velocity=velocity if velocity != _AT_REST else (),
+        velocity=velocity if velocity != AT_REST else (),
         joint_positions=positions,
         joint_velocities=velocities,
         joint_targets=[handle.targets[name] for name in handle.joints],

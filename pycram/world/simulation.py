@@ -144,7 +144,7 @@ class Wait:
 
     def __init__(self, predicate: Callable[[], bool]) -> None:
         self._predicate = predicate
-        self._error: Exception | None = None
+        self.error: Exception | None = None  # an error of the predicate
         self.held = False  # whether the predicate was true in a sample or raised an error
         self.waiter: Waiter | None = None  # the waiting branch; None before it waits
 
@@ -153,49 +153,29 @@ class Wait:
         try:
             self.held = self.held or self._predicate()
         except Exception as error:  # noqa: BLE001  the error is raised in the waiting branch, not in the simulation
-            self.held, self._error = True, error
+            self.held, self.error = True, error
         return self.held
 
-    def raise_error(self) -> None:
-        """Raise the predicate's error if it raised one."""
-        if self._error is not None:
-            raise self._error
 
-
-class Waits:
+class Waits(list[Wait]):
     """The waits of all threads in one world; the wait that began first is first."""
-
-    def __init__(self) -> None:
-        self._waits: dict[Wait, None] = {}
-
-    def add(self, wait: Wait) -> None:
-        """Start sampling a wait."""
-        self._waits[wait] = None
-
-    def remove(self, wait: Wait) -> None:
-        """Stop sampling a wait."""
-        self._waits.pop(wait, None)
 
     def sample(self) -> None:
         """Call all predicates once, and wake the branches whose waits are over; the caller holds the world's lock."""
-        for wait in list(self._waits):
+        for wait in list(self):
             if not wait.held and wait.sample() and wait.waiter is not None:
                 wait.waiter.wake()
 
     @property
     def held(self) -> bool:
         """Return whether a wait is over."""
-        return any(wait.held for wait in list(self._waits))
+        return any(wait.held for wait in list(self))
 
     def wake(self) -> None:
         """Wake all waiting branches, because another thread or branch simulates from now on."""
-        for wait in list(self._waits):
+        for wait in list(self):
             if wait.waiter is not None:
                 wait.waiter.wake()
-
-    def forget(self) -> None:
-        """Remove all waits in a forked child process, which doesn't continue the waiting branches."""
-        self._waits.clear()
 
 
 def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
@@ -219,7 +199,8 @@ def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
         over = waiting.sample()
     if not over:
         _pass_time(world, waiting)
-    waiting.raise_error()
+    if waiting.error is not None:
+        raise waiting.error
 
 
 def _pass_time(world: BulletWorld, waiting: Wait) -> None:
@@ -228,7 +209,7 @@ def _pass_time(world: BulletWorld, waiting: Wait) -> None:
     awaited = f"simulated time of {world.name}", "", ()
     with Waiter(sources, patience=lambda: not world.realtime, reason=lambda: awaited) as waiter:
         waiting.waiter = waiter
-        world.waits.add(waiting)
+        world.waits.append(waiting)
         try:
             while not waiting.held:
                 raise_if_cancelled()

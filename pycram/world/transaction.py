@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 #: keyframe of 10 objects costs 0.3 ms and 3 kB; its share in the cost of a change hardly depends on the number of
 #: objects.
 TRANSACTIONS_PER_KEYFRAME: Final = 100
-_AT_REST: Final = (0.0,) * 6
+AT_REST: Final = (0.0,) * 6  # velocity of an object at rest, m/s and rad/s
 
 
 @dataclass(slots=True)
@@ -60,10 +60,6 @@ class Transaction:
         """Mark changed objects; the transaction reads their states back, and compares them with their records."""
         for body in bodies:
             self.modified[body.name] = body
-
-    def mark_attached(self, attachment: BodyAttachment) -> None:
-        """Mark an attachment that is new or has a new relative pose."""
-        self.attached[attachment.carrier.name, attachment.body.name] = attachment
 
     def fire(self, event: Event, *arguments: object) -> None:
         """Fire an event after the transaction is recorded."""
@@ -210,7 +206,7 @@ def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
         raise RuntimeError(f"the state of {body.name} can only be restored while nothing is recorded")
     engine, handle = body.world.engine, body.handle
     engine.set_pose(handle, snapshot.pose)
-    if not body.fixed and snapshot.velocity != _AT_REST:
+    if not body.fixed and snapshot.velocity != AT_REST:
         engine.set_velocity(handle, snapshot.velocity)
     positions = dict(zip(body.joints, snapshot.positions, strict=True))
     engine.set_joints(handle, positions, dict(zip(body.joints, snapshot.velocities, strict=True)))
@@ -232,8 +228,7 @@ def state_delta(body: Object, now: Snapshot, last: Snapshot | None, tolerance: f
     if last is None or any(abs(a - b) > tolerance for a, b in numbers):
         state.position[:], state.orientation[:] = now.pose
         changed = True
-    moving = now.velocity != _AT_REST
-    if (moving and changed) or (not tolerance and last is not None and now.velocity != last.velocity):
+    if (changed and now.velocity != AT_REST) or (not tolerance and last is not None and now.velocity != last.velocity):
         state.velocity[:] = now.velocity
         changed = True
     joints = _changed_joints(now, last, tolerance)

@@ -8,10 +8,11 @@ restores them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Belief, Mutation, Plain, Query
+from recorder.records.values import vector
 
 if TYPE_CHECKING:
     from recorder.geometry import PoseLike
@@ -151,18 +152,12 @@ def _holder(body: str, carriers: Mapping[str, str], robots: Collection[str]) -> 
     return ""
 
 
-def _pose(name: str, pose: object) -> tuple[list[float], list[float]]:
+def _pose(name: str, pose: object) -> tuple[Sequence[float], Sequence[float]]:
     """Return position and orientation of a recorded pose. Values that aren't a pose raise ValueError."""
-    numbers = []
-    for part, count in (("position", 3), ("orientation", 4)):
-        values = pose.get(part) if isinstance(pose, dict) else None
-        if not (
-            isinstance(values, list)
-            and len(values) == count
-            and all(type(value) in (int, float) and -_FAR <= value <= _FAR for value in values)
-        ):
-            raise ValueError(f"{values!r} isn't the {part} of {name}")
-        numbers.append([float(value) for value in values])
-    if not _MIN_SQUARE <= sum(number * number for number in numbers[1]) <= _MAX_SQUARE:
-        raise ValueError(f"{numbers[1]} isn't a unit quaternion")
-    return numbers[0], numbers[1]
+    parts = pose if isinstance(pose, dict) else {}
+    position, orientation = vector(parts.get("position"), 3), vector(parts.get("orientation"), 4)
+    if position is None or orientation is None or max(map(abs, position)) > _FAR:
+        raise ValueError(f"{pose!r} isn't the pose of {name}")
+    if not _MIN_SQUARE <= sum(number * number for number in orientation) <= _MAX_SQUARE:
+        raise ValueError(f"{orientation} isn't a unit quaternion")
+    return position, orientation
