@@ -87,6 +87,9 @@ class SolutionSlots(dict[str, Value]):
                 return value
         raise KeyError(key)
 
+    def __getattr__(self, name: str) -> Value:
+        raise AttributeError(f'a solution is a dictionary: write solution["{name}"]', name=name, obj=self)
+
     def get(self, key: str, default: Value = None) -> Value:
         """Return a parameter, or the default for a missing parameter."""
         return self[key] if key in self else default  # noqa: SIM401  self.get() would call this method again

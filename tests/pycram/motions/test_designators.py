@@ -107,6 +107,8 @@ def test_slots_are_found_with_hyphens_and_with_underscores() -> None:
         assert solution.get("objekt_type") is None
         with pytest.raises(KeyError):
             solution["objekt_type"]
+        with pytest.raises(AttributeError, match=r'write solution\["object_type"\]'):
+            _ = solution.object_type
         assert designator.copy({"object_type": "cup"}).reference()["object-type"] == "cup"
     for name in ("left-arm", "left_arm"):
         posture = MotionDesignator([("type", "move-arm-joints"), (name, "park")])
