@@ -2,8 +2,7 @@
 
 The same code translates records also while a plan runs (:mod:`recorder.viewer`). An ``.rrd`` file is a cache, but other
 users may be able to write in its folder. The file is therefore used only if this user made it from this recording with
-this
-software: a folder of the user contains the hash of each ``.rrd`` file, under the hash of its inputs.
+this software: a folder of the user contains the hash of each ``.rrd`` file, under the hash of its inputs.
 """
 
 from __future__ import annotations
@@ -47,11 +46,8 @@ def convert(
 ) -> None:
     """Write recordings side by side into an ``.rrd`` file, which replaces an existing file when it is complete.
 
-    :func:`translate` describes the arguments.
-
-    Raises:
-        ReplayError: The file can't be written.
-        Damaged: a record makes no sense.
+    :func:`translate` describes the arguments. If the file can't be written, ReplayError is raised; if a record makes no
+    sense, Damaged is raised.
     """
     try:
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".rrd", dir=path.parent)
@@ -73,11 +69,7 @@ def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:
     """Return the viewer's file of a recording, which is cached next to the recording as ``NAME.mcap.rrd``.
 
     If the folder isn't writable, or if another world is open at step ``at`` than at the beginning, the file is
-    temporary.
-
-    Raises:
-        ReplayError: The file can't be written.
-        Damaged: a record makes no sense.
+    temporary. The errors are those of :func:`convert`.
     """
     if at is not None and front_world(log, at) != front_world(log):
         file = temporary_file(f"{log.path.name}.rrd")
@@ -118,11 +110,7 @@ def _hash(file: Path) -> str:
 
 
 def temporary_file(name: str) -> Path:
-    """Return a path in a folder for temporary files, which other users can't change.
-
-    Raises:
-        ReplayError: The folder can't be created, or belongs to another user.
-    """
+    """Return a path in the user's own folder for temporary files; raise ReplayError if this folder can't be used."""
     folder = Path(tempfile.gettempdir()) / f"pycram-{user()}"
     try:
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -136,11 +124,7 @@ def temporary_file(name: str) -> Path:
 
 
 def check(url: str | None) -> None:
-    """Check the address of a viewer; None stands for any viewer.
-
-    Raises:
-        ReplayError: ``url`` isn't an address, or no viewer answers.
-    """
+    """Raise ReplayError if ``url`` isn't the address of a viewer, or if no viewer answers. None means any viewer."""
     if url is None:
         return
     try:
@@ -170,10 +154,7 @@ def _go_to(client: ViewerClient, step: int) -> None:
 def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, Callable[[int], None]]:
     """Open a recording at a step, and return the viewer's address and a function that shows a step.
 
-    If the user has closed the viewer, nothing happens.
-
-    Raises:
-        ReplayError: no viewer answers at ``url``, or no viewer can be started.
+    If the user has closed the viewer, the function does nothing. The errors are those of :func:`show`.
     """
     viewer = show(cached(log, step), step, url)
     client = ViewerClient.connect(viewer)

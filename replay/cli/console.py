@@ -156,8 +156,7 @@ def numbers(
 ) -> list[float]:
     """Parse finite numbers, such as "0.5,1,0". ``counts`` contains the allowed numbers of values.
 
-    Raises:
-        ReplayError: The text is invalid. ``expected`` is part of the message.
+    For an invalid text, raise ReplayError with the text ``expected``.
     """
     try:
         values = [kind(part) for part in text.split(separator)]

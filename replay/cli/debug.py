@@ -16,6 +16,7 @@ import re
 import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from importlib.util import find_spec
 from itertools import chain
 from typing import TYPE_CHECKING, Any, Final
 
@@ -157,14 +158,12 @@ class Prompt(cmd.Cmd):
 
     @contextlib.contextmanager
     def _history(self) -> Iterator[None]:
-        folder = cache_folder() if self._asks else None
-        try:
-            import readline  # noqa: PLC0415  some systems lack this module
-        except ImportError:
-            folder = None
-        if folder is None:
+        folder = cache_folder()
+        if folder is None or not self._asks or find_spec("readline") is None:  # some systems lack readline
             yield
             return
+        import readline  # noqa: PLC0415
+
         file = folder / "debug_history"
         with contextlib.suppress(OSError):
             readline.read_history_file(file)

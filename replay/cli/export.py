@@ -26,6 +26,7 @@ from replay.cli.repair import write_copy
 from replay.errors import Damaged, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.recording import Recording
+from replay.report.report import write
 from replay.state.fold import world_of
 from replay.state.state import Body, World
 
@@ -76,13 +77,7 @@ def run(log: Recording, options: argparse.Namespace) -> None:
     if options.file is None:
         print_result(lambda: [row._asdict() for row in table], _csv(table).splitlines(), as_json=options.json)
         return
-    try:
-        if form == "parquet":
-            _write_parquet(table, options.file)
-        else:
-            Path(options.file).write_text(_csv(table), encoding="utf-8")
-    except OSError as error:
-        raise ReplayError(f"{options.file}: can't be written: {error}") from error
+    write(options.file, _parquet(table) if form == "parquet" else _csv(table).encode())
     data = {"file": options.file, "format": form, "rows": len(table)}
     print_result(lambda: data, [f"{options.file}: {len(table)} rows"], as_json=options.json)
 
@@ -94,11 +89,11 @@ def _to_foxglove(log: Recording, out: Path, options: argparse.Namespace) -> None
     if layout.exists() and not options.overwrite:
         raise ReplayError(f"{layout} exists; name another file, or add --overwrite")
 
-    def write(file: BinaryIO) -> tuple[dict[str, object], int]:
+    def translate(file: BinaryIO) -> tuple[dict[str, object], int]:
         translator = FoxgloveTranslator(log, file)
         return translator.translate(), translator.messages
 
-    content, messages = write_copy(log, out, write, overwrite=options.overwrite)
+    content, messages = write_copy(log, out, translate, overwrite=options.overwrite)
     layout.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     data = {"file": str(out), "format": "foxglove", "messages": messages, "layout": str(layout)}
     print_result(lambda: data, [f"{out}: {messages} messages", f"{layout}: layout for Foxglove"], as_json=options.json)
@@ -146,13 +141,15 @@ def _csv(table: Iterable[MotionRow]) -> str:
     return text.getvalue()
 
 
-def _write_parquet(table: list[MotionRow], file: str) -> None:
+def _parquet(table: list[MotionRow]) -> bytes:
     import pyarrow as pa  # noqa: PLC0415  imported here: this optional package is slow to import
     from pyarrow import parquet  # noqa: PLC0415
 
     kinds = {str: pa.string(), int: pa.int64()}
     schema = pa.schema([(name, kinds.get(kind, pa.float64())) for name, kind in get_type_hints(MotionRow).items()])
+    file = io.BytesIO()
     parquet.write_table(pa.Table.from_pylist([row._asdict() for row in table], schema), file)
+    return file.getvalue()
 
 
 class MotionRow(NamedTuple):
@@ -170,11 +167,7 @@ class MotionRow(NamedTuple):
 
 
 def motion_rows(log: RecordReader) -> Iterator[MotionRow]:
-    """Yield all rows of a recording: for each trajectory first the planned rows, then the driven rows.
-
-    Raises:
-        Damaged: A record is inconsistent.
-    """
+    """Yield for each trajectory the planned rows, and then the driven rows; raise Damaged for inconsistent records."""
     worlds: dict[str, FoldedWorld] = {}
     for record in log.records((Mutation, Keyframe)):
         try:

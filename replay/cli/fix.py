@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from replay.fix.search import SearchResult
     from replay.fix.trials import Trials
 
-_BUDGET: Final = 80
 _FIRST: Final = 4  # number of other choices that are forced before edits are tried
 _MAX_OTHERS: Final = 3  # maximum number of candidates with other failures that are listed
 
@@ -34,7 +33,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--holds", metavar="PROPERTY", action="append", default=[], help="require this property")
     parser.add_argument("--apply", action="store_true", help="write the best repair into the plan; PLAN.orig is kept")
     parser.add_argument("--keep", metavar="DIR", default=".", help="folder for the recordings of repairs (default: .)")
-    add_trials(parser, _BUDGET)
+    add_trials(parser, budget=80)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:

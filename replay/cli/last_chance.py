@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from replay.fix.last_chance import LastChance
     from replay.fix.trials import Trials
 
-_BUDGET: Final = 80
 _MAX_OTHERS: Final = 3  # maximum number of choices that don't help and are listed
 
 
@@ -26,7 +25,7 @@ def add(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "Exit code 0: a last chance was found. 1: none was found. To repair the plan, see fix."
     parser.add_argument("--holds", metavar="PROPERTY", action="append", default=[], help="require this property")
     parser.add_argument("--keep", metavar="DIR", default=".", help="folder for the successful recording (default: .)")
-    add_trials(parser, _BUDGET)
+    add_trials(parser, budget=80)
 
 
 def run(log: Recording, options: argparse.Namespace) -> int:

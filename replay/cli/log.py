@@ -15,7 +15,7 @@ from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Plain, Record
 from replay.cli.console import print_json, print_json_list, print_message, print_result, print_text
 from replay.errors import NoSuchName
 from replay.file.chunks import KINDS
-from replay.history.source import PlanSource, is_file
+from replay.history.source import PlanSource, is_file, sites
 from replay.history.steps import HINT
 from replay.recording import Recording
 from replay.report import phrases
@@ -115,13 +115,8 @@ class RecordFilter:
                 yield record, line
 
     def _has_line(self, record: Record) -> bool:
-        if self.where is None or not getattr(record, "source_file", ""):
-            return False
-        file, number = self.where
-        stack = [(record.source_file, record.source_line)]  # type: ignore[union-attr]
-        callers = getattr(record, "callers", ())  # records of printed output contain no call stack
-        stack += [(caller.file or record.source_file, caller.line) for caller in callers]  # type: ignore[union-attr]
-        return any(is_file(path, file) and number in (None, line) for path, line in stack)
+        file, number = self.where or ("", None)
+        return any(is_file(path, file) and number in (None, line) for path, line in sites(record))
 
     def check(self, log: Recording) -> None:
         """Raise NoSuchName if the recording doesn't have the object, task, world or line of the filter."""

@@ -140,12 +140,7 @@ def _serve_editor(options: argparse.Namespace) -> int:
 
 
 def call(verb: str, log: Recording, arguments: Sequence[str]) -> None:
-    """Run a verb on an open recording.
-
-    Raises:
-        SystemExit: The arguments were wrong, and a message was printed.
-        ReplayError: The verb failed.
-    """
+    """Run a verb on an open recording; raise ReplayError if it fails. After a message about wrong arguments, exit."""
     _function(verb, "run")(log, _parser([verb]).parse_args([verb, str(log.path), *arguments]))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
 
 from replay.cli.console import print_message, print_result
 from replay.cli.retrace import AGAIN
@@ -13,12 +12,10 @@ from replay.errors import ReplayError
 from replay.recording import Recording
 from replay.report.report import write
 
-_BUDGET: Final = 200
-
 
 def add(parser: argparse.ArgumentParser) -> None:
     add_output(parser, "file of the smaller plan (default: PLAN_small.py)")
-    add_trials(parser, _BUDGET)
+    add_trials(parser, budget=200)
 
 
 def add_output(parser: argparse.ArgumentParser, words: str) -> None:

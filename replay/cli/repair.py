@@ -55,11 +55,7 @@ def add_output(parser: argparse.ArgumentParser, kind: str) -> None:
 
 
 def write_copy(log: Recording, target: Path, write: Callable[[BinaryIO], R], *, overwrite: bool) -> R:
-    """Write a copy of a recording with the function ``write``, and return the result of ``write``.
-
-    Raises:
-        ReplayError: The copy can't be written.
-    """
+    """Write a copy of a recording, and return the result of the function ``write``; raise ReplayError if this fails."""
     _check(log, target, overwrite=overwrite)
     part = target.with_name(f"{target.name}.part")  # readers must never see an incomplete copy
     try:

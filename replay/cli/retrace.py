@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from recorder.mcap_sink import free_path
 from replay.cli.console import print_message, print_result
@@ -33,6 +33,11 @@ def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=argparse.REMAINDER,
         help="the plan's arguments (default: the recorded arguments); must be the last option",
     )
+
+
+def _chosen(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the choice of the plan, its arguments and its source."""
+    return {name: getattr(options, name) for name in ("plan", "arguments", "recorded_source")}
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -74,13 +79,7 @@ def _retrace(log: Recording, options: argparse.Namespace, results: list[dict[str
     from replay.retrace.retrace import retrace  # noqa: PLC0415  needs the executor
 
     try:
-        result = retrace(
-            log,
-            plan=options.plan,
-            arguments=options.arguments,
-            answers=options.answers,
-            recorded_source=options.recorded_source,
-        )
+        result = retrace(log, answers=options.answers, **_chosen(options))
     except CantRetrace as error:
         return _report_not_run(str(log.path), error, results)
     results.append({"file": str(log.path), **_facts(result)})
@@ -169,15 +168,13 @@ def run_fork(log: Recording, options: argparse.Namespace) -> int:
         log,
         step,
         target,
-        plan=options.plan,
-        arguments=options.arguments,
         settings=options.set,
         world=options.world,
         answers=options.answer,
         seed=options.seed,
         control=options.control,
-        recorded_source=options.recorded_source,
         begun=lambda: print_message(f"the plan runs again up to step {step}; {AGAIN}"),
+        **_chosen(options),
     )
     return _print_fork(log, forked, as_json=options.json)
 
@@ -236,12 +233,6 @@ def run_resume(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.fork import resume  # noqa: PLC0415  needs the executor
 
     target = _free_file(log, options.target, "resumed")
-    resumed = resume(
-        log,
-        target,
-        plan=options.plan,
-        arguments=options.arguments,
-        recorded_source=options.recorded_source,
-        begun=lambda: print_message(f"the plan runs again up to step {len(log) - 1}, the last recorded step; {AGAIN}"),
-    )
+    again = f"the plan runs again up to step {len(log) - 1}, the last recorded step; {AGAIN}"
+    resumed = resume(log, target, begun=lambda: print_message(again), **_chosen(options))
     return _print_fork(log, resumed, as_json=options.json)

@@ -20,7 +20,7 @@ from replay.errors import ReplayError
 from replay.recording import Recording
 from replay.report.phrases import one_line, percent, plural, short
 from replay.report.report import embedded, page, write
-from replay.runs.statistics import FailureCause, Share, Slow, Statistics, plan_of, statistics
+from replay.runs.statistics import FailureCause, Slow, Statistics, plan_of, statistics
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -141,7 +141,7 @@ def html_report(folder: Path, stats: Statistics, found: Separation, file: Path) 
         success=f"succeeded, {success.succeeded} of {success.of} (95 %: {low:.1%} to {high:.1%})",
         facts=f"{stats.folder}: {outcomes}; {stats.size / 1e6:.1f} MB, {stats.records} records; {took}",
         left_out=", ".join(left_out),
-        parameters=[(name, [*map(_bar, shares)]) for name, shares in stats.parameters],
+        parameters=stats.parameters,
         claims=[*_claims(folder, found)],
         causes=[
             (cause.cause, _cell(cause.count), _cell(f"{cause.share:.0%}", cause.share), _first(folder, cause, links))
@@ -154,13 +154,6 @@ def html_report(folder: Path, stats: Statistics, found: Separation, file: Path) 
             if slow
         ],
     )
-
-
-def _bar(share: Share) -> dict[str, object]:
-    low, high = share.interval
-    rate = share.succeeded / share.of if share.of else 0.0
-    text = f"{rate:.0%}, {share.succeeded} of {share.of}"
-    return {"what": share.what, "rate": 100 * rate, "low": 100 * low, "high": 100 * high, "text": text}
 
 
 def _claims(folder: Path, found: Separation) -> Iterator[Sequence[object]]:
@@ -238,30 +231,22 @@ def contact_sheet(folder: Path, stats: Statistics) -> bytes:
     """Return a PNG sheet with pictures of the first failures of each cause."""
     from PIL import Image, ImageDraw  # noqa: PLC0415  an extra
 
-    chosen = list(_pictured(stats.causes))
+    # the first failure of each cause, then the second failures, and so on
+    turns = [(each, at) for at in range(_MAX_PICTURES) for each in stats.causes if at < len(each.runs)]
+    chosen = turns[:_MAX_PICTURES]
     rows = max(1, -(-len(chosen) // _COLUMNS))
     width, height = _SIZE[0], _SIZE[1] + _CAPTION
     sheet = Image.new("RGB", (min(_COLUMNS, max(1, len(chosen))) * width, rows * height), "white")
     draw = ImageDraw.Draw(sheet)
-    for at, (cause, run, step) in enumerate(chosen):
-        left, top = at % _COLUMNS * width, at // _COLUMNS * height
-        drawn = picture(folder, run, step)
+    for place, (cause, at) in enumerate(chosen):
+        left, top = place % _COLUMNS * width, place // _COLUMNS * height
+        drawn = picture(folder, cause.runs[at], cause.steps[at])
         if drawn is not None:
             sheet.paste(drawn.convert("RGB"), (left, top))
-        draw.text((left + 4, top + _SIZE[1] + 2), run[:_LETTERS], fill="black")
+        draw.text((left + 4, top + _SIZE[1] + 2), cause.runs[at][:_LETTERS], fill="black")
         draw.text((left + 4, top + _SIZE[1] + 16), cause.cause[:_LETTERS], fill="black")
     if not chosen:
         draw.text((4, 4), "no run failed", fill="black")
     file = io.BytesIO()
     sheet.save(file, "PNG", optimize=True)
     return file.getvalue()
-
-
-def _pictured(causes: tuple[FailureCause, ...]) -> Iterator[tuple[FailureCause, str, int | None]]:
-    """Yield the failures that get a picture: the first failure of each cause, then the second, and so on."""
-    shown = 0
-    for at in range(_MAX_PICTURES):
-        for cause in causes:
-            if at < len(cause.runs) and shown < _MAX_PICTURES:
-                shown += 1
-                yield cause, cause.runs[at], cause.steps[at]

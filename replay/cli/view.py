@@ -36,11 +36,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def imagined(log: Recording) -> list[Path]:
-    """Return the recordings of a run's projections in order. They are in the folder of the run's recording.
-
-    Raises:
-        ReplayError: There is no recording of a projection.
-    """
+    """Return the recordings of a run's projections in order; raise ReplayError if the run's folder has none."""
     names = filter(None, map(recording_name, log.records(Task)))
     found = [path for name in names if (path := log.path.with_name(name)).exists()]
     if not found:

@@ -22,11 +22,10 @@ from typing import Any, Final, NoReturn, Self
 
 from replay.debug.stopped_plan import PAUSE, Channel, Message, WatchedExpression
 from replay.errors import Damaged, ReplayError
-from replay.retrace.plan_process import FirstDifference, PlanProcess
+from replay.retrace.plan_process import FirstDifference, PlanProcess, last_output
 from replay.retrace.retrace import likely_reasons
 
 _MAX_WAITING: Final = 64  # maximum number of waiting copies
-_SHOWN: Final = 2000  # number of last characters on stderr of an ended process that are shown
 _POLL: Final = 0.2  # time in s between checks for Ctrl-C and for the end of the process
 _PARTS: Final = 40  # number of parts into which copies divide a run
 _SHORTEST: Final = 50_000_000  # minimum duration of a part in ns
@@ -69,10 +68,7 @@ class GuidedPlan:
     """A recorded plan that runs again, and is at a step.
 
     With ``checkpoints``, copies of the process wait at some steps. Without copies, the plan runs again from its start
-    when it must go back.
-
-    Raises:
-        Damaged: The beginning of the recording is lost.
+    when it must go back. If the beginning of the recording is lost, Damaged is raised.
     """
 
     def __init__(self, process: PlanProcess, *, checkpoints: bool = True) -> None:
@@ -270,7 +266,7 @@ class PlanCopies:
         """Send a question to the stopped process, and return its answer (:meth:`GuidedPlan.ask`)."""
         now, passed_on = self.now, False
         if now is None:
-            raise PlanEnded(self._printed())
+            raise PlanEnded(last_output(self._errors))
         with self._noting_interrupts():
             now.channel.send(question)
             while not now.channel.poll(_POLL):
@@ -355,11 +351,7 @@ class PlanCopies:
     def _lost(self, copy: PlanCopy | None) -> NoReturn:
         self.now = None
         self.end(copy)
-        raise PlanEnded(self._printed())
-
-    def _printed(self) -> str:
-        self._errors.seek(0)
-        return self._errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
+        raise PlanEnded(last_output(self._errors))
 
     def end(self, copy: PlanCopy | None) -> None:
         """End a process that has no children. The end of the first process ends all processes."""

@@ -8,22 +8,21 @@ the step. A task's start and end are on the level outside, so ``next`` goes from
 from __future__ import annotations
 
 import re
-from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from recorder.errors import suggestion
 from recorder.properties.expressions import PARTS, ROUNDING, BadProperty, NoValue, PropertyExpression, Scene, plain
-from recorder.records import Envelope, Event, Keyframe, Mutation, Output, Record, Run, Task
+from recorder.records import Event, Keyframe, Mutation, Output, Record, Task
 from recorder.records.fold import FoldedWorld, apply
 from recorder.tasks import Node, Tree
 from replay.debug.stopped_plan import WatchedExpression
 from replay.errors import NoSuchName, NoSuchStep, ReplayError
 from replay.file.record_reader import RecordReader
-from replay.history.source import is_file, name_of
+from replay.history.source import Site, is_file, name_of, sites
 from replay.report.question import written
 from replay.state.fold import state_at
 
@@ -31,8 +30,6 @@ if TYPE_CHECKING:
     from replay.debug.guided_plan import Arrival, GuidedPlan
     from replay.recording import Recording
 
-
-Site: TypeAlias = "tuple[str, int]"  # a file, and the number of a line
 _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
@@ -80,11 +77,7 @@ class Session:
         return self._kept(made)
 
     def set_watch(self, expression: str, frame: int) -> Breakpoint:
-        """Watch an expression about recorded states, or else about the variables of a frame's function.
-
-        Raises:
-            NoQuantity: The expression has no value in recorded states and in the frame.
-        """
+        """Watch an expression of recorded states or of a frame's variables; raise NoQuantity if it has no value."""
         return self._kept(self._watch(expression, frame))
 
     def _kept(self, made: Breakpoint) -> Breakpoint:
@@ -121,7 +114,7 @@ class Session:
             raise self._no_further()
         goal = self.plan.last if target is None else min(target, self.plan.last)
         enabled = [each for each in self.breakpoints if each.enabled]
-        hits = [step for each in enabled if (step := first_after(each.steps, self.step)) is not None]
+        hits = [step for each in enabled for step in each.steps if step > self.step]
         watched = [each.watched for each in enabled if each.watched is not None]
         return self._halted(self.plan.go(min([goal, *hits]), watched), enabled)
 
@@ -130,7 +123,7 @@ class Session:
         if self.step <= 0:
             raise NoFurther(self.step, "the recording begins here")
         enabled = [each for each in self.breakpoints if each.enabled]
-        hits = [step for each in enabled if (step := last_before(each.steps, self.step)) is not None]
+        hits = [step for each in enabled for step in each.steps if step < self.step]
         goal = max([target, *hits])
         changes: dict[int, tuple[str, str]] = {}
         watched = [each.watched for each in enabled if each.watched is not None]
@@ -142,13 +135,13 @@ class Session:
     def back_to_change(self, expression: str, frame: int) -> Halt:
         """Go back to the last change of an expression (:meth:`set_watch`); raise NoFurther if there is no change."""
         watch = self._watch(expression, frame)
-        step = last_before(watch.steps, self.step)
+        step = max((each for each in watch.steps if each < self.step), default=-1)
         changes: dict[int, tuple[str, str]] = {}
         if watch.watched is not None:
             step, changes = self._last_change([watch.watched], -1, origin := self.step)
             if step < 0:
                 self.plan.go(origin)
-        if step is None or step < 0:
+        if step < 0:
             raise NoFurther(self.step, f"{expression} didn't change before this step")
         watch.number = 0
         return self._halted(self.plan.go(step), [watch], dict(enumerate(changes.values())))
@@ -173,7 +166,7 @@ class Session:
         """
         end = before - 1
         while end > max(after, 0):
-            start = last_before(self.plan.copies.checkpoints(), end) or 0
+            start = max((each for each in self.plan.copies.checkpoints() if each < end), default=0)
             self.plan.go(start)
             changes = [each for each in self.plan.go(end, watched, through=True).changes if each[0] > after]
             if changes:
@@ -226,7 +219,7 @@ class Timeline:
         latest: dict[str, tuple[Site, ...]] = {}  # call stacks of the latest records, by thread or branch
         for record in log.records():
             self._note(record)
-            own = _own_stack(record)
+            own = sites(record)
             stack = own or task_stacks.get(record.task, ())
             if isinstance(record, Task) and record.phase in (Task.STARTED, Task.ASKED):
                 task_stacks[record.task] = stack
@@ -311,29 +304,8 @@ class Timeline:
         Each execution of the line counts once, at its first record. Repeated calls in one line count once if no other
         line made a record between them.
         """
-        numbers = sorted(line for named, line in self._lines if named == file)
-        at = bisect_left(numbers, number)
-        return (numbers[at], self._lines[file, numbers[at]]) if at < len(numbers) else (0, [])
-
-
-def first_after(steps: Sequence[int], step: int) -> int | None:
-    """Return the first step after a given step; ``steps`` are sorted."""
-    at = bisect_right(steps, step)
-    return steps[at] if at < len(steps) else None
-
-
-def last_before(steps: Sequence[int], step: int) -> int | None:
-    """Return the last step before a given step; ``steps`` are sorted."""
-    at = bisect_left(steps, step)
-    return steps[at - 1] if at else None
-
-
-def _own_stack(record: Record) -> tuple[Site, ...]:
-    if isinstance(record, Run | Keyframe | Envelope) or not record.source_file:
-        return ()
-    callers = () if isinstance(record, Output) else record.callers
-    file = record.source_file
-    return (*((caller.file or file, caller.line) for caller in callers), (file, record.source_line))
+        found = min((line for named, line in self._lines if named == file and line >= number), default=0)
+        return found, self._lines.get((file, found), [])
 
 
 class NoSuchPlace(ReplayError, LookupError):
@@ -366,9 +338,7 @@ class Breakpoint:
 def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -> Breakpoint:
     """Return a breakpoint at a step, ``failure``, ``event [NAME]``, FILE:LINE, or tasks by path or kind.
 
-    Raises:
-        NoSuchPlace: The recording doesn't have this place.
-        NoSuchStep: There is no such step.
+    If the recording doesn't have this place or step, NoSuchPlace or NoSuchStep is raised.
     """
     word, _, rest = place.partition(" ")
     if place == "failure":
@@ -433,10 +403,8 @@ class ValueChange(NamedTuple):
 def value_changes(log: RecordReader, expression: str) -> list[ValueChange]:
     """Return the changes of an expression's value in a recording (:mod:`recorder.properties.expressions`).
 
-    Values are None before an object is loaded, and after it is removed.
-
-    Raises:
-        NoQuantity: The expression has no value at any step.
+    Values are None before an object is loaded, and after it is removed. If the expression has no value at any step,
+    NoQuantity is raised.
     """
     try:
         compiled = PropertyExpression(expression)

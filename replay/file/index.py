@@ -133,10 +133,7 @@ class Index:
         """Return a chunk's decompressed messages, its difference from the index, and the number of messages.
 
         If the chunk's head differs from the index, the head in the index is used. The number is the number in the
-        index; None if the index doesn't contain this number.
-
-        Raises:
-            CHUNK_DAMAGE: The chunk is damaged.
+        index; None if the index doesn't contain this number. If the chunk is damaged, CHUNK_DAMAGE is raised.
         """
         self.check_open()
         extent = self.chunks[number]

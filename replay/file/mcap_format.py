@@ -87,11 +87,7 @@ def indexed_chunk(summary: bytes, at: int) -> ChunkExtent:
 
 
 def framed(contents: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yield for each MCAP record the opcode, and the start and end of the content.
-
-    Raises:
-        struct.error: The last record is cut off within its opcode and length.
-    """
+    """Yield the opcode, start and end of each MCAP record's content; raise struct.error if the last head is cut off."""
     at = 0
     while at < len(contents):
         opcode, length = LENGTH.unpack_from(contents, at)

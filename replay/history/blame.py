@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final
 
 from recorder import html
 from recorder.records import Keyframe, Mutation
@@ -100,8 +100,7 @@ def blame(log: RecordReader, target: str, at: int | None = None, world: str | No
             earlier=earlier,
         )
     others = tuple(each.name for each in state.worlds.values() if each is not owner and body in each.bodies)
-    subject = _Subject(owner.name, others, _default_world(state, owner.name, world), body, joint)
-    return _Search(log, subject).run(step)
+    return _Search(log, owner.name, others, _default_world(state, owner.name, world), body, joint).run(step)
 
 
 def _default_world(state: State, world: str, requested: str | None) -> str:
@@ -112,8 +111,7 @@ def _default_world(state: State, world: str, requested: str | None) -> str:
 def _removal(log: RecordReader, state: State, target: str, world: str | None, error: NoSuchName) -> Mutation:
     """Return the record by which a body, or a joint's body, was removed from an open world.
 
-    Raises:
-        NoSuchName: There is no such record. If a closed world had the body, the error contains a hint.
+    If there is no such record, raise the error, with a hint if a closed world had the body.
     """
     opened = {name: log.lifetime_at(name, state.step) for name, each in state.worlds.items() if each.open}
     candidates = {name: lifetime for name, lifetime in opened.items() if world in (None, name)}
@@ -154,22 +152,16 @@ def _find(state: State, target: str, name: str | None) -> tuple[World, str, str]
     raise state.no_body(target.partition(".")[0], worlds)
 
 
-class _Subject(NamedTuple):
-    """The body or joint, with the first fields of :class:`Blame`."""
-
-    world: str
-    other_worlds: tuple[str, ...]
-    default_world: str
-    body: str
-    joint: str
-
-
+@dataclass(frozen=True, slots=True)
 class _Search:
-    """A search backwards through the changes of a world."""
+    """A search backwards through the changes of a body or joint (:class:`Blame`)."""
 
-    def __init__(self, log: RecordReader, subject: _Subject) -> None:
-        self._log, self._subject = log, subject
-        self._world, self._body, self._joint = subject.world, subject.body, subject.joint
+    _log: RecordReader
+    _world: str
+    _other_worlds: tuple[str, ...]
+    _default_world: str
+    _body: str
+    _joint: str
 
     def run(self, step: int) -> Blame:
         """Return the last change. The result for a change by physics also contains the previous change."""
@@ -260,7 +252,8 @@ class _Search:
             how, chain = _how(record, state.world(self._world), self._body, self._joint)
         carried = tuple(self._carried(held, record.seq) for held in chain)
         because = causing_tasks(self._log, record)
-        return Blame(*self._subject, how, before, after, *_size(before, after), record, because, carried)
+        subject = self._world, self._other_worlds, self._default_world, self._body, self._joint
+        return Blame(*subject, how, before, after, *_size(before, after), record, because, carried)
 
     def _value(self, state: State) -> Pose | float | None:
         world = state.worlds.get(self._world)

@@ -6,15 +6,25 @@ import ast
 import re
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder import notebook
 from recorder.plan_lines import syntax_nodes
-from recorder.records import Envelope, Keyframe, Output, Record, Run
+from recorder.records import Record
 from replay.errors import Damaged
 
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
+
+
+Site: TypeAlias = "tuple[str, int]"  # a file, and the number of a line
+
+
+def sites(record: Record) -> tuple[Site, ...]:
+    """Return the lines of the plan that led to a record, outermost first; () if they are unknown."""
+    file, callers = getattr(record, "source_file", ""), getattr(record, "callers", ())
+    outer = ((caller.file or file, caller.line) for caller in callers)
+    return (*outer, (file, record.source_line)) if file else ()  # type: ignore[union-attr]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +81,8 @@ class PlanSource:
 
     def call_stack(self, record: Record) -> tuple[Line, ...]:
         """Return the plan's lines that led to a record, outermost first; () if unknown."""
-        if isinstance(record, Run | Keyframe | Envelope):
-            return ()
-        line = self.line(record.source_file, record.source_line)
-        if line is None:
-            return ()
-        callers = () if isinstance(record, Output) else record.callers
-        above = (self.line(caller.file or record.source_file, caller.line) for caller in callers)
-        return (*(caller for caller in above if caller is not None), line)
+        lines = [self.line(*site) for site in sites(record)]
+        return tuple(filter(None, lines)) if lines and lines[-1] is not None else ()
 
     def text(self, file: str) -> str:
         """Return the text of a file; "" if the file isn't attached or is damaged."""

@@ -18,14 +18,11 @@ _TASK: Final = re.compile(r"task:(?P<path>.+?)(?:#(?P<which>-?\d+))?@(?P<end>sta
 
 
 def step_of(log: RecordReader, name: int | str) -> int:
-    """Return the number of a step.
+    """Return the number of a step; raise NoSuchStep if there is no such step.
 
     A name is a number, ``last``, ``failure`` (the step that ``why`` explains), a simulated time such as ``12.5s``, or a
     task (:func:`task_step`). Negative numbers count from the end. A time means the last step before the first world has
     passed it.
-
-    Raises:
-        NoSuchStep: There is no such step.
     """
     text = str(name).strip()
     if text == "last":
@@ -67,10 +64,7 @@ def task_step(log: RecordReader, text: str) -> int:
 
     PATH is the id of the task, or names of outer tasks and the task, such as ``par/moving``. Names of outer tasks are
     optional. If several tasks match, ``task:pick-up#2@end`` is the end of the second task, and ``#-1`` means the last
-    task. By default, the first matching task is used.
-
-    Raises:
-        NoSuchStep: There is no such task, or the task hasn't ended.
+    task. By default, the first matching task is used. If no task matches or has ended, raise NoSuchStep.
     """
     match = _TASK.fullmatch(text)
     if match is None:

@@ -199,20 +199,20 @@ def choices(log: RecordReader, failed: Node, stop: int | None = None) -> Iterato
 
 def tree(log: RecordReader, stop: int | None = None) -> Tree:
     """Return the task tree of a recording, by default at the end. If tasks are nested too deep, Damaged is raised."""
-    from replay.state.integrity import TaskDepths  # noqa: PLC0415  a summary doesn't need the tree
+    from replay.state.integrity import too_deep  # noqa: PLC0415  a summary doesn't need the tree
 
     folded = Tree()
-    depths = TaskDepths()
+    depths: dict[int, int] = {}
     for record in log.records((Task, Output), stop=stop):
         if isinstance(record, Output):
             folded.output.setdefault(record.task, []).append(record)
         elif isinstance(record, Task):
-            if too_deep := depths.too_deep(record):
-                raise Damaged(log.path, f"step {record.seq}", too_deep)
+            if cause := too_deep(record, depths):
+                raise Damaged(log.path, f"step {record.seq}", cause)
             folded.apply(record)
     if stop is None and uncaught_failure(log) is not None:
-        cause = root_cause(log)  # the plan's failure explains more than a task's failure
-        folded.began = cause.task.id if cause is not None and cause.task is not None else 0
+        broken = root_cause(log)  # the plan's failure explains more than a task's failure
+        folded.began = broken.task.id if broken is not None and broken.task is not None else 0
     failed = folded.failure_path()
     if failed:
         for choice in choices(log, failed[-1], stop):

@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -304,17 +304,14 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
         if not why.bodies:
             return []
         scene = DrawnWorld(log, why.step, why.world.name if why.world is not None else None)
-        if scene.camera:
-            files.append(folder / f"step_{why.step}_robot.png")
-            scene.picture(camera=scene.camera).save(files[-1])
         about = scene.subjects(why)
-        files.append(folder / f"step_{why.step}_side.png")
-        scene.picture(target=about).save(files[-1])
-        if about and len(about) > 1:  # the robot is large, so the first picture is from far away
-            for name in about[1:]:
-                part = re.sub(r"[^\w.-]", "_", name)  # characters that file names may contain
-                files.append(folder / f"step_{why.step}_{part}.png")
-                scene.picture(target=name).save(files[-1])
+        views: list[tuple[str, dict[str, Any]]] = [("robot", {"camera": scene.camera})] if scene.camera else []
+        views.append(("side", {"target": about}))  # the robot is large, so this picture is from far away
+        views += [(name, {"target": name}) for name in (about or ())[1:]]
+        for name, view in views:
+            part = re.sub(r"[^\w.-]", "_", name)  # characters that file names may contain
+            files.append(folder / f"step_{why.step}_{part}.png")
+            scene.picture(**view).save(files[-1])
     except OSError as error:
         raise ReplayError(f"{folder}: {error.strerror or error}") from error
     return files

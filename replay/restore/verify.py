@@ -32,12 +32,8 @@ OTHER_ENVIRONMENT_TOLERANCE: Final = 1e-3  # of effects on another computer or w
 
 _DIFFERENT: Final = "when it is repeated, the change has another effect"
 _LATE_TOLERANCE: Final = 1e-6  # m or rad, tolerance of changes without physics in worlds that continue from a keyframe
-_ENVIRONMENT_KEYS: Final = (
-    "pycram",
-    "pybullet",
-    "machine",
-    "platform",
-)  # the last bits of effects depend on these packages
+#: The last bits of effects depend on these versions.
+_ENVIRONMENT_KEYS: Final = ("pycram", "pybullet", "machine", "platform")
 
 
 def verify(log: RecordReader, progress: Callable[[int], None] | None = None) -> Verification:

@@ -141,10 +141,8 @@ def load_body(
 ) -> Object:
     """Load a body from its recorded model.
 
-    ``color`` is RGBA 0..1, or empty for the colour of the model. By default, it has the recorded colour.
-
-    Raises:
-        Damaged: A file is missing or damaged.
+    ``color`` is RGBA 0..1, or empty for the colour of the model. By default, the body has the recorded colour. If a
+    file is missing or damaged, Damaged is raised.
     """
     return Object(
         loaded.body,
@@ -215,12 +213,11 @@ class Reexecution:
         self.worlds.clear()
 
     def begin(self, frame: Keyframe) -> None:
-        """Rebuild a world from the keyframe, unless the world exists."""
-        if frame.world not in self.worlds:
-            state = fold([frame]).worlds[frame.world]
-            with journal.unrecorded():
-                self.worlds[frame.world] = rebuild(self._log, state, self._suffix, self._mode)
-            self.late.add(frame.world)
+        """Rebuild a world from a keyframe."""
+        state = fold([frame]).worlds[frame.world]
+        with journal.unrecorded():
+            self.worlds[frame.world] = rebuild(self._log, state, self._suffix, self._mode)
+        self.late.add(frame.world)
 
     def repeat(self, record: Mutation, *, observed: bool = True) -> Mutation | None:
         """Repeat a recorded change; return the new mutation with the envelope of the recorded mutation.

@@ -159,10 +159,7 @@ def parse_setting(text: str, *, fluent: bool) -> Setting:
     """Parse ``milk.position=1,2,0.9``, ``pr2.torso_lift_joint=0.2`` or (for a fluent) ``battery=20``.
 
     For a fluent that isn't recorded and has a dot in its name, write ``fluent:left.battery=20``. Any name can be in
-    quotes: ``'milk carton'.position=1,2,0.9``.
-
-    Raises:
-        BadChange: The text has a wrong form.
+    quotes: ``'milk carton'.position=1,2,0.9``. For a text of another form, raise BadChange.
     """
     quoted, rest = unquoted(text)
     left, _, right = (part.strip() for part in rest.partition("="))

@@ -111,8 +111,7 @@ class ForcedDecision:
 def parse_decision(text: str) -> ForcedDecision:
     """Parse ``grasp(object=milk, ...)=top``, ``transporting(milk)=#2`` or ``order(...)=[cook, serve]``.
 
-    Raises:
-        BadChange: The text has a wrong form.
+    For a text of another form, raise BadChange.
     """
     form = _FORM.fullmatch(text)
     wrong = "expected DECISION(ARGUMENTS)=VALUE, such as grasp(milk)=top or pick-up.arm(milk)=left"

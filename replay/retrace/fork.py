@@ -156,9 +156,7 @@ def resume(
 ) -> Fork:
     """Continue a plan whose process was killed: a fork at the last step of its recording.
 
-    Raises:
-        ReplayError: The plan has ended, or still runs.
-        CantRetrace, NotForked, Damaged: See :func:`fork`.
+    If the plan has ended or still runs, ReplayError is raised. :func:`fork` describes the other errors.
     """
     if log.closed:
         raise ReplayError(f"{log.path}: this run has ended; use fork to run it again from a step")

@@ -21,6 +21,7 @@ from recorder.records.values import AssetFile
 from recorder.tracing.journal import NullSink, Sink
 from replay.compare import differing
 from replay.file.record_reader import RecordReader
+from replay.history.source import sites
 from replay.retrace.plan_process import FirstDifference
 
 #: Fields that contain the files of an object. If a different file matters, a pose, a contact or an answer also differs.
@@ -168,11 +169,8 @@ def _words(record: Record) -> str:
 
 def _stack(record: Record, tasks: dict[int, _Stack]) -> _Stack:
     """Return the plan's lines that led to a record, or else to its task. Store the lines of a task that starts."""
-    file, line = getattr(record, "source_file", ""), getattr(record, "source_line", 0)
-    stack = tasks.get(record.task, ())
-    if file and line:
-        callers = (f"{caller.file or file}:{caller.line}" for caller in getattr(record, "callers", ()))
-        stack = (*callers, f"{file}:{line}")
+    own = sites(record)
+    stack = tuple(f"{file}:{line}" for file, line in own) if own and own[-1][1] else tasks.get(record.task, ())
     if isinstance(record, Task) and record.phase == Task.STARTED:
         stack = tasks[record.task] = stack or tasks.get(record.parent, ())
     elif isinstance(record, Task) and record.phase == Task.FINISHED:

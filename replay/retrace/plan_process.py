@@ -24,14 +24,20 @@ from recorder.provenance import pycram_revision
 from recorder.records import Change, Mutation, Output, Plain, Run, Task
 from recorder.records.values import LEFT_OUT
 from replay.errors import ReplayError
-from replay.history.source import name_of
+from replay.history.source import name_of, sites
 
 if TYPE_CHECKING:
     from replay.file.record_reader import RecordReader
 
-_SHOWN: Final = 2000  # maximum number of characters from the end of a failed process's stderr that are shown
+_SHOWN: Final = 2000  # maximum number of characters from the end of a process's stderr that are shown
 _STDERR: Final = 2
 _CACHE: Final = "__pycache__"  # folder of compiled files, which don't belong to the recorded source
+
+
+def last_output(errors: IO[bytes]) -> str:
+    """Return the end of the text that a process wrote to a file."""
+    errors.seek(0)
+    return errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
 
 
 class CantRetrace(ReplayError):
@@ -88,7 +94,6 @@ class PlanProcess:
     """A recorded plan, ready to run again.
 
     Args:
-        log: The recording.
         plan: A file that runs instead of the recorded plan.
         arguments: Arguments of the plan instead of the recorded arguments.
         until: The last step that is compared; by default, the last step of the recording.
@@ -204,8 +209,7 @@ class PlanProcess:
             os.set_blocking(reading, False)
             line = results.readline() or line  # the last message is the result
             if not line:
-                errors.seek(0)
-                printed = errors.read().decode("utf-8", "replace").strip()[-_SHOWN:]
+                printed = last_output(errors)
                 how = f"was killed by signal {-code}" if code < 0 else f"ended with {code}"
                 raise CantRetrace(f"the plan's process {how}, without a result{printed and f':{chr(10)}{printed}'}")
         answer: Mapping[str, Any] = json.loads(line)
@@ -323,7 +327,7 @@ class _RecordedSource:
         main = [key for key in keys if name_of(key) == program.name and key.startswith(began.plan.sha256)]
         if len(main) != 1:
             raise CantRetrace(f"{log.path}: it lacks the source of {program.name}")
-        places = _places(log) - {program}
+        places = {Path(file) for record in log for file, _ in sites(record)} - {program}
         self.files = {Path(program.name): log.assets[main[0]]}  # attached files, by their path in the plan's folder
         self.left_out: list[str] = []  # attached files whose paths are unknown or outside of the plan's folder
         for key in keys:
@@ -368,11 +372,3 @@ def lay(texts: Mapping[Path, bytes], original: Path, target: Path) -> None:
     for other in original.iterdir() if original.is_dir() else ():
         if other.name != _CACHE and not (target / other.name).exists():
             (target / other.name).symlink_to(other)
-
-
-def _places(log: RecordReader) -> set[Path]:
-    files: set[str] = set()
-    for record in log:
-        files.add(getattr(record, "source_file", ""))
-        files.update(caller.file for caller in getattr(record, "callers", ()))
-    return {Path(file) for file in files if file}

@@ -58,11 +58,7 @@ class Skipped:
 
 
 class Folder:
-    """A folder of recordings, with its tables.
-
-    Raises:
-        NotALog: There is no such folder, or the folder has no recording.
-    """
+    """A folder of recordings, with its tables. If there is no folder, or no recording in it, NotALog is raised."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -113,12 +109,9 @@ class Folder:
         return dict(sorted(found.items()))
 
     def update(self, progress: Callable[[int, int], object] = lambda _done, _all: None) -> None:
-        """Update the tables.
+        """Update the tables; raise NotRead if they are out of date, and can't be written.
 
         ``progress`` is called with two numbers: recordings that were read, and all new recordings.
-
-        Raises:
-            NotRead: The tables are out of date, and can't be written.
         """
         if self.tables.is_symlink():  # the link's target may be anywhere
             raise NotRead(self.path, f"{self.tables} is a link; remove it and try again")
@@ -323,10 +316,9 @@ def parts_there(tables: Path) -> set[str]:
 
 @contextlib.contextmanager
 def flocked(folder: Path, *, exclusive: bool) -> Iterator[None]:
-    """Lock a folder in the ``with`` block; don't wait for the lock. On systems without locks, nothing is locked.
+    """Lock a folder in the ``with`` block; raise BlockingIOError if another process holds the lock.
 
-    Raises:
-        BlockingIOError: Another process holds the lock.
+    On systems without locks, nothing is locked.
     """
     if not system.HAS_LOCKS:  # systems without locks can't open folders
         yield

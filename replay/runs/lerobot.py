@@ -331,8 +331,7 @@ class _Videos:
     def write(self, run: str, moments: np.ndarray) -> dict[str, Any]:
         """Write the frames of a run at some moments (simulated time in s). Return the run's entries about its video.
 
-        Raises:
-            ReplayError: The robot has no camera, or the view isn't recorded.
+        If the robot has no camera, or if the view isn't recorded, ReplayError is raised.
         """
         if self._container is None or self._path.stat().st_size > _MAX_VIDEO * 1e6:
             self.close()

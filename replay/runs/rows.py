@@ -114,11 +114,7 @@ def _marks(table: str, state: os.stat_result) -> dict[str, str]:
 
 
 def tables_of(log: RecordReader) -> dict[str, pa.Table]:
-    """Return the rows of a recording by the names of the tables.
-
-    Raises:
-        Damaged: No record can be read, or a record is inconsistent.
-    """
+    """Return the rows of a recording by table; raise Damaged if a record is inconsistent, or if none can be read."""
     rows = _Rows()
     for record in log.records():
         try:

@@ -246,10 +246,9 @@ class FolderComparison:
 
 
 def compare_folders(first: Runs, second: Runs) -> FolderComparison:
-    """Compare the runs of a plan in two folders. The plan is the most frequent plan of the first folder.
+    """Compare the runs of a plan in two folders; raise ReplayError if a folder has no run of this plan.
 
-    Raises:
-        ReplayError: A folder has no run of the plan.
+    The plan is the most frequent plan of the first folder.
     """
     chosen, _ = plan_of(first)
     stats = [statistics(each, chosen) for each in (first, second)]

@@ -194,16 +194,10 @@ _STATUSES: Final[Mapping[Task.Phase, tuple[Task.Status, ...]]] = {
 _SAME: Final = ("kind", "name", "attempt", "parent")  # fields that are equal in all records of a task
 
 
-class TaskDepths:
-    """Number of levels at which the task is nested."""
-
-    def __init__(self) -> None:
-        self._depths: dict[int, int] = {}
-
-    def too_deep(self, record: Task) -> str:
-        """Check the next record of a task. Return an error if the task is nested too deep; otherwise ""."""
-        depth = self._depths[record.task] = self._depths.get(record.parent, 0) + 1
-        return f"its task is nested more than {MAX_DEPTH} levels deep" if depth > MAX_DEPTH else ""
+def too_deep(record: Task, depths: dict[int, int]) -> str:
+    """Store the level of a task in ``depths``, and return an error if the task is nested too deep; otherwise ""."""
+    depth = depths[record.task] = depths.get(record.parent, 0) + 1
+    return f"its task is nested more than {MAX_DEPTH} levels deep" if depth > MAX_DEPTH else ""
 
 
 class TaskIntegrity:
@@ -373,7 +367,7 @@ class Verifier:
         self.environment: tuple[str, ...] = ()
         self.largest: Deviation | None = None
         self.damage: list[str] = []  # damage of records
-        self._depths = TaskDepths()
+        self._depths: dict[int, int] = {}
 
     def run(self, progress: Callable[[int], None] | None) -> Verification:
         """Check the file and the records."""
@@ -402,7 +396,7 @@ class Verifier:
         for record in self.log.records():
             if progress is not None:
                 progress(record.seq)
-            if isinstance(record, Task) and (cause := self._depths.too_deep(record)):
+            if isinstance(record, Task) and (cause := too_deep(record, self._depths)):
                 self.damage.append(f"step {record.seq}: {cause}")
                 return None
             problem = self.integrity.check(record)
