@@ -49,6 +49,24 @@ class RunSpec:
     only_record: bool = False  # whether violations of the properties are recorded without an error
     local_variables: bool = True  # whether recorded failures contain the plan's local variables
 
+    def recorded(
+        self, file: Path, live: str | None = None, **options: bool
+    ) -> contextlib.AbstractContextManager[Recording]:
+        """Return a context that records the run; :func:`recorder.record` describes ``live`` and ``options``."""
+        return recorder.record(
+            file,
+            live,
+            name=self.plan.stem,
+            arguments=self.arguments,
+            source=self.plan,
+            seed=self.seed,
+            order=self.order,
+            environment=self.motion,
+            locals=self.local_variables,
+            parameters=dict(self.parameters),
+            **options,
+        )
+
 
 def run(
     spec: RunSpec,
@@ -71,7 +89,6 @@ def run(
     recording: Recording | None = None
     code = SUCCEEDED
     error: BaseException | None = None
-    parameters = dict(spec.parameters)
     violations: list[str] = []
     seed_random_numbers(spec.seed)
     try:
@@ -82,24 +99,10 @@ def run(
             from pycram.scheduling.schedule import seed_order  # noqa: PLC0415  as above
         seed_order(spec.seed, spec.order)
         set_default(spec.motion)
-        recorded = recorder.record(
-            file,
-            live,
-            name=spec.plan.stem,
-            arguments=spec.arguments,
-            source=spec.plan,
-            seed=spec.seed,
-            order=spec.order,
-            environment=spec.motion,
-            output=True,
-            locals=spec.local_variables,
-            overwrite=overwrite,
-            durable=durable,
-            parameters=parameters,
-        )
-        with recorded as recording, giving(parameters), watching as violations:
+        recorded = spec.recorded(file, live, output=True, overwrite=overwrite, durable=durable)
+        with recorded as recording, giving(spec.parameters), watching as violations:
             try:
-                arguments_for_main = arguments_of_main(spec.plan, parameters)
+                arguments_for_main = arguments_of_main(spec.plan, spec.parameters)
                 names = runpy.run_path(
                     str(spec.plan.absolute()), run_name=spec.plan.stem if arguments_for_main else "__main__"
                 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import singledispatch
+from html import escape
 from typing import Final
 
 MAX_ROWS: Final = 20  # maximum number of rows in a table
@@ -14,13 +15,6 @@ _PRE: Final = (
 )
 _CELL: Final = '<td style="text-align:left">'
 _HEAD: Final = '<th style="text-align:left">'
-
-
-def escape(text: str) -> str:
-    """Return text with HTML's special characters escaped."""
-    from html import escape  # noqa: PLC0415  imported here: only notebooks need it
-
-    return escape(text)
 
 
 @singledispatch

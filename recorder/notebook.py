@@ -39,13 +39,6 @@ def cell_of(file: str) -> str:
     return f"In [{number}]" if number is not None else ""
 
 
-def source_of(file: str) -> bytes:
-    """Return the source of a cell from the file name of its compiled code."""
-    import linecache  # noqa: PLC0415  imported here: slow, and only notebooks need it
-
-    return "".join(linecache.getlines(file)).encode("utf-8", "replace")
-
-
 def with_cells(traceback: str) -> str:
     """Return a traceback with the names of cells instead of their files."""
     return _FILE.sub(lambda found: cell_of(found[0]) or found[0], traceback) if is_running() else traceback

@@ -1,9 +1,8 @@
 """Expressions: the variables, pulse counters and operations behind fluents.
 
 A state has the values of all leaves (variables and counters of unhandled pulses) at one moment. An operation computes
-its value from one state, so it never mixes values of two moments. One re-entrant lock guards all leaves of the process.
-While a thread holds the lock, no user code runs: no function of a network, no ``__eq__``, no conversion to JSON, no
-finalizer of an old value.
+its value from one state. One re-entrant lock guards all leaves of the process. While a thread holds the lock, no user
+code runs: no function of a network, no ``__eq__``, no conversion to JSON, no finalizer of an old value.
 """
 
 from __future__ import annotations

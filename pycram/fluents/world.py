@@ -1,9 +1,8 @@
 """Fluents that follow a world: poses, joints, held objects and contacts.
 
 A transaction updates all fluents of its world at the same moment. A simulation reads the values 30 times a simulated
-second, and assigns all values at its end. If an object was removed or a world has ended, reading or awaiting its
-fluents raises WorldClosed. All functions here raise BadArgument for an argument that isn't an object, and UnknownName
-for a link, joint or arm that doesn't exist.
+second, and assigns them at its end. After the end of a world or an object, its fluents raise WorldClosed. All functions
+here raise BadArgument for an argument that isn't an object, and UnknownName for an unknown link, joint or arm.
 """
 
 from __future__ import annotations

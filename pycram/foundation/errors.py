@@ -1,18 +1,8 @@
 """Errors: base classes, usage errors, and chains of errors.
 
-An error of PyCRAM is a dataclass with a template for its message::
-
-    @dataclass_error
-    class GraspFailed(PlanFailure):
-        # (docstring)
-        arm: str  # "left" or "right"
-        body: str
-        widths: Sequence[float] = kept_as(floats, default=())  # m, between the fingers
-
-        _template = "{arm} gripper can't grasp {body}"
-
-The fields are parameters of the constructor, and are recorded in this order. If the parameters differ from the fields,
-write an own ``__init__``, and call ``super().__init__(message)`` there.
+Most errors are dataclasses with a template for the message (:func:`dataclass_error`), such as :class:`ReadOnly`. The
+fields are parameters of the constructor, and are recorded in this order. If the parameters differ from the fields, an
+error has its own ``__init__``, which calls ``super().__init__(message)``.
 """
 
 from __future__ import annotations

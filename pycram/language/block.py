@@ -126,7 +126,8 @@ class Block:
         host = current_block()
         if host is not None and host is not self:
             host._refuse_early(f"call {name} directly in the {self.name} block", self)  # noqa: SLF001  same class
-        branch = Branch(name, action, self._changed, ordered=ordered, dropped=dropped, span=span)
+        own = span if span is not None else Span("branch", name)
+        branch = Branch(name, action, self._changed, own, ordered=ordered, dropped=dropped)
         branch.span.source = current_call_stack()
         branch.label = label or partial(call_label, branch.name, tuple(branch.span.parameters.values()), {})
         self._add(branch)
@@ -208,7 +209,7 @@ class Block:
         state = State.SUCCEEDED if raised is None else State.FAILED
         if isinstance(raised, Cancelled):
             state, raised = State.CANCELLED, None
-        branch = Branch(nested, lambda: None, self._changed)
+        branch = Branch(nested, lambda: None, self._changed, Span("branch", nested))
         self.branches.append(branch)
         self._settle(branch, state, error=raised)
 

@@ -12,6 +12,7 @@ import reprlib
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from contextvars import Context, copy_context
+from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from inspect import GEN_CREATED, getgeneratorstate
 from types import AsyncGeneratorType, CoroutineType, FunctionType, GeneratorType, MethodType
@@ -50,42 +51,32 @@ def _nothing() -> None:
     """Replace the action of an ended branch."""
 
 
+@dataclass(eq=False, repr=False)
 class Branch:
     """One action of a block, and its outcome.
 
     A branch runs in a copy of the context that added the branch. At its end, a branch releases its action and its
     context, because both may refer to the block.
-
-    Args:
-        changed: Condition of the block, notified when the branch ends.
-        ordered: Whether the branch waits only for earlier branches.
-        dropped: Called once if the branch never starts; must not raise an error.
-        span: Node of the task tree; by default a node of the kind "branch".
     """
 
-    def __init__(
-        self,
-        name: str,
-        action: Callable[[], Result],
-        changed: Condition,
-        *,
-        ordered: bool = False,
-        dropped: Callable[[], None] = _nothing,
-        span: Span | None = None,
-    ) -> None:
-        self.name = name
-        self.action = action
-        self.ordered = ordered
-        self.context = copy_context()
-        self.span = span if span is not None else Span("branch", name)
-        self.state = State.CREATED
-        self.error: BaseException | None = None  # the error that the action raised; None after success or cancellation
-        self.label: Callable[[], str] = partial(str, name)  # returns the branch's name with its arguments, for messages
-        self.runs_in = ""  # recorded name of the concurrent branch or thread that runs this branch; "" before its start
-        self._dropped = dropped
-        self._begun = False
-        self._changed = changed
-        self._result: Result = None
+    name: str
+    action: Callable[[], Result]
+    changed: Condition  # condition of the block, notified when the branch ends
+    span: Span  # node of the task tree
+    _: KW_ONLY
+    ordered: bool = False  # whether the branch waits only for earlier branches
+    dropped: Callable[[], None] = _nothing  # called once if the branch never starts; must not raise an error
+    context: Context = field(default_factory=copy_context, init=False)
+    state: State = field(default=State.CREATED, init=False)
+    error: BaseException | None = field(default=None, init=False)  # None after success or cancellation
+    label: Callable[[], str] = field(init=False)  # returns the branch's name with its arguments, for messages
+    #: Recorded name of the concurrent branch or thread that runs this branch; "" before its start.
+    runs_in: str = field(default="", init=False)
+    _begun: bool = field(default=False, init=False)
+    _result: Result = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.label = partial(str, self.name)
 
     @property
     def done(self) -> bool:
@@ -104,13 +95,13 @@ class Branch:
     def settle(self, state: State, result: Result = None, error: BaseException | None = None) -> None:
         """Set the outcome; called once."""
         if not self._begun:
-            self._dropped()
+            self.dropped()
             self.span.finish(error or Cancelled())  # the request of the span may already be on record
-        self.action, self.context, self._dropped = _nothing, _EMPTY_CONTEXT, _nothing
+        self.action, self.context, self.dropped = _nothing, _EMPTY_CONTEXT, _nothing
         self.label = partial(str, self.name)
         self._result, self.error = result, error
         self.state = state  # set after the outcome, because other threads read this value
-        self._changed.notify_all()
+        self.changed.notify_all()
 
     def abandon(self, error: BaseException) -> None:
         """Fail a branch that couldn't end because of an error, such as an error of a signal handler."""
@@ -119,7 +110,7 @@ class Branch:
 
     def wait(self, timeout: float | None = None) -> bool:
         """Wait for the branch; return whether it ends within the timeout (s). Raise Cancelled in a cancelled branch."""
-        return wait(self._changed, lambda: self.done, timeout, lambda: (f"the end of {self.name}", "", [self.runs_in]))
+        return wait(self.changed, lambda: self.done, timeout, lambda: (f"the end of {self.name}", "", [self.runs_in]))
 
     def result(self, timeout: float | None = None) -> Result:
         """Wait for the end of the branch; return its result, or raise its error. The timeout is in s.

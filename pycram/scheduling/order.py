@@ -1,9 +1,8 @@
 """Orders of branches that exploration requests.
 
 Branches have ranks, at first in the order in which they were added. The ready branch with the first rank runs until it
-waits or ends. The text ``added:2-1@3`` adds a :class:`Precedence` to this order: branch 2 overtakes branch 1 at the
-third stop of branch 1. ``pct:17:3:120`` is an order that :class:`Pct` draws, with number 17 and depth 3 over 120
-turns.
+waits or ends. The text ``added:2-1@3`` adds a :class:`Precedence`: branch 2 overtakes branch 1 at the third stop of
+branch 1. ``pct:17:3:120`` is the order that :class:`Pct` draws for number 17, depth 3 and 120 turns.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Runs of a sweep on this machine: each run is a forked child of this process, or of a worker process.
 
 If the process of a run crashes, hangs or is killed, the run is retried once. If the retry also fails, the run's
-recording contains the reason. :class:`Worker` starts another process if this process can't fork because it has worlds,
-or threads like those of Ray and Jupyter. The worker process keeps loaded modules and models between batches, and reads
-each batch as a line of JSON.
+recording contains the reason. A process that has worlds, or threads like those of Ray and Jupyter, can't fork runs; it
+starts a :class:`Worker`, whose process keeps loaded modules and models between batches.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ from recorder.mcap_sink import McapSink
 from recorder.mcap_writer import SharedModels, share_models
 from recorder.packages import versions
 from recorder.provenance import look_up_revisions, metadata
-from recorder.recording import record, redirected
+from recorder.recording import redirected
 from recorder.records import Mutation, Query, Record, Run, Task, format_failure
 from recorder.records.values import LEFT_OUT, is_secret
 from recorder.tracing.journal import NullSink, Sink
@@ -185,7 +184,8 @@ def run_once(
 
     with redirected(sink_of):
         if lost:
-            _record_loss(run, part, lost)
+            with suppress(RunLost), run.recorded(part, overwrite=True):
+                raise RunLost(lost)
         else:
             running.run(run, part, overwrite=True)
     sink = sinks[0] if sinks else None
@@ -210,21 +210,6 @@ def run_once(
         remark="; ".join(f"{type(error).__name__}: {error}" for error in errors),
     )
     return _answer(outcome, sink.models)
-
-
-def _record_loss(run: RunSpec, part: Path, cause: str) -> None:
-    recording = record(
-        part,
-        name=run.plan.stem,
-        arguments=run.arguments,
-        source=run.plan,
-        seed=run.seed,
-        environment=run.motion,
-        parameters=run.parameters,
-        overwrite=True,
-    )
-    with suppress(RunLost), recording:
-        raise RunLost(cause)
 
 
 def _answer(outcome: RunOutcome, models: Sequence[tuple[str, list[float], float]] = ()) -> bytes:

@@ -1,10 +1,9 @@
 """Attachments: the pairs of a carrier and a carried object, and the objects that move along with a moving object.
 
 An attached body keeps its pose relative to the carrier's link: without simulation it is moved with the carrier; in
-simulation, a fixed constraint holds it. Each of :func:`attach` and :func:`detach` is a transaction; :func:`put_back`,
-:func:`renew` and :func:`end` are parts of other transactions. A link supports a body if the body rests on the link,
-hangs just above its floor, or rests on a supported body. Bodies that a drawer supports move with the drawer. If a hand
-takes a body, bodies in or on this body are attached loosely (:func:`taken_along`).
+simulation, a fixed constraint holds it. A link supports a body if the body rests on the link, hangs just above its
+floor, or rests on a supported body. Bodies that a drawer supports move with the drawer. If a hand takes a body, bodies
+in or on this body are attached loosely (:func:`taken_along`).
 """
 
 from __future__ import annotations

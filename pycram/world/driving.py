@@ -1,12 +1,10 @@
 """Driving: bodies follow trajectories in simulated time, and plans wait until the trajectories have ended.
 
 Before each step, a motor gets the joint's planned position as its target, and the velocity to the next planned
-position. Motors of any gain follow their trajectories without lag. A base is set to its pose in each step, with all
-attached objects. Physics determines everything else: pushed objects move, and obstacles stop joints.
-
-Coasting: a body that follows its trajectory in free space moves as planned, and all resting bodies stay where they are.
-If all other bodies rest, and nothing is near the moving links at both ends of an interval of 1/30 s, the bodies are set
-to their positions at the interval's end. The engine's steps would take ten times as long.
+position. A base is set to its pose in each step, with all attached objects. Physics determines everything else: pushed
+objects move, and obstacles stop joints. Bodies coast during 1/30 s if all other bodies rest, and nothing is near the
+moving links at the beginning and at the end: the bodies are then set to their positions at the end. The engine's steps
+would take ten times as long.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ A property is an expression, with words in any order about when the expression m
     when     := within TIME | during MOMENTS | after MOMENTS | before MOMENTS
     MOMENTS  := task:PATH | EXPRESSION
 
-The default word is "always". Words in quotes or brackets belong to expressions.
+Without a word, a property means "always". Words in quotes or brackets belong to expressions.
 """
 
 from __future__ import annotations

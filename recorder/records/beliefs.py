@@ -1,9 +1,8 @@
 """The beliefs of robots about objects, computed from the records of their world.
 
-A robot believes that an object is where the latest look showed the object; after a grasp, in the hand; after a release,
-where the hand put down the object. When the object moves otherwise, the belief doesn't change until the next look. A
-robot has no beliefs about objects that it has neither seen nor held. A reset clears beliefs; restoring a saved state
-restores them.
+A robot believes that an object is where the latest look showed it; after a grasp, in the hand; after a release, where
+the hand put it down. When the object moves otherwise, the belief doesn't change until the next look. A robot has no
+beliefs about other objects. A reset clears beliefs; restoring a saved state restores them.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Motion, computed from records alone: frames of bodies and links, and progress on trajectories.
 
-The topic /tf has the frames as ``foxglove.FrameTransforms``. A base is named ``BODY``, another link ``BODY/LINK``;
-outside of the first world, ``WORLD//`` precedes the name. The root is ``world``. Frames have unique names, because
-``/`` and ``%`` in names are percent-encoded. Timestamps are simulated time. This code runs for every change of a plan,
-so it copies lists of records (``[:]``): protobuf's iterators take three times as long.
+The topic /tf has the frames as ``foxglove.FrameTransforms``, at simulated times. A base is named ``BODY``, another link
+``BODY/LINK``; outside of the first world, ``WORLD//`` precedes the name. ``/`` and ``%`` in names are percent-encoded.
+Lists of records are copied (``[:]``) for iteration: protobuf's own iterators take three times as long.
 """
 
 from __future__ import annotations

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from enum import Enum, auto
 from itertools import groupby, islice
+from linecache import getlines
 from pathlib import Path, PurePosixPath
 from types import BuiltinFunctionType, FrameType, FunctionType, ModuleType
 from typing import Any, Final, NamedTuple, TypeAlias
@@ -172,7 +173,7 @@ def _attach_files(files: Iterable[str]) -> None:
         source = Path(_unescaped.get(file, file))
         is_cell = notebook.is_cell(file)
         with suppress(OSError):  # the code has no file, or the file was deleted
-            text = notebook.source_of(str(source)) if is_cell else source.read_bytes()
+            text = "".join(getlines(str(source))).encode("utf-8", "replace") if is_cell else source.read_bytes()
             journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
 
 

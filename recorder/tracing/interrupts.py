@@ -1,9 +1,8 @@
 """Ctrl-C interrupts the plan's own Python immediately. Elsewhere, Ctrl-C is deferred, so that no state is broken.
 
-Python raises KeyboardInterrupt in the main thread between any two instructions. Ctrl-C waits for the end of a section
-(:class:`Uninterrupted`), which is a change or a record. In branches and in the plan language (:class:`Host`), Ctrl-C
-waits for the next checkpoint (:mod:`pycram.scheduling`). Our handler of SIGINT is installed only in the main thread, in
-sections and scopes of the plan language. Our handler calls the previous handler.
+Python raises KeyboardInterrupt between any two instructions. Ctrl-C therefore waits for the end of a section
+(:class:`Uninterrupted`): a change or a record. In branches and in the plan language (:class:`Host`), Ctrl-C waits for
+the next checkpoint. There, the main thread has our handler of SIGINT, which calls the previous handler.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 
 Records go into a bounded queue (:class:`LiveQueue`). A thread sends batches of records to a separate process
 (:func:`main`), because a viewer can block its client, fill the client's memory or prevent the client's exit. The
-process answers ``Status.READY`` or ``Status.ABSENT``, and then the number of shown records of each batch. An empty
-batch means the end.
+process answers with its :class:`Status`, then with each batch's number of shown records. An empty batch is the last.
 """
 
 from __future__ import annotations

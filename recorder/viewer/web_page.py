@@ -1,9 +1,8 @@
 """A web page that shows the viewer in browsers of this machine, to the user who has its address.
 
 Other users and pages of other servers must not get records. Each request must therefore contain the secret token of the
-address, name this server as its ``Host`` (against DNS rebinding), and have no other ``Origin`` than the page. The
-viewer's program contains the page's files, and serves them over HTTP on all addresses of the machine. The program
-therefore runs only until this process has read the files.
+address, name this server as its ``Host`` (against DNS rebinding), and have no other ``Origin`` than the page. The files
+of the page come from the viewer's program, which serves them to everybody, and so runs only until they are read.
 """
 
 from __future__ import annotations
