@@ -65,8 +65,9 @@ PROTO_OUT := .
 proto: .venv/ready-dev  ## compiles recorder/records/log.proto; its path is part of the descriptor's name, hence from here
 	$(BIN)/python -m grpc_tools.protoc --proto_path=. --python_out=$(PROTO_OUT) --pyi_out=$(PROTO_OUT) recorder/records/log.proto
 
-reference: .venv/ready-dev  ## writes docs/reference/designators.md and the typed constructors, from the code of motions and actions
+reference: .venv/ready-dev  ## writes pages of docs/reference and the typed constructors, from the code and the bundled models
 	$(BIN)/python -m docs.make_reference docs/reference/designators.md
+	$(BIN)/python -m docs.make_tables docs/reference
 	$(BIN)/python -m docs.make_constructors pycram
 
 docs: .venv/ready-dev  ## builds the site in site/, a folder for each version, as files for any web server

@@ -75,11 +75,7 @@ class Path:
 
 
 def find_path(
-    query: Query,
-    clearance: Clearance,
-    choice: Choice,
-    failure: NoPath | None = None,
-    earlier: Iterable[Array] = (),
+    query: Query, clearance: Clearance, choice: Choice, failure: NoPath | None = None, earlier: Iterable[Array] = ()
 ) -> Path:
     """Return a path that touches only objects that the robot touches at the ends.
 

@@ -1,4 +1,4 @@
-"""docs/reference/designators.md is what the code says, and what process modules declare to raise is what they may raise."""
+"""Pages of docs/reference are what the code says, and what process modules declare to raise is what they may raise."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from docs.make_reference import reference
+from docs.make_tables import ATTRIBUTES, bundled, objects, sizes, surfaces
 from pycram.actions.action import TYPES as ACTIONS
+from pycram.bullet_world import BulletWorld, Object
 from pycram.foundation.failures import NoPath, Unreachable
 from pycram.motions.execution import ContinuousExecution, Execution
 from pycram.motions.modules import default_modules
@@ -15,11 +17,30 @@ from pycram.motions.motion_types import TYPES as MOTIONS
 from tests.pycram.motions.raised import may_raise
 
 PAGE = Path(__file__).parents[2] / "docs" / "reference" / "designators.md"
+BUNDLED = PAGE.with_name("bundled.md")
 MODULES = default_modules()
 
 
 def test_the_page_is_what_make_reference_writes() -> None:
     assert PAGE.read_text(encoding="utf-8") == reference()
+
+
+def test_the_page_of_worlds_and_objects_is_what_make_reference_writes() -> None:
+    assert PAGE.with_name("objects.md").read_text(encoding="utf-8") == objects()
+    with BulletWorld() as world:
+        for each in (world, Object("milk", "milk", "milk.stl")):
+            assert all(hasattr(each, name) for name in ATTRIBUTES[type(each)])
+
+
+def test_the_page_of_bundled_models_has_their_sizes_and_surfaces() -> None:
+    page = BUNDLED.read_text(encoding="utf-8")
+    assert surfaces() in page
+    assert all(f"| {' | '.join((name, *size))} |" in page for name, size in sizes().items())
+
+
+@pytest.mark.long
+def test_the_page_of_bundled_models_is_what_make_reference_writes() -> None:
+    assert BUNDLED.read_text(encoding="utf-8") == bundled()
 
 
 def _sections(title: str) -> dict[str, str]:

@@ -33,6 +33,7 @@ from pycram.world.overlaps import sunk
 from pycram.world.world import BulletWorld
 from recorder import geometry
 from recorder.geometry import Pose, PoseLike
+from recorder.records.text import link_text
 
 _AWAY: Final = 0.02  # maximum distance in m between the object at rest and the place of its release
 _TURNED: Final = math.radians(10)  # maximum turn of the object from the given orientation, or from upright
@@ -216,16 +217,18 @@ def _failure(
     body: Object, target: Sequence[float], wanted: Pose, orientation: Sequence[float] | None, reasons: Sequence[str]
 ) -> PlaceFailed:
     touching = _touching(body, body.world.objects)
-    at = ", ".join(pair.body_link + " of " * bool(pair.body_link) + pair.body for pair in touching) or "nothing"
-    return PlaceFailed(
-        body.name,
-        target,
-        f"{', '.join(reasons)}; it touches {at}",
-        orientation=orientation,
-        wanted=wanted,
-        rest=body.get_position_and_orientation(),
-        touching=touching,
-    )
+    at = ", ".join(link_text(pair.body, pair.body_link) for pair in touching) or "nothing"
+    passed = [link_text(pair.body, pair.body_link) for pair in touching if _is_passed(body, pair, target)]
+    at += f"; the target is beyond the edge of {passed[0]}" if passed else ""
+    reason, rest = f"{', '.join(reasons)}; it touches {at}", body.get_position_and_orientation()
+    return PlaceFailed(body.name, target, reason, orientation=orientation, wanted=wanted, rest=rest, touching=touching)
+
+
+def _is_passed(body: Object, pair: CollisionPair, target: Sequence[float]) -> bool:
+    """Return whether a target is higher than the furniture's link that an object touches, but not above this link."""
+    other = body.world.get_object(pair.body)
+    low, high = other.get_AABB(pair.body_link or None)
+    return other.is_environment and high[2] < target[2] and not all(low[i] < target[i] < high[i] for i in (0, 1))
 
 
 def _pushed(neighbours: Mapping[Object, PoseLike]) -> list[str]:

@@ -53,9 +53,6 @@ def test_the_guide_lists_all_bundled_models() -> None:
     assert set(re.findall(r"`([\w.]+\.(?:urdf|stl))`", section)) == set(
         str(raised.value).partition(" are ")[2].split(", ")
     )
-    sizes = re.findall(r"`(\w+\.stl)` (\d+) x (\d+) x (\d+)", section)
-    assert len(sizes) == section.count(".stl`")
-    for name, *size in sizes:
+    for name in re.findall(r"`(\w+\.stl)`", section):
         lower, upper = 1000 * trimesh.load_mesh(find(name)).bounds
-        assert [round(length) for length in upper - lower] == [int(length) for length in size], name
         assert upper == pytest.approx(-lower, abs=0.1), f"the origin of {name} isn't its middle"
