@@ -43,12 +43,10 @@ class _Moment:
     moment: float | None
 
     def last_open(self, world: str | None) -> State:
-        """Return the state after the last step with an open world."""
         step = last_open_step(self.log, self.step, world)
         return replace(state_at(self.log, step), source=_Moment(self.log, step, None))
 
     def png(self, world: str) -> bytes | None:
-        """Return a small PNG picture of a world; None if it can't be made."""
         try:
             from replay.restore.render import DrawnWorld  # noqa: PLC0415  as in render()
 

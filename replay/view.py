@@ -50,19 +50,14 @@ def convert(
     sense, Damaged is raised.
     """
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".rrd", dir=path.parent)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+            part = Path(folder) / path.name
+            with stream_to_file(part) as stream:
+                translate(logs, stream, at, eyes, opens=opens)
+            part.chmod(0o644)
+            part.replace(path)
     except OSError as error:
         raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
-    os.close(handle)
-    try:
-        with stream_to_file(Path(name)) as stream:
-            translate(logs, stream, at, eyes, opens=opens)
-        Path(name).chmod(0o644)
-        Path(name).replace(path)
-    except OSError as error:
-        raise ReplayError(f"{path}: can't be written: {error.strerror or error}") from error
-    finally:
-        Path(name).unlink(missing_ok=True)
 
 
 def cached(log: RecordReader, at: int | None = None, eye: Eye = None) -> Path:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
-from collections import Counter
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from recorder.properties import BadProperty, Property, parse, parse_file
-from replay.cli.console import print_message, print_result, print_text
+from replay.cli.console import print_message, print_result
 from replay.errors import ReplayError
 from replay.explain.check import CheckedProperty, lines
 from replay.recording import Recording
@@ -47,13 +46,12 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> int:
                 rows.append((name, _check(log, properties)))
             except ReplayError as error:  # the run may have ended before an object was loaded
                 print_message(f"left out: {name}: {error}")
-    if options.json:
-        print_result(lambda: {name: report.data(found) for name, found in rows}, (), as_json=True)
-    held = Counter(each.verdict.statement.text for _, found in rows for each in found if each)
-    for number, each in enumerate(() if options.json else properties):
+    text = []
+    for number, each in enumerate(properties):
         violated = [name for name, found in rows if not found[number]]
         shown = f"; violated in {', '.join(violated[:3])}{', ...' if violated[3:] else ''}" if violated else ""
-        print_text(f"{each}: holds in {held[each.text]} of {plural(len(rows), 'run')}{shown}")
+        text.append(f"{each}: holds in {len(rows) - len(violated)} of {plural(len(rows), 'run')}{shown}")
+    print_result(lambda: {name: report.data(found) for name, found in rows}, text, as_json=options.json)
     return int(not all(each for _, found in rows for each in found))
 
 

@@ -35,7 +35,6 @@ from replay.report import phrases
 from replay.state.json_data import kind_of
 
 if TYPE_CHECKING:
-    from replay.debug.guided_plan import GuidedPlan
     from replay.debug.session import Halt, Session
 
 _HISTORY: Final = 1000  # maximum number of lines in the history of commands
@@ -92,14 +91,15 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(log: Recording, options: argparse.Namespace) -> None:
     from replay.debug.guided_plan import GuidedPlan  # noqa: PLC0415  needs the executor
-    from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415
+    from replay.debug.session import Session  # noqa: PLC0415  as above
+    from replay.retrace.plan_process import PlanProcess  # noqa: PLC0415  as above
 
     if options.json:
         raise ReplayError("debug prints text only; use another verb with --json")
     step = first_step(log, options.step)
     process = PlanProcess(log, options.plan, options.arguments, recorded_source=options.recorded_source)
     with GuidedPlan(process, checkpoints=not options.no_checkpoints) as plan:
-        session = new_session(log, plan)
+        session = Session(log, plan)
         print_message(f"the plan runs again up to step {min(step, plan.last)}; {AGAIN}")
         for note in plan.notes:
             print_message(f"note: {note}")
@@ -119,16 +119,6 @@ def first_step(log: Recording, step: int | str | None) -> int:
     return min(log.step("failure" if uncaught_failure(log) is not None else 0), last_own_step(log))
 
 
-def new_session(log: Recording, plan: GuidedPlan) -> Session:
-    """Return a session that shows the source lines that run, even if the files on the disk differ."""
-    from replay.debug.session import Session  # noqa: PLC0415  needs the executor
-
-    for file, source in plan.recorded_files.items():
-        lines = source.decode("utf-8", "replace").splitlines(keepends=True)
-        linecache.cache[str(file)] = len(source), None, lines, str(file)
-    return Session(log, plan)
-
-
 class Prompt(cmd.Cmd):
     """A prompt in the plan's frames. Commands come from a terminal or from stdin. Lines from stdin are echoed."""
 
@@ -144,6 +134,9 @@ class Prompt(cmd.Cmd):
         self.follow: Callable[[int], None] | None = None  # moves the viewer to a step; None without a viewer
         self._asks = self.use_rawinput = sys.stdin.isatty()
         self._coloured = has_colours(sys.stdout)
+        for file, source in session.plan.recorded_files.items():  # the files on the disk may differ
+            lines = source.decode("utf-8", "replace").splitlines(keepends=True)
+            linecache.cache[str(file)] = len(source), None, lines, str(file)
 
     def run(self) -> None:
         """Execute commands until the end of the input, or ``quit``."""

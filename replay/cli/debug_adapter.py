@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final, TypeAlias, cast
 from recorder.records import Failure, Output, Query, Task, argument_values
 from replay.cli import main
 from replay.cli.console import print_message, visible
-from replay.cli.debug import Prompt, first_step, new_session
+from replay.cli.debug import Prompt, first_step
 from replay.debug.guided_plan import GuidedPlan, PlanEnded
 from replay.debug.session import MOVES, Halt, Session, breakpoint_at
 from replay.errors import NoSuchName, ReplayError
@@ -213,7 +213,7 @@ class Adapter:
         process = PlanProcess(log, arguments.get("plan"), arguments.get("arguments"), recorded_source=source)
         plan = self._open.enter_context(GuidedPlan(process))
         self._start = min(step, plan.last)
-        self._prompt = Prompt(new_session(log, plan))
+        self._prompt = Prompt(Session(log, plan))
         self._output("".join(f"note: {each}\n" for each in plan.notes))
         self._then = partial(self._event, "initialized")
 

@@ -36,7 +36,6 @@ def add_source_and_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _chosen(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the choice of the plan, its arguments and its source."""
     return {name: getattr(options, name) for name in ("plan", "arguments", "recorded_source")}
 
 

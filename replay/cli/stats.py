@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import io
 import os
 import shlex
@@ -18,6 +17,7 @@ from urllib.parse import quote
 from replay.cli.console import print_message, print_result
 from replay.errors import ReplayError
 from replay.recording import Recording
+from replay.report import report
 from replay.report.phrases import one_line, percent, plural, short
 from replay.report.report import embedded, page, write
 from replay.runs.statistics import FailureCause, Slow, Statistics, plan_of, statistics
@@ -68,14 +68,8 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> None:
 
 def data(stats: Statistics) -> dict[str, object]:
     """Return statistics as JSON data, with the intervals of rates."""
-    facts = dataclasses.asdict(stats)
-    facts["success"] |= {"interval": stats.success.interval}
-    facts["parameters"] = {
-        name: [dataclasses.asdict(share) | {"interval": share.interval} for share in shares]
-        for name, shares in stats.parameters
-    }
-    facts["outcomes"], facts["others"] = dict(stats.outcomes), dict(stats.others)
-    return facts
+    pairs = {"parameters": stats.parameters, "outcomes": stats.outcomes, "others": stats.others}
+    return report.fields_data(stats) | {name: report.data(dict(each)) for name, each in pairs.items()}
 
 
 def summary_lines(stats: Statistics) -> Iterator[str]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from recorder.packages import require
 from recorder.records import format_error
-from replay.cli.console import print_json, print_message, print_text
+from replay.cli.console import print_message, print_result
 from replay.cli.main import FINE, INCOMPLETE, USAGE
 from replay.cli.retrace import AGAIN
 from replay.errors import Damaged, ReplayError
@@ -64,14 +65,10 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     origins = _origins(log, why, options)
     code, pictures = _pictures(log, why, options.pictures)
     good = good_run(log, why)
-    if options.json:
-        found = {} if origins is None else {"origins": report.data(origins)}
-        print_json(why_report.data(why, good) | {"pictures": pictures} | found)
-    else:
-        values = () if origins is None else origins.lines()
-        print_text("\n".join(why_report.lines(why, str(log.path), values, good)))
-        if pictures:
-            print_text("\n".join(("", "Pictures of the failure", *(f"  {path}" for path in pictures))))
+    found = {} if origins is None else {"origins": report.data(origins)}
+    drawn = ["", "Pictures of the failure", *(f"  {path}" for path in pictures)] if pictures else []
+    lines = chain(why_report.lines(why, str(log.path), () if origins is None else origins.lines(), good), drawn)
+    print_result(lambda: why_report.data(why, good) | {"pictures": pictures} | found, lines, as_json=options.json)
     return code
 
 
@@ -95,10 +92,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> None:
             headline, *sections = "\n".join(why_report.lines(why, good=good)).split("\n\n")
             shown = [headline, *(part for part in sections if part.startswith(("Why", "Compared")))]
             text += [f"first in {cause.first}:", *(f"  {each}".rstrip() for each in "\n\n".join(shown).splitlines())]
-    if options.json:
-        print_json({"runs": stats.success.of, "failed": failed, "causes": explained})
-    else:
-        print_text("\n".join(text))
+    print_result(lambda: {"runs": stats.success.of, "failed": failed, "causes": explained}, text, as_json=options.json)
 
 
 def _origins(log: Recording, why: Why, options: argparse.Namespace) -> Origins | None:

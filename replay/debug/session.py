@@ -23,6 +23,7 @@ from replay.debug.stopped_plan import WatchedExpression
 from replay.errors import NoSuchName, NoSuchStep, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.history.source import Site, is_file, name_of, sites
+from replay.history.steps import is_called
 from replay.report.question import written
 from replay.state.fold import state_at
 
@@ -351,12 +352,7 @@ def breakpoint_at(log: Recording, timeline: Timeline, number: int, place: str) -
     match = _LINE.fullmatch(place)
     if match is not None and not place.startswith("task:"):
         return _at_line(timeline, number, match["file"], int(match["line"]))
-    searched = place.strip("/").casefold().split("/")[::-1]
-    steps = [
-        step
-        for step, task in timeline.tasks.items()
-        if task.kind == place or [each.name.casefold() for each in task.around()][: len(searched)] == searched
-    ]
+    steps = [step for step, task in timeline.tasks.items() if task.kind == place or is_called(task, place)]
     if steps:
         return Breakpoint(number, f"task {place}", steps)
     try:

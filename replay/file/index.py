@@ -17,6 +17,7 @@ from typing import BinaryIO, Final
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import AttachmentIndex, Channel, Footer, Header, Metadata, MetadataIndex, Schema, Statistics
+from zstandard import ZstdDecompressor
 
 from recorder.mcap_writer import FREE, MAX_RATIO
 from replay.errors import LogClosed
@@ -32,8 +33,8 @@ from replay.file.mcap_format import (
     MAGIC,
     MAX_INFLATED,
     ChunkExtent,
-    Decompressor,
     Extent,
+    decompressed,
     framed,
     indexed_chunk,
 )
@@ -67,7 +68,7 @@ class Index:
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self.size = os.fstat(file.fileno()).st_size  # size of the file in bytes at the last scan
-        self._decompressor = Decompressor()
+        self._zstd = ZstdDecompressor()  # not thread-safe
         self.closed = False  # whether the recorder closed the file
         self.whole = False  # whether the summary is intact
         self.damage: list[str] = []  # damaged parts, as text
@@ -156,7 +157,7 @@ class Index:
         size = CHUNK_HEAD.unpack_from(chunk)[2]
         if size <= MAX_INFLATED:  # a chunk with more bytes is rejected before it is inflated
             self._inflated.take(number, size, max(FREE, MAX_RATIO * self.size), _TOO_MUCH)
-        return self._decompressor.contents(chunk)
+        return decompressed(chunk, self._zstd)
 
     def check(self) -> None:
         """Compare the checksum of all bytes with the stored checksum; add a difference to ``damage``.

@@ -101,43 +101,38 @@ def describe(error: Exception) -> str:
     return str(error) or type(error).__name__
 
 
-class Decompressor:
-    """A decompressor of chunks; not thread-safe.
+def decompressed(chunk: memoryview, zstd: ZstdDecompressor) -> bytes:
+    """Return the messages of a chunk; raise CHUNK_DAMAGE if it is damaged.
 
     A chunk never takes more memory than its header states, and the stated size is limited. Otherwise, a chunk of a few
     kB could inflate to GB.
     """
+    _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
+    if size > MAX_INFLATED:
+        raise ValueError(f"its header states {size} bytes; the maximum is {MAX_INFLATED}")
+    start = CHUNK_HEAD.size + length
+    end = start + 8 + int.from_bytes(chunk[start : start + 8], "little")
+    data = _inflated(bytes(chunk[CHUNK_HEAD.size : start]), chunk[start + 8 : end], size, zstd)
+    if len(data) != size:
+        raise ValueError(f"it has {len(data)} bytes, but its header states {size}")
+    if crc and zlib.crc32(data) != crc:
+        raise ValueError("its checksum differs")
+    return data
 
-    def __init__(self) -> None:
-        self._zstd = ZstdDecompressor()
 
-    def contents(self, chunk: memoryview) -> bytes:
-        """Return the messages of a chunk; raise CHUNK_DAMAGE if it is damaged."""
-        _, _, size, crc, length = CHUNK_HEAD.unpack_from(chunk)
-        if size > MAX_INFLATED:
-            raise ValueError(f"its header states {size} bytes; the maximum is {MAX_INFLATED}")
-        start = CHUNK_HEAD.size + length
-        end = start + 8 + int.from_bytes(chunk[start : start + 8], "little")
-        data = self._inflated(bytes(chunk[CHUNK_HEAD.size : start]), chunk[start + 8 : end], size)
-        if len(data) != size:
-            raise ValueError(f"it has {len(data)} bytes, but its header states {size}")
-        if crc and zlib.crc32(data) != crc:
-            raise ValueError("its checksum differs")
-        return data
+def _inflated(compression: bytes, data: memoryview, size: int, zstd: ZstdDecompressor) -> bytes:
+    if compression == b"zstd":
+        if frame_content_size(data) > size:
+            raise ValueError(f"it inflates to {frame_content_size(data)} bytes, but its header states {size}")
+        return zstd.decompress(data, max_output_size=size)
+    if compression == b"lz4":
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415  seldom needed
 
-    def _inflated(self, compression: bytes, data: memoryview, size: int) -> bytes:
-        if compression == b"zstd":
-            if frame_content_size(data) > size:
-                raise ValueError(f"it inflates to {frame_content_size(data)} bytes, but its header states {size}")
-            return self._zstd.decompress(data, max_output_size=size)
-        if compression == b"lz4":
-            from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]  # noqa: PLC0415  seldom needed
-
-            inflated: bytes = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
-            return inflated
-        if not compression:
-            return bytes(data)
-        raise ValueError(f"its compression {compression[:16]!r} is unknown")
+        inflated: bytes = LZ4FrameDecompressor().decompress(data, max_length=size + 1)
+        return inflated
+    if not compression:
+        return bytes(data)
+    raise ValueError(f"its compression {compression[:16]!r} is unknown")
 
 
 #: Maximum number of messages within a record; eight texts count as a message. An empty message takes two bytes in a

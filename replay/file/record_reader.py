@@ -19,25 +19,7 @@ from typing import Any, BinaryIO, Final, Self, TypeVar, overload
 from recorder import system
 from recorder.errors import similar_files
 from recorder.mcap_writer import MODELS_LIBRARY
-from recorder.records import (
-    PACKAGE,
-    TOPICS,
-    UNKNOWN,
-    Check,
-    Event,
-    Fluent,
-    Keyframe,
-    Mutation,
-    Output,
-    Query,
-    Record,
-    Refusal,
-    Run,
-    Subscription,
-    Task,
-    format_number,
-    unknown_definitions,
-)
+from recorder.records import PACKAGE, TOPICS, UNKNOWN, Keyframe, Mutation, Record, format_number, unknown_definitions
 from replay.errors import Damaged, LogClosed, MissingModels, NoSuchName, NoSuchStep, NotALog, ReplayError, Unreadable
 from replay.file.assets import Assets
 from replay.file.chunks import KINDS, Chunks, Kinds, kinds_of
@@ -48,7 +30,7 @@ from replay.file.repair import Losses, lost_before, range_text, write_sound
 
 __all__ = ["KINDS", "RecordReader"]
 
-R = TypeVar("R", Run, Task, Mutation, Event, Subscription, Fluent, Query, Refusal, Keyframe, Output, Check)
+R = TypeVar("R", bound=Record)
 
 _MIN_MAGIC: Final = len(MAGIC) - 2  # minimum number of correct bytes among the first bytes of a file
 _NONBLOCK: Final = getattr(os, "O_NONBLOCK", 0)  # with this flag, opening a pipe doesn't wait for a writer

@@ -64,7 +64,7 @@ class Flow:
         guards: dict[ast.AST, tuple[int, ...]] = {}
         for _, block in ast.iter_fields(node):
             statements = [each for each in block if isinstance(each, ast.stmt)] if isinstance(block, list) else []
-            lines = [each.lineno for each in statements if not isinstance(each, _DECLARING) and not _is_text(each)]
+            lines = [each.lineno for each in statements if not isinstance(each, _DECLARING) and not _is_docstring(each)]
             self._before |= {line: lines[max(at - _BEFORE, 0) : at] for at, line in enumerate(lines)}
             guards |= _guards(statements)
         for child in ast.iter_child_nodes(node):
@@ -135,8 +135,7 @@ def _weight(statement: ast.stmt) -> float:
     return _PASSED * (1 - own + parks) + _LOADING * bool(names & {"Object", "BulletWorld"})
 
 
-def _is_text(statement: ast.stmt) -> bool:
-    """Return whether a statement is a docstring."""
+def _is_docstring(statement: ast.stmt) -> bool:
     return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
 
 
@@ -175,7 +174,6 @@ class _Source:
         self.blocks = [block for block in fields if block and isinstance(block[0], ast.stmt)]
 
     def all(self, kind: Any) -> list[Any]:
-        """Return the nodes of a kind."""
         return [node for node in self.nodes if isinstance(node, kind)]
 
     def function_of(self, node: Any) -> Any:

@@ -9,6 +9,7 @@ from typing import Final
 
 from recorder.errors import suggestion
 from recorder.records import STEPS_PER_SECOND, Keyframe, Mutation, Task
+from recorder.tasks import Node, Tree
 from replay.errors import NoSuchStep
 from replay.file.lifetimes import Lifetime, closes_world
 from replay.file.record_reader import RecordReader
@@ -70,40 +71,37 @@ def task_step(log: RecordReader, text: str) -> int:
     if match is None:
         raise NoSuchStep(repr(text), len(log), "the step of a task is task:PATH@start or task:PATH@end")
     number = int(match["which"] or 1)
-    executions = _executions(log, match["path"], number)
-    if not number or len(executions) < abs(number):
+    tasks = _tasks(log, match["path"], number)
+    if not number or len(tasks) < abs(number):
         names = (record.name for record in log.records(Task))
         hint = f"no task matches {match['path']!r}; {suggestion(match['path'].rpartition('/')[2], names)}"
-        if executions:
-            hint = f"{len(executions)} tasks match {match['path']!r}; #1 is the first, #-1 the last"
+        if tasks:
+            hint = f"{len(tasks)} tasks match {match['path']!r}; #1 is the first, #-1 the last"
         raise NoSuchStep(repr(text), len(log), hint)
-    step = executions[number - 1 if number > 0 else number][match["end"] == "end"]
-    if step is None:
+    task = tasks[number - 1 if number > 0 else number]
+    if match["end"] == "start":
+        return task.started.seq
+    if task.finished is None:
         raise NoSuchStep(repr(text), len(log), "the recording ends before the end of this task")
-    return step
+    return task.finished.seq
 
 
-def _executions(log: RecordReader, path: str, number: int) -> list[list[int | None]]:
-    """Return the start and end steps of the first ``number`` tasks that match a path."""
-    searched = tuple(path.strip("/").casefold().split("/"))
-    paths: dict[int, tuple[str, ...]] = {}  # names of tasks, outermost first, by id of the running task
-    executions: list[list[int | None]] = []
-    running: dict[int, list[int | None]] = {}
+def _tasks(log: RecordReader, path: str, number: int) -> list[Node]:
+    """Return the first ``number`` tasks that match a path, or all if the number isn't positive."""
+    tree, found = Tree(limit=0), list[Node]()  # only unfinished tasks stay in memory
     for record in log.records(Task):
-        if record.phase == Task.STARTED:
-            names = (*paths.get(record.parent, ()), record.name.casefold())[-len(searched) :]
-            paths[record.task] = names
-            if names == searched or path == str(record.task):
-                running[record.task] = [record.seq, None]
-                executions.append(running[record.task])
-        elif record.phase == Task.FINISHED:
-            paths.pop(record.task, None)
-            ended = running.pop(record.task, None)
-            if ended is not None:
-                ended[1] = record.seq
-            if len(executions) == number > 0 and executions[-1][1] is not None:
-                break
-    return executions
+        task = tree.apply(record)
+        if record.phase == Task.STARTED and (is_called(task, path) or path == str(task.id)):
+            found.append(task)
+        elif len(found) == number > 0 and found[-1].finished is not None:
+            break
+    return found
+
+
+def is_called(task: Node, path: str) -> bool:
+    """Return whether the names of a task and of the tasks around it end with a path, such as ``par/moving``."""
+    searched = path.strip("/").casefold().split("/")[::-1]
+    return [each.name.casefold() for each in task.around()][: len(searched)] == searched
 
 
 def _at_time(log: RecordReader, seconds: float, text: str) -> int:

@@ -87,7 +87,7 @@ def parse(text: str) -> QueryCall:
         query = _identifier(call.func)
         arguments = tuple(_term(node) for node in call.args)
         keywords = {str(keyword.arg): _term(keyword.value) for keyword in call.keywords if keyword.arg is not None}
-    except (_NotATerm, RecursionError) as error:
+    except (ReplayError, RecursionError) as error:
         cause = str(error) or "it is nested too deeply"
         raise BadQuestion(text, f"{cause}; arguments are names, strings, numbers and lists") from None
     if any(keyword.arg is None for keyword in call.keywords):
@@ -97,12 +97,8 @@ def parse(text: str) -> QueryCall:
     return QueryCall(query, arguments, keywords)
 
 
-class _NotATerm(Exception):
-    """A part of the question that isn't allowed."""
-
-
 def _term(node: ast.expr) -> Term:
-    """Return an argument; raise :class:`_NotATerm` for other expressions."""
+    """Return an argument; raise ReplayError for other expressions."""
     if isinstance(node, ast.Name) and node.id in _LITERALS:
         return _LITERALS[node.id]
     if isinstance(node, ast.Name | ast.Attribute):
@@ -115,7 +111,7 @@ def _term(node: ast.expr) -> Term:
             return -number if isinstance(node.op, ast.USub) else number
     if isinstance(node, ast.Constant) and (node.value is None or isinstance(node.value, bool | int | float | str)):
         return node.value
-    raise _NotATerm(f"{ast.unparse(node)} can't be an argument (put a name that isn't an identifier into quotes)")
+    raise ReplayError(f"{ast.unparse(node)} can't be an argument (put a name that isn't an identifier into quotes)")
 
 
 def _identifier(node: ast.expr) -> str:
@@ -124,7 +120,7 @@ def _identifier(node: ast.expr) -> str:
         return node.attr
     if isinstance(node, ast.Name):
         return node.id
-    raise _NotATerm(f"{ast.unparse(node)} isn't a name")
+    raise ReplayError(f"{ast.unparse(node)} isn't a name")
 
 
 def written(name: str) -> str:

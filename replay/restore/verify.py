@@ -51,7 +51,7 @@ class _Verifier(Verifier):
         self.environment = other_versions(log.metadata, *_ENVIRONMENT_KEYS)
 
     def forget(self) -> None:
-        """Forget all worlds, because records are missing."""
+        super().forget()
         self._reexecution.forget()
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:
@@ -101,7 +101,7 @@ class _Verifier(Verifier):
         world = self._reexecution.worlds.get(record.world)
         if world is None:  # the world has already ended
             return None
-        state = self.integrity.world(record.world)
+        state = self.state(record.world)
         if not record.HasField("simulate"):
             worst = _worst(world, state)
             if worst is not None and worst.size > _LATE_TOLERANCE:
@@ -113,7 +113,7 @@ class _Verifier(Verifier):
 
     def _follow(self, record: Mutation) -> None:
         """Set a world to the state after the record. From then on, the world is compared with a tolerance."""
-        world, state = self._reexecution.worlds.get(record.world), self.integrity.world(record.world)
+        world, state = self._reexecution.worlds.get(record.world), self.state(record.world)
         self._reexecution.late.add(record.world)
         with unrecorded():
             for body in world.objects if world is not None else ():
@@ -121,7 +121,7 @@ class _Verifier(Verifier):
 
     def _compare_elsewhere(self, record: Mutation, deviation: Deviation) -> Problem | None:
         world = self._reexecution.worlds.get(record.world)
-        worst = deviation if world is None else _worst(world, self.integrity.world(record.world)) or deviation
+        worst = deviation if world is None else _worst(world, self.state(record.world)) or deviation
         if worst.size > OTHER_ENVIRONMENT_TOLERANCE:
             where = ", ".join(self.environment)
             return self._problem(record, f"{_DIFFERENT}; but the environment is different: {where}", worst)
@@ -133,7 +133,7 @@ class _Verifier(Verifier):
             self.largest = deviation
 
     def _problem(self, record: Keyframe | Mutation, cause: str, deviation: Deviation | None = None) -> Problem:
-        return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self.integrity.tasks.path(record.task))
+        return Problem(record.seq, f"{cause} ({text_of(record)[0]})", deviation, self.tasks.path(record.task))
 
 
 def _worst(world: BulletWorld, state: World) -> Deviation | None:

@@ -182,7 +182,6 @@ class _LastMutation(NullSink):
         self.record: Mutation | None = None
 
     def write(self, topic: str, record: Record, payload: bytes) -> None:  # noqa: ARG002
-        """Keep a record."""
         if isinstance(record, Mutation):
             self.record = Mutation.FromString(payload)
 

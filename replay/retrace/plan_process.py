@@ -124,14 +124,15 @@ class PlanProcess:
         self._until = until
         self._edited = plan is not None
         self._source: _RecordedSource | None = None
+        if plan is None and not began.program:
+            raise CantRetrace(f"{log.path}: the recording names no plan, because it was made at a prompt; use --plan")
+        self.program = Path(began.program if plan is None else plan)  # file of the plan
         if recorded_source:
-            self.program = _recorded_program(log, began)  # file of the plan
             self._source = _RecordedSource(log, began, self.program)
+        elif not self.program.is_file():
+            raise CantRetrace(f"{self.program}: there is no such plan; name it with --plan, or use --recorded-source")
         else:
-            program = _recorded_program(log, began) if plan is None else Path(plan)
-            if not program.is_file():
-                raise CantRetrace(f"{program}: there is no such plan; name it with --plan, or use --recorded-source")
-            self.program = program.absolute()
+            self.program = self.program.absolute()
         self.arguments = list(began.arguments) if arguments is None else list(arguments)
         if any(LEFT_OUT in each.value_json for each in began.parameters):
             raise CantRetrace(f"{log.path}: secret parameters weren't recorded, so the plan can't run again")
@@ -229,7 +230,8 @@ class PlanProcess:
     @property
     def recorded_files(self) -> Mapping[Path, bytes]:
         """The recorded source, by path; empty if the files on the disk run."""
-        return {} if self._source is None else self._source.texts
+        files = {} if self._source is None else self._source.files
+        return {self.program.parent / place: text for place, text in files.items()}
 
     def guidance(
         self, until: int | None = None, changes: Sequence[Change] = (), *, take_answers: bool = False
@@ -312,12 +314,6 @@ def _refuse_unrepeatable(log: RecordReader, until: int | None) -> None:
             raise CantRetrace(f"{log.path}: from step {record.seq} on {what}; {why}. Fork before that step")
 
 
-def _recorded_program(log: RecordReader, began: Run) -> Path:
-    if not began.program:
-        raise CantRetrace(f"{log.path}: the recording names no plan, because it was made at a prompt; use --plan")
-    return Path(began.program)
-
-
 class _RecordedSource:
     """The recorded source of the plan ``program``; raise CantRetrace if the plan's source isn't attached."""
 
@@ -339,11 +335,6 @@ class _RecordedSource:
                 self.files[fitting[0].relative_to(program.parent)] = log.assets[key]
             else:
                 self.left_out.append(name_of(key))
-
-    @property
-    def texts(self) -> dict[Path, bytes]:
-        """The attached files, by their original path."""
-        return {self.program.parent / place: text for place, text in self.files.items()}
 
     def write(self, folder: Path) -> Path:
         """Write the source into a folder, with links to the plan's other files. Return the plan's file there."""

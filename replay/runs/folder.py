@@ -13,13 +13,13 @@ import json
 import os
 import re
 import shutil
-import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from glob import escape
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import duckdb
@@ -228,17 +228,14 @@ class Folder:
     def _write_part(self, tables: Mapping[str, pa.Table]) -> str:
         part = f"{self._contents.next:06}"
         self._contents.next += 1
-        partial = Path(tempfile.mkdtemp(prefix=f".{part}.", dir=self.tables))
-        try:
+        with TemporaryDirectory(prefix=f".{part}.", dir=self.tables, ignore_cleanup_errors=True) as partial:
             for name, table in tables.items():
-                parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
+                parquet.write_table(table, Path(partial) / f"{name}.parquet", compression="zstd")
             shutil.rmtree(self.tables / part, ignore_errors=True)  # a killed update may have left this part
             mask = os.umask(0)
             os.umask(mask)
-            partial.chmod(0o777 & ~mask)
-            partial.rename(self.tables / part)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)  # the folder may exist under its old name
+            Path(partial).chmod(0o777 & ~mask)
+            Path(partial).rename(self.tables / part)
         return part
 
     # --- locks -------------------------------------------------------------------------------------------------------

@@ -11,12 +11,11 @@ from __future__ import annotations
 import json
 import math
 import os
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import numpy as np
@@ -85,8 +84,8 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
         raise ReplayError(f"{runs.path}: the runs have different robots ({', '.join(kinds)}); a data set has one robot")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))
-        try:
+        with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent, ignore_cleanup_errors=True) as name:
+            partial = Path(name)
             with ExitStack() as files:
                 videos = None
                 if draw is not None:
@@ -94,8 +93,6 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
                 frames = _Writer(partial, runs, list(robots), kinds[0], videos).write()
             partial.chmod(0o755)
             partial.rename(folder)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)  # the folder may exist under its old name
     except OSError as error:
         raise ReplayError(f"{folder}: can't be written: {error.strerror or error}") from error
     return Exported(folder, tuple(robots), frames, tuple(name for name in names if name not in robots))
@@ -371,7 +368,6 @@ class _Videos:
         return {"dtype": "video", "shape": [height, width, 3], "names": ["height", "width", "channels"], "info": info}
 
     def statistics(self, frames: int) -> dict[str, Any]:
-        """Return LeRobot's statistics for the normalisation of all pictures."""
         return _picture_statistics(self._counts, frames)
 
     @property
@@ -417,7 +413,6 @@ class _Videos:
             self._container.mux(self._stream.encode(frame))
 
     def close(self) -> None:
-        """Complete the present video."""
         if self._container is not None:
             self._encode(None)  # flush the codec
             self._container.close()

@@ -147,7 +147,6 @@ class _Rows:
         self._failing: set[int] = set()  # ids of tasks in which a part failed
 
     def add(self, record: Record) -> None:
-        """Add the rows of a record."""
         if self.first is None:
             self.first = record
         self.last = record
@@ -168,7 +167,6 @@ class _Rows:
             self._run(record) if isinstance(record, Run) else self._check(record)
 
     def columns(self, table: str) -> Sequence[Sequence[Any]]:
-        """Return the columns of a table."""
         return self._many.get(table) or [[row[name] for row in self._of[table]] for name in COLUMNS[table]]
 
     def _append(self, table: str, record: Record, **values: Any) -> dict[str, Any]:

@@ -135,13 +135,12 @@ def _pair(fact: Fact, facts: Sequence[Fact], cases: Sequence[ComparedRun]) -> tu
     others = [number for number in sorted(fact.known - fact.true) if not cases[number].failed]
     if not others:
         return cases[failed[0]].run, ""
-    alike: Counter[tuple[int, int]] = Counter()
-    for a in failed[:5]:
-        for other in facts:
-            if a in other.known:
-                for b in others:
-                    alike[a, b] += b in other.known and (a in other.true) == (b in other.true)
-    a, b = max(((a, b) for a in failed[:5] for b in others), key=lambda pair: (alike[pair], -pair[0], -pair[1]))
+
+    def alike(a: int, b: int) -> int:
+        known = (other for other in facts if a in other.known and b in other.known)
+        return sum((a in other.true) == (b in other.true) for other in known)
+
+    a, b = max(((a, b) for a in failed[:5] for b in others), key=lambda pair: (alike(*pair), -pair[0], -pair[1]))
     return cases[a].run, cases[b].run
 
 
@@ -214,7 +213,6 @@ class _Sites:
         self.marks[number].setdefault(name, (step, self.branches[number].get(task, "")))
 
     def parameters(self, runs: Runs) -> None:
-        """Add the parameters of runs."""
         for run, parameters in runs.sql("SELECT run, parameters FROM runs").rows():
             number = self.numbers.get(run)
             if number is not None:

@@ -6,7 +6,6 @@ because something changed between the sweeps, or because a seed doesn't determin
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import shlex
 from collections import Counter
@@ -280,13 +279,15 @@ def _ended(runs: Runs, plan: str) -> dict[tuple[str, str, str], tuple[str, bool]
     return {(number, seed, given): (run, succeeded) for number, seed, given, run, succeeded in rows.rows()}
 
 
+@report.data.register(Share)
+def _(share: Share) -> dict[str, object]:
+    return report.fields_data(share) | {"interval": list(share.interval)}
+
+
 @report.data.register(FolderComparison)
 def _(found: FolderComparison) -> dict[str, object]:
-    facts = dataclasses.asdict(found)
-    for name, share in (("first", found.first), ("second", found.second)):
-        facts[name] |= {"interval": share.interval}
-    facts["causes"] = [{"cause": cause, "first": a, "second": b} for cause, a, b in found.causes]
-    return facts | {"effect": found.effect, "interval": list(found.interval)}
+    causes = [{"cause": cause, "first": a, "second": b} for cause, a, b in found.causes]
+    return report.fields_data(found) | {"causes": causes, "effect": found.effect, "interval": list(found.interval)}
 
 
 def lines(found: FolderComparison, first: Path, second: Path) -> Iterator[str]:

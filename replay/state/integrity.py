@@ -9,7 +9,7 @@ runs have a failure, and no others have. Every keyframe equals the state that th
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -76,91 +76,6 @@ class Problem:
     cause: str
     deviation: Deviation | None = None  # the first value that is wrong
     task: tuple[str, ...] = ()  # names of the tasks around that step, outermost first
-
-
-class Integrity:
-    """Checks records in order. ``lost`` has the missing steps, after which worlds are unknown."""
-
-    def __init__(self, lost: Iterable[range] = (), *, newer: bool = False) -> None:
-        self._lost = tuple(lost)
-        self.steps = self._next = 0
-        self.keyframes = 0  # number of keyframes that were compared with the state before
-        self.tasks = TaskIntegrity(newer=newer)
-        self.resumed = False  # whether records before the last record are missing
-        self._time = self._monotonic = 0
-        self._events: set[int] = set()
-        self._worlds: dict[str, FoldedWorld] = {}
-
-    def world(self, name: str) -> World:
-        """Return the present state of a world if it is known."""
-        return world_of(self._worlds[name])
-
-    def knows(self, world: str) -> bool:
-        """Return whether the state of a world is known after the last missing records."""
-        return world in self._worlds
-
-    def check(self, record: Record) -> Problem | None:
-        """Check the next record. Return the record's problem, or a problem of the previous records."""
-        step, expected = record.seq, self._next
-        self.resumed = step > expected and any(expected in gap and step - 1 in gap for gap in self._lost)
-        if self.resumed:
-            self.tasks.resume()
-            self._worlds.clear()
-        elif step != expected:
-            lost = str(expected) if step == expected + 1 else f"{expected} to {step - 1}"
-            return Problem(expected, f"step {lost} is missing, so its consequences can't be checked")
-        self._next = step + 1
-        self.steps += 1
-        cause = self._check_envelope(record)
-        if cause:
-            pass
-        elif isinstance(record, Task):
-            cause = self.tasks.check(record)
-        elif not self.tasks.knows(record.task):
-            cause = f"its task {record.task} never started"
-        elif isinstance(record, Run):
-            cause = self.tasks.check_run(record)
-        deviation = None
-        before = (
-            world_of(self._worlds[record.world]) if isinstance(record, Keyframe) and self.knows(record.world) else None
-        )
-        if isinstance(record, Mutation | Keyframe | Query) and not cause:
-            cause = self._apply_change(record)
-        if isinstance(record, Keyframe) and before is not None and not cause:
-            deviation = self._compare_keyframe(record, before)
-            cause = "" if deviation is None else "the keyframe differs from the fold of the previous records"
-        return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
-
-    def _check_envelope(self, record: Record) -> str:
-        before = self._time, self._monotonic
-        self._time, self._monotonic = record.wall_time_ns, record.monotonic_ns
-        if record.wall_time_ns < before[0]:
-            return "its wall time is before the wall time of the previous step"
-        if record.monotonic_ns < before[1]:
-            return "its monotonic time is before the monotonic time of the previous step"
-        if record.cause and record.cause not in self._events and not self.tasks.partial:
-            return f"its cause, step {record.cause}, isn't a previous event"
-        if isinstance(record, Event | Envelope):
-            self._events.add(record.seq)
-        return ""
-
-    def _apply_change(self, record: Mutation | Keyframe | Query) -> str:
-        opens = not isinstance(record, Mutation) or record.HasField("open_world")
-        if not opens and self.tasks.partial and not self.knows(record.world):
-            return ""
-        try:
-            apply(self._worlds, record)
-        except (ValueError, IndexError) as error:
-            return f"the record is inconsistent: {error}"
-        return ""
-
-    def _compare_keyframe(self, frame: Keyframe, before: World) -> Deviation | None:
-        self.keyframes += 1
-        loaded: list[Plain] = [body.body for body in frame.loaded]
-        states: list[Plain] = [body.body for body in frame.bodies]
-        if loaded != states:
-            return Deviation("bodies", states, loaded)
-        return first_deviation(_plain(world_of(self._worlds[frame.world])), _plain(before), frame.world)
 
 
 def _plain(world: World) -> Plain:
@@ -352,14 +267,15 @@ def verify_static(log: RecordReader, progress: Callable[[int], None] | None = No
 
 
 class Verifier:
-    """A verifier of a recording. :meth:`check` is called with each consistent change and keyframe."""
+    """A verifier of a recording, which checks all records in order. Subclasses also repeat the changes."""
 
     static = True
 
     def __init__(self, log: RecordReader) -> None:
         self.log = log
-        self.integrity = Integrity(log.lost_before, newer=log.newer is not None)
-        self.changes = 0
+        self.tasks = TaskIntegrity(newer=log.newer is not None)
+        self.changes = self._steps = 0
+        self._keyframes = 0  # number of keyframes that were compared with the state before
         self.worlds: set[tuple[str, int]] = set()
         self.late: dict[str, None] = {}
         self.dragged: dict[str, None] = {}
@@ -368,16 +284,19 @@ class Verifier:
         self.largest: Deviation | None = None
         self.damage: list[str] = []  # damage of records
         self._depths: dict[int, int] = {}
+        self._next = self._time = self._monotonic = 0
+        self._events: set[int] = set()
+        self._worlds: dict[str, FoldedWorld] = {}  # worlds whose states are known after the last missing records
 
     def run(self, progress: Callable[[int], None] | None) -> Verification:
         """Check the file and the records."""
         self.log.check_file()
         problem = self._first_problem(progress)
         return Verification(
-            self.integrity.steps,
-            self.integrity.tasks.tasks,
-            self.integrity.tasks.unfinished,
-            self.integrity.keyframes,
+            self._steps,
+            self.tasks.tasks,
+            self.tasks.unfinished,
+            self._keyframes,
             len(self.log.assets),
             self.changes,
             len(self.worlds),
@@ -399,10 +318,8 @@ class Verifier:
             if isinstance(record, Task) and (cause := too_deep(record, self._depths)):
                 self.damage.append(f"step {record.seq}: {cause}")
                 return None
-            problem = self.integrity.check(record)
-            if self.integrity.resumed:
-                self.forget()
-            if problem is None and isinstance(record, Keyframe | Mutation) and self.integrity.knows(record.world):
+            problem = self._problem_of(record)
+            if problem is None and isinstance(record, Keyframe | Mutation) and record.world in self._worlds:
                 problem = self.check(record)
             if problem is not None:
                 return problem
@@ -410,7 +327,72 @@ class Verifier:
 
     def forget(self) -> None:
         """Forget all worlds, because records are missing."""
+        self._worlds.clear()
 
     def check(self, record: Keyframe | Mutation) -> Problem | None:  # noqa: ARG002  for subclasses
-        """Return the problem of a change or keyframe; None if there is no engine."""
+        """Return the problem of a consistent change or keyframe; None if there is no engine."""
         return None
+
+    def state(self, world: str) -> World:
+        """Return the present state of a world if it is known."""
+        return world_of(self._worlds[world])
+
+    def _problem_of(self, record: Record) -> Problem | None:
+        """Return the problem of the next record, or of the previous records."""
+        step, expected = record.seq, self._next
+        if step > expected and any(expected in gap and step - 1 in gap for gap in self.log.lost_before):
+            self.tasks.resume()
+            self.forget()
+        elif step != expected:
+            lost = str(expected) if step == expected + 1 else f"{expected} to {step - 1}"
+            return Problem(expected, f"step {lost} is missing, so its consequences can't be checked")
+        self._next = step + 1
+        self._steps += 1
+        cause = self._check_envelope(record)
+        if cause:
+            pass
+        elif isinstance(record, Task):
+            cause = self.tasks.check(record)
+        elif not self.tasks.knows(record.task):
+            cause = f"its task {record.task} never started"
+        elif isinstance(record, Run):
+            cause = self.tasks.check_run(record)
+        deviation = None
+        before = self.state(record.world) if isinstance(record, Keyframe) and record.world in self._worlds else None
+        if isinstance(record, Mutation | Keyframe | Query) and not cause:
+            cause = self._apply_change(record)
+        if isinstance(record, Keyframe) and before is not None and not cause:
+            deviation = self._compare_keyframe(record, before)
+            cause = "" if deviation is None else "the keyframe differs from the fold of the previous records"
+        return Problem(step, cause, deviation, self.tasks.path(record.task)) if cause else None
+
+    def _check_envelope(self, record: Record) -> str:
+        before = self._time, self._monotonic
+        self._time, self._monotonic = record.wall_time_ns, record.monotonic_ns
+        if record.wall_time_ns < before[0]:
+            return "its wall time is before the wall time of the previous step"
+        if record.monotonic_ns < before[1]:
+            return "its monotonic time is before the monotonic time of the previous step"
+        if record.cause and record.cause not in self._events and not self.tasks.partial:
+            return f"its cause, step {record.cause}, isn't a previous event"
+        if isinstance(record, Event | Envelope):
+            self._events.add(record.seq)
+        return ""
+
+    def _apply_change(self, record: Mutation | Keyframe | Query) -> str:
+        opens = not isinstance(record, Mutation) or record.HasField("open_world")
+        if not opens and self.tasks.partial and record.world not in self._worlds:
+            return ""
+        try:
+            apply(self._worlds, record)
+        except (ValueError, IndexError) as error:
+            return f"the record is inconsistent: {error}"
+        return ""
+
+    def _compare_keyframe(self, frame: Keyframe, before: World) -> Deviation | None:
+        self._keyframes += 1
+        loaded: list[Plain] = [body.body for body in frame.loaded]
+        states: list[Plain] = [body.body for body in frame.bodies]
+        if loaded != states:
+            return Deviation("bodies", states, loaded)
+        return first_deviation(_plain(self.state(frame.world)), _plain(before), frame.world)

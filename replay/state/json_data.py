@@ -15,7 +15,7 @@ from replay.state.state import Body, State, World
 if TYPE_CHECKING:
     from google.protobuf.descriptor import FieldDescriptor
 
-_ENVELOPE = frozenset(("seq", "wall_time_ns", "sim_step", "world", "task", "thread", "monotonic_ns"))
+_ENVELOPE = ("wall_time_ns", "monotonic_ns", "sim_step", "world", "task", "thread")
 
 
 def kind_of(record: Record) -> str:
@@ -25,17 +25,9 @@ def kind_of(record: Record) -> str:
 
 def record_data(record: Record) -> dict[str, Plain]:
     """Return a whole record as data; fields that aren't set are left out."""
-    envelope: dict[str, Plain] = {
-        "step": record.seq,
-        "kind": kind_of(record),
-        "wall_time_ns": record.wall_time_ns,
-        "monotonic_ns": record.monotonic_ns,
-        "sim_step": record.sim_step,
-        "world": record.world,
-        "task": record.task,
-        "thread": record.thread,
-    }
-    return envelope | {key: value for key, value in _fields(record) if key not in _ENVELOPE}
+    envelope: dict[str, Plain] = {"step": record.seq, "kind": kind_of(record)}
+    envelope |= {name: getattr(record, name) for name in _ENVELOPE}
+    return envelope | {key: value for key, value in _fields(record) if key != "seq" and key not in _ENVELOPE}
 
 
 def message_data(message: Message) -> dict[str, Plain]:
@@ -110,15 +102,8 @@ def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
         "robot": world.robot,
         "bodies": {body.name: _body(body) for body in world.bodies.values() if only in (None, body.name)},
         "attachments": [
-            {
-                "carrier": held.carrier,
-                "carrier_link": held.carrier_link,
-                "body": held.body,
-                "body_link": held.body_link,
-                "position": list(held.position),
-                "orientation": list(held.orientation),
-                **({"loose": True} if held.loose else {}),
-            }
+            _attributes(held, "carrier carrier_link body body_link position orientation")
+            | ({"loose": True} if held.loose else {})
             for held in world.attachments.values()
             if only in (None, held.carrier, held.body)
         ],
@@ -131,11 +116,7 @@ def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
             {
                 "robot": belief.robot,
                 "body": belief.object,
-                "position": list(belief.position),
-                "orientation": list(belief.orientation),
-                "source": belief.source,
-                "sim_step": belief.sim_step,
-                "step": belief.step,
+                **_attributes(belief, "position orientation source sim_step step"),
             }
             for belief in world.beliefs.values()
             if only in (None, belief.robot, belief.object)
@@ -144,14 +125,9 @@ def world_data(world: World, only: str | None = None) -> dict[str, Plain]:
 
 
 def _body(body: Body) -> Plain:
-    return {
-        "type": body.type,
-        "position": list(body.position),
-        "orientation": list(body.orientation),
-        "velocity": list(body.velocity),
-        "joints": dict(body.joints),
-        "joint_velocities": dict(body.joint_velocities),
-        "color": list(body.color),
-        "fixed_base": body.fixed_base,
-        "models": list(body.models),
-    }
+    return _attributes(body, "type position orientation velocity joints joint_velocities color fixed_base models")
+
+
+def _attributes(value: object, names: str) -> dict[str, Plain]:
+    found = {name: getattr(value, name) for name in names.split()}
+    return {name: list(each) if isinstance(each, tuple) else each for name, each in found.items()}
