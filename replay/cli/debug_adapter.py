@@ -92,7 +92,7 @@ def serve(port: int | None, recording: str | None = None) -> None:
 
 @dataclass(slots=True)
 class _Variable:
-    """A variable, which an editor shows in a line; ``parts`` returns the variables below this line."""
+    """A variable in an editor's list. The function ``parts`` returns the variables of which its value consists."""
 
     name: str
     value: str
@@ -235,7 +235,7 @@ class Adapter:
                     self._output(line, "stdout")
         self._recording = None
         if not Path(file).is_file():
-            raise ReplayError(f"{program}: the plan left no recording; its output says why")
+            raise ReplayError(f"{program}: the plan left no recording; see its output")
         return file
 
     def _on_configurationDone(self, _: Message) -> None:  # noqa: N802  the protocol defines this name and the names below
@@ -313,7 +313,7 @@ class Adapter:
         self._session.plan.copies.pause_wanted = False  # the previous request has already reported its stop
 
     def _move(self, move: Callable[[], Halt], reason: str, title: str = "") -> None:
-        """Move the plan; tell the editor the position and the reason of the stop."""
+        """Move the plan, and send the step and the reason of the stop to the editor."""
         prompt, before = self._at_prompt, self._session.step
         try:
             with self._progress(title):
@@ -403,7 +403,7 @@ class Adapter:
     def _on_variables(self, arguments: Message) -> Message:
         reference = arguments["variablesReference"]
         if not 0 < reference <= len(self._lists):
-            raise ReplayError("the plan has moved to another step since then")
+            raise ReplayError("the plan has moved to another step, so this list of variables is out of date")
         found = []
         for each in self._lists[reference - 1]():
             self._listed[reference, each.name] = each

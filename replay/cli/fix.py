@@ -75,7 +75,7 @@ def existing_folder(name: str) -> Path:
 def _apply(trials: Trials, found: SearchResult) -> None:
     plan = trials.program
     if not plan.is_file() or plan.read_text(encoding="utf-8") != trials.text:
-        raise ReplayError(f"{plan}: it differs from the recorded source, so nothing was written")
+        raise ReplayError(f"{plan} differs from the recorded source, so nothing was written")
     kept = plan.with_name(f"{plan.name}.orig")
     shutil.copy2(plan, kept)
     write(str(plan), found.repairs[0].edit.text.encode())

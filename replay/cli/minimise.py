@@ -56,5 +56,5 @@ def run(log: Recording, options: argparse.Namespace) -> None:
     left = f"{found.lines[1]} of {found.lines[0]} lines, {found.objects[1]} of {found.objects[0]} objects"
     lines = [f"{file}: {left}, after {found.runs} runs", f"  the smaller plan fails in the same way: {found.failure}"]
     if found.exhausted:
-        lines.append("  the search ended at --budget; the plan may become smaller")
+        lines.append("  the search ended at --budget; with more runs, the plan may become smaller")
     print_result(lambda: asdict(found) | {"file": str(file)}, lines, as_json=options.json)

@@ -17,7 +17,7 @@ from replay.report.report import write
 
 
 def add(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = "Exit code 0: the test fails now, as it should. 1: the test passes, so it shows nothing."
+    parser.epilog = "Exit code 0: the test fails now, as it should. 1: the test doesn't fail, so it is useless."
     parser.add_argument(
         "step",
         metavar="STEP",
@@ -49,6 +49,6 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     print_message(f"{file} runs once")
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(file)]
     red = subprocess.run(command, stdout=subprocess.DEVNULL, check=False).returncode == 1  # noqa: S603
-    how = "fails now, as the run did" if red else "doesn't fail now, so it shows nothing"
+    how = "fails now, as the run did" if red else "doesn't fail now, so the test is useless"
     print_result(lambda: {"file": str(file), "fails": red}, [f"{file}: {how}"], as_json=options.json)
     return FINE if red else FAILED

@@ -36,7 +36,7 @@ class PlanEnded(ReplayError):
     """The plan's process ended before it reached a step: it was killed, or native code crashed."""
 
     def __init__(self, printed: str) -> None:
-        super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs it again")
+        super().__init__(f"the plan's process has ended{printed and f':{chr(10)}{printed}'}; goto runs the plan again")
 
 
 class EndedByInterrupt(Exception):
@@ -194,7 +194,7 @@ class PlanCopy:
 
 
 class PlanCopies:
-    """The processes of a plan; copies are ``spacing`` ns of the recording apart; None for no copies."""
+    """The processes of a plan. ``spacing`` is the recorded time between two copies in ns; with None, there are none."""
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[PlanCopy] = []  # waiting copies, each after its parent

@@ -35,7 +35,7 @@ _LINE: Final = re.compile(r"(?P<file>.+):(?P<line>\d+)")
 
 
 class NoFurther(ReplayError):
-    """There is no step beyond this step, because the recording begins or ends, or the plan differs from it."""
+    """The plan can't move further: the recording begins or ends here, or the plan differs from the recording."""
 
     def __init__(self, step: int, cause: str) -> None:
         super().__init__(cause)

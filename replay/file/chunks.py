@@ -175,7 +175,7 @@ class Chunks:
     # --- search for a step -------------------------------------------------------------------------------------------
 
     def span(self, number: int) -> tuple[int, int]:
-        """Return the first and last step of a chunk. An unreadable chunk's span is empty, after the last chunk."""
+        """Return the first and last step of a chunk; for an unreadable chunk, the first step is after the last one."""
         for at in range(number, -1, -1):
             if at not in self._spans:
                 first = next(self.records(at), None)

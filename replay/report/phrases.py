@@ -264,7 +264,7 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
     if exact:
         return f"at {moment.asked:.3f} s, within {stretch}: simulated again up to that time"
     if moment.at == moment.start:
-        return f"at {moment.asked:.3f} s, within {stretch}: the state before the stretch, as nothing had moved yet"
+        return f"at {moment.asked:.3f} s, within {stretch}: the state before the simulation, as nothing had moved yet"
     return f"at {moment.asked:.3f} s, within {stretch}: sampled at {moment.at:.3f} s, accurate to 0.01 mm"
 
 

@@ -116,7 +116,9 @@ class PlanProcess:
         if not hasattr(os, "fork"):  # systems without fork also can't pass open files to processes
             raise CantRetrace("plans can't be run again on this system: it has no os.fork")
         if not isinstance(began, Run) or not (began.directory or plan):
-            raise CantRetrace(f"{log.path}: an older release made it, and didn't record how the plan was run")
+            raise CantRetrace(
+                f"{log.path}: an older release made this recording, and didn't record how the plan was run"
+            )
         if recorded_source and plan is not None:
             raise CantRetrace("give either a plan or --recorded-source, not both")
         self.log = log
@@ -322,7 +324,7 @@ class _RecordedSource:
         keys = [key for key in log.assets if key.endswith(".py")]
         main = [key for key in keys if name_of(key) == program.name and key.startswith(began.plan.sha256)]
         if len(main) != 1:
-            raise CantRetrace(f"{log.path}: it lacks the source of {program.name}")
+            raise CantRetrace(f"{log.path}: the recording lacks the source of {program.name}")
         places = {Path(file) for record in log for file, _ in sites(record)} - {program}
         self.files = {Path(program.name): log.assets[main[0]]}  # attached files, by their path in the plan's folder
         self.left_out: list[str] = []  # attached files whose paths are unknown or outside of the plan's folder

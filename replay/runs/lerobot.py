@@ -75,7 +75,7 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
         with needed("video"):
             import av  # noqa: F401, PLC0415
     if folder.exists():
-        raise ReplayError(f"{folder}: already exists; a data set needs a new folder")
+        raise ReplayError(f"{folder} already exists; a data set needs a new folder")
     robots = _robots(runs, names)
     if not robots:
         raise ReplayError(f"{runs.path}: no robot moves in these runs, so they have no data to learn from")
