@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import copyreg
 import io
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
@@ -23,18 +24,12 @@ class PortableError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Python's own method would call the class only with the message."""
-        return _restored, (type(self), self.args, dict(vars(self)))
+        new = copyreg.__newobj__  # type: ignore[attr-defined]  # pickle's function for making objects
+        return new, (type(self), *self.args), {**vars(self), "args": self.args}
 
     def _render_traceback_(self) -> list[str]:
         """Return the lines that IPython prints."""
         return notebook.traceback_lines(self)
-
-
-def _restored(kind: type[PortableError], args: tuple[object, ...], fields: Mapping[str, object]) -> PortableError:
-    error = kind.__new__(kind, *args)
-    error.args = args
-    vars(error).update(fields)
-    return error
 
 
 class RecordingError(PortableError, OSError):

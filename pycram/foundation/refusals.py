@@ -47,7 +47,7 @@ def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]],
                 # without a next frame, Python raised the error at the call itself, before the first statement
                 at_call = error.__traceback__ is not None and error.__traceback__.tb_next is None
                 asked_wrongly = isinstance(error, UsageError) or at_call
-                if asked_wrongly and not is_recorded(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  like inspect.currentframe()
+                if asked_wrongly and _RECORDED not in vars(error) and not _is_part(sys._getframe(1)):  # noqa: SLF001  like inspect.currentframe()
                     refused(error, name or function.__name__, _arguments(function, subject, args, kwargs))
                 raise
 
@@ -90,11 +90,6 @@ def refused(error: Error, name: str, arguments: Mapping[str, object]) -> Error:
 def mark_recorded(error: BaseException) -> None:
     """Mark an error as recorded, so that outer calls don't record the error again."""
     BaseException.__setattr__(error, _RECORDED, True)
-
-
-def is_recorded(error: BaseException) -> bool:
-    """Return whether an error has a record."""
-    return _RECORDED in vars(error)
 
 
 def _is_part(frame: FrameType | None) -> bool:

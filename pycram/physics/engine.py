@@ -65,7 +65,7 @@ class Engine:
     """A physics client, with or without PyBullet's window."""
 
     def __init__(self, *, window: bool = False) -> None:
-        self._window = window
+        self.has_window = window  # whether a user sees the simulation, and can drag objects
         self._grip: tuple[int, int] | None = None  # the body and the link that the mouse drags
         self._known: dict[int, list[Snapshot]] = {}  # states of bodies by id, one or none; threads share the lists
         with silenced(1) if window else nullcontext():
@@ -101,7 +101,7 @@ class Engine:
         """
         c = self._client
         flags = bullet.URDF_USE_INERTIA_FROM_FILE if robot and loading.inertia else 0
-        if not self._window:  # cameras render the model's own meshes instead
+        if not self.has_window:  # cameras render the model's own meshes instead
             flags |= bullet.URDF_IGNORE_VISUAL_SHAPES
         journal.flush()  # loading takes up to 90 ms, and a process that is killed then writes nothing
         try:
@@ -354,19 +354,9 @@ class Engine:
         c = self._client
         parent = self._to_inertial(carrier, link, pose)
         child = self._to_inertial(body, body_link, IDENTITY)
-        number: int = bullet.createConstraint(
-            carrier.id,
-            carrier.links[link],
-            body.id,
-            body.links[body_link],
-            bullet.JOINT_FIXED,
-            [0, 0, 0],
-            parent[0],
-            child[0],
-            parent[1],
-            child[1],
-            physicsClientId=c,
-        )
+        ends = carrier.id, carrier.links[link], body.id, body.links[body_link]
+        frames = parent[0], child[0], parent[1], child[1]
+        number: int = bullet.createConstraint(*ends, bullet.JOINT_FIXED, [0, 0, 0], *frames, physicsClientId=c)
         bullet.changeConstraint(number, maxForce=1e4, physicsClientId=c)
         return number
 
@@ -374,11 +364,6 @@ class Engine:
         """Return a pose in a link's frame relative to the link's inertial frame, as constraints need it."""
         at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
         return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
-
-    @property
-    def has_window(self) -> bool:
-        """Whether a user sees the simulation, and can drag objects."""
-        return self._window
 
     def unfix(self, constraint: int) -> None:
         """Remove a constraint."""
@@ -422,7 +407,7 @@ class Engine:
         PyBullet doesn't report drags. The mouse grips the body under the pointer when the left button is pressed, and
         releases it with the button. If Alt or Control is pressed, the mouse turns the camera.
         """
-        if not self._window:
+        if not self.has_window:
             return []
         grips = [self._grip]
         for kind, x, y, button, state in bullet.getMouseEvents(physicsClientId=self._client):
@@ -478,7 +463,7 @@ class Engine:
         if self._client >= 0:
             client, self._client = self._client, -1
             if bullet.isConnected(physicsClientId=client):
-                with silenced(1) if self._window else nullcontext():
+                with silenced(1) if self.has_window else nullcontext():
                     bullet.disconnect(physicsClientId=client)
 
     @property

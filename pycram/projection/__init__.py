@@ -7,7 +7,6 @@ that this process would get. Other branches of the plan don't run in the copy. T
 from __future__ import annotations
 
 import pickle
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -50,7 +49,7 @@ __all__ = ["Candidate", "NotProjectable", "Outcome", "ProjectedError", "Projecti
 Result: TypeAlias = Any
 Action: TypeAlias = Callable[..., Result]
 _MAX_MEMORY: Final = 10**12  # bytes
-_numbers: Final = threading.local()  # files of recordings that this thread has given to projections
+_given: Final[set[Path]] = set()  # files that projections of this process record into
 _projected: ContextVar[bool] = ContextVar("pycram_projected", default=False)
 
 #: An action, or a tuple of an action and its arguments, as in ``(pick_up, milk, "left")``.
@@ -302,10 +301,10 @@ def _path() -> Path | None:
     if beside is None:
         return None
     number = 1
-    taken = {*beside.parent.glob(f"{beside.stem}.projection-*"), *getattr(_numbers, "given", ())}
+    taken = {*beside.parent.glob(f"{beside.stem}.projection-*"), *_given}
     while (path := beside.with_name(f"{beside.stem}.projection-{number}{beside.suffix}")) in taken:
         number += 1
-    _numbers.given = {*getattr(_numbers, "given", ()), path}
+    _given.add(path)
     return path
 
 

@@ -557,6 +557,8 @@ def threads_of_plan() -> bool:
 
 
 class _Local(threading.local):
+    locks = 0  # number of locks that this thread holds
+
     def __init__(self) -> None:
         self.scheduler = Scheduler()
 
@@ -585,13 +587,6 @@ class LockHeld(UsageError):
         super().__init__("a branch must not wait or perform a motion while it holds the lock of a world or of fluents")
 
 
-class _Held(threading.local):
-    count = 0  # number of locks that this thread holds
-
-
-_held: Final = _Held()
-
-
 class Lock:
     """A re-entrant lock as a context manager; each thread counts the locks that it holds."""
 
@@ -605,23 +600,23 @@ class Lock:
 
     def __enter__(self) -> None:
         self._lock.acquire()
-        _held.count += 1
+        _local.locks += 1
 
     def _try(self) -> bool:
         acquired = self._lock.acquire(blocking=False)
-        _held.count += acquired
+        _local.locks += acquired
         return acquired
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        _held.count -= 1
+        _local.locks -= 1
         self._lock.release()
 
 
 def is_held() -> bool:
     """Return whether this thread holds a lock."""
-    return _held.count > 0
+    return _local.locks > 0
 
 
 def refuse_held() -> None:

@@ -272,7 +272,7 @@ def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
         or scheduler().is_awaited()
         or (scope is not None and scope.is_cancelled)
         or (observer is not None and observer.has_news())
-        or world.lock.is_contended
+        or bool(world.lock.contenders)
     )
 
 

@@ -265,26 +265,21 @@ class WorldLock(Lock):
     def __init__(self) -> None:
         super().__init__()
         self._depth = 0
-        self._contenders: dict[int, None] = {}
+        self.contenders: set[int] = set()  # idents of the threads that wait for the lock
         self._deferred: list[Callable[[], None]] = []
 
     def defer(self, calls: Iterable[Callable[[], None]]) -> None:
         """Make calls in order, after the thread that holds the lock has released it."""
         self._deferred.extend(calls)
 
-    @property
-    def is_contended(self) -> bool:
-        """Whether another thread waits for the lock."""
-        return bool(self._contenders)
-
     def __enter__(self) -> None:
         if not self._try():
             thread = threading.get_ident()
-            self._contenders[thread] = None
+            self.contenders.add(thread)
             try:
                 super().__enter__()
             finally:
-                del self._contenders[thread]
+                self.contenders.remove(thread)
         self._depth += 1
 
     def __exit__(

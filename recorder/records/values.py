@@ -101,7 +101,7 @@ def _loaded(text: str) -> Plain:
             depth += 1 if bracket in "[{" else -1 if bracket in "]}" else 0
             if depth > MAX_NESTING:
                 raise ValueError(f"it is nested more than {MAX_NESTING} deep")
-    value: Plain = (_WARY if _LONG_NUMBER.search(text) else _DECODER).decode(text)
+    value: Plain = _DECODER.decode(text)
     return value
 
 
@@ -115,9 +115,7 @@ def _refuse(text: str) -> float:
     raise ValueError(f"{text} is not JSON")
 
 
-_DECODER: Final = json.JSONDecoder(parse_constant=_refuse)
-_WARY: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)  # slow: it calls ``_integer`` each time
-_LONG_NUMBER: Final = re.compile(rf"(?<![0-9])[0-9]{{{MAX_DIGITS}}}")
+_DECODER: Final = json.JSONDecoder(parse_int=_integer, parse_constant=_refuse)
 
 
 def argument_values(arguments: Iterable[Argument], *, strict: bool = False) -> dict[str, Plain]:

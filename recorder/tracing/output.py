@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
-from typing import Any, Final, NamedTuple, TextIO
+from typing import Any, Final, TextIO, TypeAlias
 
 from recorder.errors import discard
 from recorder.records import Output, escaped, format_error
@@ -24,6 +24,7 @@ from recorder.tracing.journal import Journal
 
 MAX_CHARACTERS: Final = 10_000  # maximum number of characters in a record; longer lines are split into several records
 
+_Origin: TypeAlias = tuple[CallSite, int]  # the plan's line that began an output line, and the id of its task
 _CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences of terminals, such as colours
 #: Whether handlers of logging are printing a message, which is already recorded.
 _logging: ContextVar[bool] = ContextVar("pycram_logging", default=False)
@@ -61,7 +62,7 @@ def _logged(log: Journal) -> Iterator[None]:
 
     def call_handlers(self: logging.Logger, record: logging.LogRecord) -> None:
         if not ended and not _logging.get():
-            _append(log, _logged_line(record), _Origin.here())
+            _append(log, _logged_line(record), _here())
         token = _logging.set(True)
         try:
             before(self, record)
@@ -86,15 +87,8 @@ def _logged_line(message: logging.LogRecord) -> Output:
     )
 
 
-class _Origin(NamedTuple):
-    """The place in the plan where an output line began."""
-
-    site: CallSite  # the plan's line
-    task: int  # id of the task
-
-    @classmethod
-    def here(cls) -> _Origin:
-        return cls(call_site(), journal.announced_task_id())
+def _here() -> _Origin:
+    return call_site(), journal.announced_task_id()
 
 
 class RecordedStream:
@@ -154,11 +148,11 @@ class RecordedStream:
         begun, origin = self._begun.pop(key, ("", None))
         *lines, rest = (begun + text).split("\n")
         if origin is None:
-            origin = _Origin.here()
+            origin = _here()
         for line in lines:
             self._record(line, origin)
         if lines and rest:
-            origin = _Origin.here()
+            origin = _here()
         rest = _visible(rest)
         whole = max(0, len(rest) - 1) // MAX_CHARACTERS * MAX_CHARACTERS
         if whole:
@@ -185,6 +179,6 @@ def _append(log: Journal, record: Output, origin: _Origin) -> None:
         return
     context.require_stack_room(context.FOR_RECORD)
     record.world, record.sim_step = journal.current_world()
-    record.task, record.thread = origin.task, current_name()
-    record.source_file, record.source_line = origin.site
+    (record.source_file, record.source_line), record.task = origin
+    record.thread = current_name()
     log.append(record)

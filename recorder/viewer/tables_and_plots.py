@@ -198,9 +198,9 @@ class Plots:
     def show(self, world: str, body: SceneBody, motion: BodyMotion, now: TimePoint) -> None:
         """Add the changed values of a motion. The body must have moved before in the scene."""
         for joint, value in motion.joints.items():
-            self._add((JOINTS, world, motion.body, joint), value, now)
+            self.add((JOINTS, world, motion.body, joint), value, now)
         if not body.loaded.fixed_base:
-            self._add((HEIGHTS, world, motion.body), body.pose[0][2], now)
+            self.add((HEIGHTS, world, motion.body), body.pose[0][2], now)
 
     def show_fluent(self, record: Fluent, now: TimePoint) -> None:
         """Add an assignment. Values other than numbers and truth values have no curve."""
@@ -208,13 +208,10 @@ class Plots:
         for value, time in ((record.before_json, before), (record.after_json, now)):
             number = from_json(value) if value else None
             if isinstance(number, int | float):
-                self._add((FLUENTS, record.name), float(number), time)
+                self.add((FLUENTS, record.name), float(number), time)
 
-    def show_property(self, text: str, margin: float, now: TimePoint) -> None:
-        """Add the margin of a property's expression."""
-        self._add((PROPERTIES, text), margin, now)
-
-    def _add(self, key: tuple[str, ...], value: float, now: TimePoint) -> None:
+    def add(self, key: tuple[str, ...], value: float, now: TimePoint) -> None:
+        """Add a value to a curve unless it equals the last value. ``key`` has the curve's kind, and then its names."""
         last = self._last.get(key)
         if last is not None and last[1] == value:
             return
@@ -271,7 +268,7 @@ class FoldedWorlds:
             with suppress(NoValue):
                 truth = expression.truth(self._quantities)
                 margin = truth.margin if math.isfinite(truth.margin) else 1.0 if truth.holds else -1.0
-                self._plots.show_property(text, margin, now)
+                self._plots.add((PROPERTIES, text), margin, now)
 
     def _show_ghosts(self, world: FoldedWorld, now: TimePoint) -> None:
         wrong: dict[tuple[str, str, str], Pose] = {
