@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from enum import Enum
 from operator import methodcaller
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Protocol, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias, cast
 from weakref import WeakValueDictionary
 
 from pycram.foundation.failures import WorldClosed
@@ -25,6 +25,7 @@ from recorder.tracing.context import current_name
 from recorder.tracing.interrupts import Uninterrupted
 
 if TYPE_CHECKING:
+    from pycram.fluents.fluent import StateStream
     from pycram.scheduling.cancellation import Clock
 
 Value: TypeAlias = Any  # any value of a fluent
@@ -42,20 +43,13 @@ class Ended(NamedTuple):
     what: str  # the object or world that is gone, for messages
 
 
-class LeafListener(Protocol):
-    """Receives all changes of the leaves with which it is registered."""
-
-    def state_changed(self) -> None:
-        """Handle a change; the caller holds the lock."""
-
-
 class Expression(ABC):
     """An expression with a value."""
 
     __slots__ = ("__weakref__", "counters", "operands")
 
-    waiters: Iterable[LeafListener] = ()
-    """The listeners that changes notify; only leaves have listeners."""
+    waiters: Iterable[StateStream] = ()
+    """The streams that changes notify; only leaves have streams."""
 
     def __init__(self, operands: tuple[Expression, ...]) -> None:
         self.operands = operands  # the expressions from which the value is computed
@@ -98,7 +92,7 @@ class Leaf(Expression):
     def __init__(self, operands: tuple[Expression, ...], held: Value) -> None:
         super().__init__(operands)
         self.held = held  # the value, or Ended when the followed object is gone
-        self.waiters: list[LeafListener] = []
+        self.waiters: list[StateStream] = []
 
     @property
     def leaves(self) -> tuple[Leaf, ...]:
@@ -163,7 +157,7 @@ class Operation(Expression):
 
 
 def notify(changed: Iterable[Expression]) -> None:
-    """Notify each listener of the changed expressions once; the caller holds the lock."""
+    """Notify each stream of the changed expressions once; the caller holds the lock."""
     for waiter in dict.fromkeys([waiter for expression in changed for waiter in expression.waiters]):
         waiter.state_changed()
 
@@ -327,7 +321,7 @@ def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:
 
 
 def pulse(pulsed: Collection[Expression], *, without_change: bool = False) -> None:
-    """Count one pulse in every counter of these expressions, and notify listeners; the caller holds the lock."""
+    """Count one pulse in every counter of these expressions, and notify streams; the caller holds the lock."""
     counters = [counter for counter in counters_on(pulsed) if not isinstance(counter.held, Ended)]
     for counter in counters:
         counter.pulse(without_change)

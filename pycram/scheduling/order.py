@@ -12,10 +12,13 @@ import re
 from collections import deque
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from pycram.foundation.errors import export
 from pycram.foundation.failures import BadArgument, UsageError
+
+if TYPE_CHECKING:
+    from pycram.scheduling.schedule import Ready
 
 MOST_IN_A_ROW: Final = 100  # after this many turns of a branch in a row, as in a poll, all other branches run next
 ADDED: Final = "added"
@@ -100,13 +103,6 @@ class AppliedPrecedence(NamedTuple):
     passed: list[Precedence]  # weaker precedences: the branch comes before only some of the branches that it overtook
 
 
-class Runnable(Protocol):
-    """A branch or wait that can run next."""
-
-    def plan_line(self) -> BranchLine:
-        """Return the line of the plan that runs next."""
-
-
 @dataclass(slots=True, eq=False)
 class Ranked:
     """A branch, or the code outside of all branches, as an order sees it."""
@@ -178,7 +174,7 @@ class Order:
         if branch in self._ranks:
             self._ranks.remove(branch)
 
-    def choose(self, ready: Mapping[Ranked, Runnable]) -> Ranked:
+    def choose(self, ready: Mapping[Ranked, Ready]) -> Ranked:
         """Return which of two or more ready branches runs next; the branch that has been ready longest is first."""
         self.turns += 1
         top = next(each for each in self._ranks if each in ready)

@@ -43,8 +43,6 @@ if TYPE_CHECKING:
     Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text, and its level in the log
 
 _NS: Final = 1_000_000_000
-_ASKED, _STARTED, _LEFT = Task.ASKED, Task.STARTED, Task.LEFT  # attributes of protobuf's classes are slow
-_SUCCEEDED, _CANCELLED = Task.SUCCEEDED, Task.CANCELLED
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
 _LEVELS: Final = {"DEBUG": _DEBUG, "INFO": _INFO, "WARNING": _WARNING, "ERROR": _ERROR, "CRITICAL": _ERROR}
@@ -67,7 +65,7 @@ def log_line(record: Record, time_ns: int) -> bytes | None:
 def has_line(record: Record) -> bool:
     """Return whether a record has a line: all records except keyframes and requests for tasks."""
     if type(record) is Task:  # isinstance would take five times as long
-        return record.phase != _ASKED
+        return record.phase != Task.ASKED
     return type(record) is not Keyframe
 
 
@@ -88,19 +86,19 @@ def _run(record: Run) -> Line:
 
 def _task(record: Task) -> Line:
     name, phase = f"{record.kind} {record.name}", record.phase
-    if phase == _STARTED:
+    if phase == Task.STARTED:
         return f"{name}({values(record.parameters)}){', already running' if record.began_ns else ''}", _INFO
-    if phase == _ASKED:
+    if phase == Task.ASKED:
         return f"{name} requested", _DEBUG
-    if phase == _LEFT:
+    if phase == Task.LEFT:
         return f"{name} still runs when the recording ends", _INFO
     took, status = f"{record.duration_ns / 1e6:.1f} ms", record.status
-    if status == _CANCELLED or is_timed_out(record):
-        return f"{name} {'was cancelled' if status == _CANCELLED else 'timed out'} after {took}", _WARNING
+    if status == Task.CANCELLED or is_timed_out(record):
+        return f"{name} {'was cancelled' if status == Task.CANCELLED else 'timed out'} after {took}", _WARNING
     decided = ""
     if record.kind == "motion" and record.HasField("decision") and (text := decision_text(record.decision)):
         decided = f", {text}"  # the record of the process module contains the same decision
-    if status == _SUCCEEDED:
+    if status == Task.SUCCEEDED:
         return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
     return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
 

@@ -19,8 +19,6 @@ from recorder import html, notebook
 from recorder.records import STEPS_PER_SECOND, Decision, Failure, Output, Plain, Query, Task, argument_values
 from recorder.tasks import rendering
 
-_ASKED, _STARTED, _FINISHED = Task.ASKED, Task.STARTED, Task.FINISHED  # attributes of protobuf's classes are slow
-
 
 class State(IntEnum):
     """The status of a task, with the number that it has in records."""
@@ -283,11 +281,11 @@ class Tree:
             node = self.nodes.get(number)
             if node is None:
                 parent = self.nodes.get(above)
-                node = self.nodes[number] = Node(record, parent, record if phase == _ASKED else None)
+                node = self.nodes[number] = Node(record, parent, record if phase == Task.ASKED else None)
                 (self._roots if parent is None else parent.parts)[number] = node
-            elif phase == _STARTED:
+            elif phase == Task.STARTED:
                 node.started = record
-            if phase == _FINISHED:
+            if phase == Task.FINISHED:
                 node.finished = record
                 self._ended.append(number)
             node.size += size

@@ -13,9 +13,12 @@ import threading
 import weakref
 from collections.abc import Collection
 from contextvars import ContextVar
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Final, NamedTuple, Protocol
 
 from recorder.records import escaped
+
+if TYPE_CHECKING:
+    from recorder.tracing.journal import Journal
 
 
 class BranchIdentity(NamedTuple):
@@ -64,6 +67,9 @@ class KnownWorld(Protocol):
 
     name: str
     sim_step: int
+
+    def record_keyframe(self, journal: Journal) -> None:
+        """Append the whole state to a journal, with the world's files."""
 
 
 _lock = threading.Lock()

@@ -15,13 +15,16 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from contextvars import ContextVar
 from pathlib import Path
 from types import MappingProxyType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from recorder.records import TOPICS, Keyframe, Mutation, Output, Record, Strike
 from recorder.records.values import AssetFile
 from recorder.tracing import context
 from recorder.tracing.context import KnownWorld, current_name
 from recorder.tracing.interrupts import Uninterrupted
+
+if TYPE_CHECKING:
+    from recorder.tracing.span import Span
 
 
 class Sink(Protocol):
@@ -58,13 +61,6 @@ class NullSink:
 
     def close(self) -> None:
         """Do nothing, because no file is open."""
-
-
-class RecordedWorld(KnownWorld, Protocol):
-    """The methods of a world that journals call."""
-
-    def record_keyframe(self, journal: Journal) -> None:
-        """Append the whole state to a journal, with the world's files."""
 
 
 class Journal:
@@ -182,19 +178,8 @@ class Journal:
                 closing.callback(sink.close)
 
 
-class RunningTask(Protocol):
-    """The methods of a task that journals call."""
-
-    @property
-    def id(self) -> int:
-        """The number of the task, from 1."""
-
-    def announce(self) -> None:
-        """Record the request of the task, unless its request or its start is recorded."""
-
-
 #: The running task of this context, or None. :mod:`recorder.tracing.span` sets this variable.
-current_task: ContextVar[RunningTask | None] = ContextVar("pycram_task", default=None)
+current_task: ContextVar[Span | None] = ContextVar("pycram_task", default=None)
 
 
 def task_id() -> int:
@@ -215,7 +200,7 @@ def announced_task_id() -> int:
 _registry = threading.Lock()
 _open: tuple[Journal, ...] = ()
 _opened = 0  # number of journals that this process has opened
-_sources: tuple[RecordedWorld, ...] = ()  # the known worlds; a change replaces the tuple
+_sources: tuple[KnownWorld, ...] = ()  # the known worlds; a change replaces the tuple
 _isolated: ContextVar[tuple[Journal, ...] | None] = ContextVar("pycram_unrecorded", default=None)
 
 
@@ -330,7 +315,7 @@ def flush() -> None:
         journal.flush()
 
 
-def register(source: RecordedWorld) -> None:
+def register(source: KnownWorld) -> None:
     """Make a world known to journals until :func:`unregister`; do nothing in an isolated context."""
     global _sources  # noqa: PLW0603  see open_journal
     if _isolated.get() is None:
@@ -338,14 +323,14 @@ def register(source: RecordedWorld) -> None:
             _sources = (*(known for known in _sources if known is not source), source)
 
 
-def announce(source: RecordedWorld) -> None:
+def announce(source: KnownWorld) -> None:
     """Make an unrecorded world known. Open journals record the world's state now, later journals when they open."""
     register(source)
     for journal in listening():
         source.record_keyframe(journal)
 
 
-def unregister(source: RecordedWorld) -> None:
+def unregister(source: KnownWorld) -> None:
     """Forget a closed world."""
     global _sources  # noqa: PLW0603  see open_journal
     with _registry:

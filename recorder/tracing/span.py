@@ -13,10 +13,10 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar, Token
+from contextvars import Token
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import TYPE_CHECKING, Final, Self, TypeAlias, cast
+from typing import TYPE_CHECKING, Final, Self, TypeAlias
 
 from recorder.records import (
     Decision,
@@ -45,14 +45,12 @@ if TYPE_CHECKING:
 MAX_TASKS: Final = 20_000  # largest number of tasks in the tree; a plan may run for days
 MAX_BYTES: Final = 100_000_000
 
-_STARTED, _FINISHED = Task.STARTED, Task.FINISHED  # module variables, because attributes of protobuf's classes are slow
-_RUNNING, _SUCCEEDED, _FAILED, _CANCELLED = Task.RUNNING, Task.SUCCEEDED, Task.FAILED, Task.CANCELLED
 _ids = itertools.count(1)
 _tree: Final = Tree(MAX_TASKS, MAX_BYTES)
 _tree_of = 0  # number of the recording that contains the tree's tasks; 0 before the first recording
 _running: Final[dict[int, Task]] = {}  # the first records of running tasks, by id
 _emitting: Final = threading.RLock()  # the lock for changes of ``_tree`` and ``_running``
-_current: Final = cast("ContextVar[Span | None]", journal.current_task)
+_current: Final = journal.current_task
 
 
 class Cancelled(BaseException):
@@ -102,14 +100,14 @@ class Span:
         If the stack has no room for the task's records, RecursionError is raised, and the task isn't recorded.
         """
         self._start_ns = began_ns or time.perf_counter_ns()
-        self._emit_begin(_STARTED, _RUNNING)
+        self._emit_begin(Task.STARTED, Task.RUNNING)
 
     def finish(self, error: BaseException | None = None) -> None:
         """Record the end once, if the start was recorded. ``error`` is None if the task succeeded."""
         if self._ended or not self._begun:
             return
-        status = _SUCCEEDED if error is None else _CANCELLED if isinstance(error, Cancelled) else _FAILED
-        record = self._record(_FINISHED, status)
+        status = Task.SUCCEEDED if error is None else Task.CANCELLED if isinstance(error, Cancelled) else Task.FAILED
+        record = self._record(Task.FINISHED, status)
         if self.checkpoint:
             record.checkpoint = self.checkpoint
         record.duration_ns = time.perf_counter_ns() - self._start_ns if self._start_ns else 0
@@ -118,7 +116,7 @@ class Span:
             if self.solution:
                 record.solution.extend(arguments(self.solution))
             record.result_json = to_json(self.result) if self.result is not None else "null"
-        if error is not None and status == _FAILED:
+        if error is not None and status == Task.FAILED:
             record.failure.CopyFrom(failure_with_frames(error) if recorded else failure(error, trace=False))
         with Uninterrupted():  # both the log and the tree need the end
             self._ended = True
@@ -194,7 +192,7 @@ class Span:
 
     def _emit(self, record: Task) -> None:
         global _tree_of  # noqa: PLW0603  the process has only one tree
-        if not self.parent and record.phase != _FINISHED and _tree_of != journal.recording_number():
+        if not self.parent and record.phase != Task.FINISHED and _tree_of != journal.recording_number():
             _tree_of = journal.recording_number()
             _tree.forget()
         with _emitting:
@@ -204,7 +202,7 @@ class Span:
                 if not record.wall_time_ns:  # no journal has numbered the record
                     record.wall_time_ns = time.time_ns()
                 _tree.apply(record)
-                if record.phase == _FINISHED:
+                if record.phase == Task.FINISHED:
                     _running.pop(self.id, None)
                 elif not journal.is_unrecorded():
                     _running[self.id] = record
