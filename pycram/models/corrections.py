@@ -189,22 +189,13 @@ class _Correction:
         things[thing.name] = thing
 
     def _surface(self, said: Mapping[str, Any], found: Surface | None, name: str, container: str) -> Surface:
-        outline: Any = said.get("outline") or said.get("size")
-        link = said.get("link") or (found.link if found else "")
-        upright = geometry.conjugate(self._poses[link][1])
+        given = {key: said[key] for key in ("link", "position", "orientation", "outline", "clearance") if key in said}
+        if "size" in said:
+            given["outline"] = said["size"]
         if found is None:
-            turn, clearance = said.get("orientation", upright), said.get("clearance", math.inf)
-            return Surface(name, link, said["position"], turn, outline, clearance, container)
-        return replace(
-            found,
-            name=name,
-            link=link,
-            position=said.get("position", found.position),
-            orientation=said.get("orientation", found.orientation),
-            outline=outline or found.outline,
-            clearance=said.get("clearance", found.clearance),
-            container=container,
-        )
+            upright = geometry.conjugate(self._poses[said["link"]][1])
+            found = Surface(name, said["link"], said["position"], upright, (), math.inf)
+        return replace(found, name=name, container=container, **given)
 
     def _container(self, said: Mapping[str, Any], found: Container | None, name: str) -> Container:
         joint = self._urdf.joints[said.get("joint") or (found.joint if found else "")]

@@ -241,10 +241,8 @@ def convert(file: Path) -> tuple[str, bytes]:
         return file.name, _with_normals(content)
     if kind == ".obj":
         _all_triangles(file, content)
-        lines = content.decode(
-            "utf-8", "replace"
-        ).splitlines()  # the URDF has the colours, because PyBullet supports one colour per mesh
-        kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]
+        lines = content.decode("utf-8", "replace").splitlines()
+        kept = [line for line in lines if not line.startswith(("mtllib", "usemtl"))]  # the URDF has the colours
         return file.name, ("\n".join(kept) + "\n").encode()
     return f"{file.stem}.stl", stl(parse(file).triangles)
 
@@ -361,11 +359,7 @@ def _check_binary_stl(file: Path, content: bytes) -> None:
         raise AssetError(file, "the STL has no faces")
     if len(content) < wanted:
         raise AssetError(file, f"the STL is truncated: {faces} faces take {wanted} bytes, but it has {len(content)}")
-    numbers = stl_faces(content)["numbers"]
-    if not np.isfinite(numbers).all():
-        raise AssetError(file, "has vertices that are not finite numbers")
-    if np.abs(numbers[:, 1:]).max() > _FAR:
-        raise AssetError(file, f"has vertices more than {_FAR:g} away from its origin")
+    _check_vertices(file, stl_faces(content)["numbers"])
 
 
 def _with_normals(content: bytes) -> bytes:

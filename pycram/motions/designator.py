@@ -1,12 +1,8 @@
 """Designators: descriptions of motions, actions, objects and places, resolved late (thesis 3.5.1, 4.5, 4.6).
 
-A designator has slots: (key, value) pairs. Resolvers find solutions of a designator: dictionaries with all parameters.
-The first solution is the *reference*. Further solutions belong to further designators with the same slots. They are
-*equated*: they describe the same thing over time, and form a chain from the oldest designator to the newest. A
-designator with a reference (a found solution, or the data of :meth:`make_effective`) is *effective*.
-
-Two designators are ``==`` only if they are identical; :meth:`Designator.equal` compares their chains. Slots never
-change, so any number of threads may use a designator.
+Resolvers find solutions of a designator: dictionaries with all parameters. The first solution is the *reference*.
+Further solutions belong to *equated* designators with the same slots, which form a chain. A designator is *effective*
+if its solution is found, or if it has the data of :meth:`Designator.make_effective`.
 """
 
 from __future__ import annotations
@@ -81,9 +77,6 @@ class Resolvers(Generic[Function]):
 
     def __len__(self) -> int:
         return len(self._functions)
-
-    def __contains__(self, function: object) -> bool:
-        return function in self._functions
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from contextvars import ContextVar
 from functools import partial
 from typing import Any, Final, Literal, TypeAlias
@@ -39,12 +39,9 @@ TIMEOUT: Final = 5  # maximum simulated time in s until all objects are at rest
 LEVEL: Final[ContextVar[bool]] = ContextVar("pycram_level", default=False)
 """Whether motions keep held objects upright; see :func:`pycram.motions.process_module.execution_environment`."""
 
+#: Patience of a search after the failure of another search: the same obstacle is mostly in the way of both.
 LESS_PATIENCE: Final = 0.25
-"""Patience of a search after another one has failed: an obstacle before one posture mostly is before others, too."""
-
-LEAN: Final = math.radians(15)
-"""Largest angle in rad by which the tool may lean more than at the start of a level motion."""
-
+LEAN: Final = math.radians(15)  # maximum angle by which the tool leans more than at the start of a level motion
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # tried lengths of straight lines, m
 _BACK: Final = (-1.0, 0.0, 0.0)  # backward direction of the hand, in the tool frame
 _UP: Final = (0.0, 0.0, 1.0)  # upward direction, in the world
@@ -257,13 +254,9 @@ class ContinuousExecution(Execution):
         start = before | lifted
         end = start | dict(posture)
         if level(robot, arm):
-            try:
-                level_way = self._level_way(robot, arm, _now(robot, arm.joints) | lifted, posture)
-            except PlanFailure:
-                level_way = None
-            if level_way is None:
-                raise NoPath(f"{arm.name} arm", posture, 0, {}, 0.0, [], "the arm has no level path there")
-            return _all((*steps, level_way))
+            with suppress(PlanFailure):
+                return _all((*steps, self._level_way(robot, arm, _now(robot, arm.joints) | lifted, posture)))
+            raise NoPath(f"{arm.name} arm", posture, 0, {}, 0.0, [], "the arm has no level path there")
         ways = (geometry.rotate(_tool_pose(robot, arm, end)[1], direction), _UP)
         line = _line(robot, arm, end, ways, ignored, ignored_links)
         if line is None:  # the open fingers may have room around the object
@@ -499,10 +492,8 @@ def _line(
 ) -> list[Mapping[str, float]] | None:
     """Return the postures of the arm on the first collision-free straight line of the tool; None without such a line.
 
-    Args:
-        start: Posture at the beginning: positions in rad or m by joint; other joints keep their present positions.
-        ways: Directions of the line to try, as unit vectors in the world.
-        ignored: Objects that the arm may touch before the end of the line.
+    The line begins at the posture ``start``. ``ways`` are the tried directions, as unit vectors in the world. Before
+    the end of the line, the arm may touch ignored objects and links.
     """
     tool = _tool_pose(robot, arm, start)
     for way, length in itertools.product(ways, _STRAIGHT):

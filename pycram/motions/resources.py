@@ -1,23 +1,8 @@
-"""Resources: the parts of the robot that a motion needs, and the queue in which motions wait for them.
+"""Resources: the parts of the robot that a motion needs, and the queue in which motions wait for these parts.
 
-The resources of a robot are its base, head, arms and grippers. A motion *moves* some resources, and needs other
-resources *at rest*. Two motions conflict if one moves a resource that the other moves or needs. A motion enters the
-queue when it is requested. A motion gets all its resources together, as soon as no earlier motion conflicts with it.
-Conflicting motions therefore run in the order of the plan, and other motions run concurrently. There is no deadlock,
-because each motion waits only for earlier motions.
-
-The exact needs of a motion are known only at its turn, when it is resolved and its process module is chosen. Until its
-turn, a motion requests the resources of its designator, or the whole robot. Resources are corrected *before* the motion
-moves anything. If the motion then needs more, it releases its resources, keeps its place in the queue, and also waits
-for later motions that already run. Running motions don't wait for other motions of this queue, so there is still no
-deadlock.
-
-Each world has a queue, and a motion may perform motions in another world. If such motions would wait for each other,
-the last motion is rejected.
-
-Example: the ``par`` block of the thesis' Listing 5.3 parks the arms, moves the base, looks at a place and detects. The
-base starts after the arms, because the arms' posture decides whether the robot fits through gaps. The head turns after
-the base, because it looks at a place in the world. Detecting comes last, because it needs the whole robot at rest.
+A motion *moves* some resources, and needs other resources *at rest*. Two motions conflict if one moves a resource that
+the other moves or needs. A motion gets all its resources together, as soon as no earlier motion conflicts with it. So
+conflicting motions run in the order of the plan, and no two motions of a queue wait for each other.
 """
 
 from __future__ import annotations
@@ -182,7 +167,10 @@ class Ticket:
             self.leave()
 
     def correct(self, resources: Resources | None) -> None:
-        """Change the resources of a granted ticket before anything moves; if necessary, wait as :meth:`turn` does."""
+        """Change the resources of a granted ticket before anything moves; if necessary, wait as :meth:`turn` does.
+
+        The exact needs of a motion are known at its turn, when it is resolved and its process module is chosen.
+        """
         given = self._queue.within(resources, self._motion)
         if given != self.resources:
             with self._queue.lock:
@@ -200,7 +188,10 @@ class Ticket:
             self._queue.changed.notify_all()
 
     def _wait(self) -> None:
-        """Wait until no earlier ticket conflicts, nor a later ticket that already has its resources."""
+        """Wait until no earlier ticket conflicts, nor a later ticket that already has its resources.
+
+        Running motions don't wait for tickets of this queue, so there is no deadlock.
+        """
         for outer in self._outer:
             outer._waiting[self] = None  # noqa: SLF001  same class
         try:

@@ -202,11 +202,9 @@ class _Moved:
 
 def _turned(robot: Object, now: Mapping[str, float], wanted: Mapping[str, float]) -> dict[str, float]:
     """Return the equivalent joint positions that are nearest to the present positions."""
-    slides = [
-        robot.urdf.joint(name).type == "prismatic" for name in wanted
-    ]  # a prismatic joint has no equivalent position
+    slides = [robot.urdf.joint(name).type == "prismatic" for name in wanted]
     lower, upper = np.array([robot.joint_limits(name) for name in wanted]).reshape(-1, 2).T
-    lower = np.where(slides, np.inf, lower)
+    lower = np.where(slides, np.inf, lower)  # a prismatic joint has no equivalent position
     start, goal = np.array([now[name] for name in wanted]), np.array([*wanted.values()])
     return dict(zip(wanted, nearest_turns(start, goal, lower, upper).tolist(), strict=True))
 

@@ -124,9 +124,7 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
     toppra = _toppra()
     lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(lengths)])
-    spline = toppra.SplineInterpolator(
-        at, dense @ rates.directions.T, "natural"
-    )  # a sum of splines is a spline of the sums
+    spline = toppra.SplineInterpolator(at, dense @ rates.directions.T, "natural")  # splines of the limited sums
     constraints = [
         toppra.constraint.JointVelocityConstraint(rates.velocities),
         toppra.constraint.JointAccelerationConstraint(rates.accelerations),

@@ -120,8 +120,8 @@ class Accessing(SimulatedModule):
         if lifted is not None:
             return lifted
         with choosing("remedy", robot.world, object=handle.container, joint=handle.joint, to=values[-1]) as other:
-            parking = arms_in_the_way(robot, arm, handle, values, found.pairs)
-            hints = [remedy.phrase() for remedy in (*parking, *remedies(robot, arm, handle, values, other))]
+            hints = arms_in_the_way(robot, arm, handle, values, found.pairs)
+            hints += [remedy.phrase() for remedy in remedies(robot, arm, handle, values, other)]
         if found.reached is not None and found.reached != values[0]:
             hints.insert(0, f"from here the arm could move the joint to {found.reached:.3f}")
         raise _failure(arm, handle, values[-1], found, hints or ["other arms and nearby places don't help"])

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from typing import Final
 
 from pycram.foundation.failures import (
@@ -25,7 +24,7 @@ from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision import checker
 from pycram.reasoning.grasping import placing
-from pycram.reasoning.grasping.placing import Refusals, placements
+from pycram.reasoning.grasping.placing import Placement, Refusals, placements
 from pycram.reasoning.rejections import OutOfReach, Unreached, short
 from pycram.world import attachment
 from pycram.world.object import Object
@@ -43,13 +42,6 @@ _TOUCHING: Final = 1e-3  # maximum gap in m between touching objects
 _LOAD: Final = 0.01  # share of an object's weight above which it leans on the hand that it rests on
 _MAX_SEARCHED: Final = 3  # number of postures without a path after which the module gives up
 _ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which the object is lowered
-
-
-@dataclass(frozen=True, slots=True)
-class _Plan:
-    lower: Step  # step that moves the arm to the place
-    pose: Pose  # pose of the object at its release
-    opened: Mapping[str, float]  # joint values of the open gripper, by name
 
 
 class Place(SimulatedModule):
@@ -83,11 +75,11 @@ class Place(SimulatedModule):
                         above = geometry.rotate(geometry.invert(tool)[1], _ABOVE)
                         return self.execution.approach(robot, arm, posture, above, patience=patience)
 
-                    plan = _plan(robot, arm, body, target, orientation, lower, choice)
-            plan.lower()
+                    lowering, placement = _plan(robot, arm, body, target, orientation, lower, choice)
+            lowering()
             with robot.world.lock:
                 self._check_holds(robot, arm, body, target)
-                release = self.execution.grip(robot, plan.opened)
+                release = self.execution.grip(robot, placement.opened)
             release()
             with robot.world.lock:
                 attachment.detach(robot, body)
@@ -95,7 +87,7 @@ class Place(SimulatedModule):
                 lying = {other: pose for other, pose in lying.items() if other.alive}
                 neighbours = {**_poses(body, free), **lying}
             restless = self.execution.settle(robot.world)
-            reasons = _reasons(body, target, plan.pose, orientation, neighbours, restless)
+            reasons = _reasons(body, target, placement.pose, orientation, neighbours, restless)
             if not reasons:
                 with robot.world.lock:
                     leans = _load(robot, body) > _LOAD
@@ -103,11 +95,11 @@ class Place(SimulatedModule):
                 if retreat is not None:
                     retreat()
                     restless = self.execution.settle(robot.world)
-                    reasons = _reasons(body, target, plan.pose, orientation, neighbours, restless)
+                    reasons = _reasons(body, target, placement.pose, orientation, neighbours, restless)
                 elif leans:
                     reasons = ["the object leans on the gripper, which can't be drawn back"]
             if reasons:
-                raise _failure(body, target, plan.pose, orientation, reasons)
+                raise _failure(body, target, placement.pose, orientation, reasons)
 
     def _check_holds(self, robot: Object, arm: Arm, body: Object, target: Sequence[float]) -> None:
         if self.held(robot, arm) is not body:
@@ -135,30 +127,22 @@ def _plan(
     orientation: Sequence[float] | None,
     lower: Callable[[Mapping[str, float], Pose, float], Step],
     choice: Choice,
-) -> _Plan:
-    """Return the first plan without a collision, even while the fingers open."""
+) -> tuple[Step, Placement]:
+    """Return the step to the first placement that the arm reaches without a collision, and this placement."""
     refusals = Refusals()
     for placement in placements(robot, arm, body, target, orientation, refusals, choice):
-        patience = LESS_PATIENCE if refusals.no_path else 1.0
-        way = partial(lower, placement.posture, placement.tool, patience)
-        step = _way(way, placement.name, refusals, choice)
-        if step is not None:
+        try:
+            step = lower(placement.posture, placement.tool, LESS_PATIENCE if refusals.no_path else 1.0)
+        except NoPath as no_path:
+            choice.reject(placement.name, Unreached(no_path.checks, no_path.distance, no_path.pairs))
+            refusals.no_path.append(no_path)
+            if len(refusals.no_path) == _MAX_SEARCHED:
+                break
+        else:
             position, turn = placement.pose
             choice.take(placement.name, position=short(position), orientation=short(turn))
-            return _Plan(step, placement.pose, placement.opened)
+            return step, placement
     raise _refused(robot, arm, body, target, orientation, refusals)
-
-
-def _way(lower: Callable[[], Step], name: str, refusals: Refusals, choice: Choice) -> Step | None:
-    """Return the step to a posture; None without a path. Raise NoPath after several postures without a path."""
-    try:
-        return lower()
-    except NoPath as no_path:
-        choice.reject(name, Unreached(no_path.checks, no_path.distance, no_path.pairs))
-        refusals.no_path.append(no_path)
-        if len(refusals.no_path) == _MAX_SEARCHED:
-            raise refusals.no_path[0] from None
-        return None
 
 
 def _refused(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
@@ -199,40 +199,28 @@ class MoveTCP(SimulatedModule):
     def _level(
         self, robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None, choice: Choice
     ) -> Step:
-        """Return the step to the first posture that a level way reaches; raise Unreachable without such a posture."""
+        """Return the step to the first posture that a level way reaches; raise the first failure without a posture."""
         failures: list[PlanFailure] = []
-        for posture in _level_postures(robot, arm, target, orientation, choice, failures):
+        for turn in _level_turns(robot, arm, target, orientation):
             try:
-                return self.execution.move_level(robot, arm, posture)
+                return self.execution.move_level(robot, arm, _posture(robot, arm, target, turn, choice))
             except PlanFailure as failure:
                 failures.append(failure)
         raise failures[0]
 
 
-def _level_postures(
-    robot: Object,
-    arm: Arm,
-    target: Sequence[float],
-    orientation: Sequence[float] | None,
-    choice: Choice,
-    failures: list[PlanFailure],
-) -> Iterator[Mapping[str, float]]:
-    """Yield joint values with the tool at a target, small turns first; raise Unreachable if the tool would lean."""
+def _level_turns(
+    robot: Object, arm: Arm, target: Sequence[float], orientation: Sequence[float] | None
+) -> list[Sequence[float]]:
+    """Return the tool's orientations to try, small turns first; raise Unreachable if the tool would lean."""
     now = arm.tool_pose(robot.get_link_position_and_orientation(arm.tool_frame))[1]
-    turns = [geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), now) for degrees in _TURNS]
-    if orientation is not None:
-        x, y, z, w = orientation
-        turns = [(x, y, z, w)]
-        change = geometry.product(turns[0], geometry.conjugate(now))  # in the world
-        lean = geometry.lean(change, geometry.IDENTITY[1])
-        if lean > LEAN:
-            more = f"at the target the tool would lean by {math.degrees(lean):.0f} degrees more than now"
-            raise Unreachable(arm.name, target, None, f"{more}; the maximum is {math.degrees(LEAN):.0f} degrees")
-    for turn in turns:
-        try:
-            yield _posture(robot, arm, target, turn, choice)
-        except Unreachable as failure:
-            failures.append(failure)
+    if orientation is None:
+        return [geometry.product(geometry.from_rpy(0.0, 0.0, math.radians(degrees)), now) for degrees in _TURNS]
+    lean = geometry.lean(geometry.product(orientation, geometry.conjugate(now)), geometry.IDENTITY[1])
+    if lean > LEAN:
+        more = f"at the target the tool would lean by {math.degrees(lean):.0f} degrees more than now"
+        raise Unreachable(arm.name, target, None, f"{more}; the maximum is {math.degrees(LEAN):.0f} degrees")
+    return [orientation]
 
 
 def _posture(

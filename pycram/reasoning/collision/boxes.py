@@ -370,8 +370,5 @@ def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> 
 def joint_counts(path: Path, joints: tuple[str, ...]) -> Mapping[str, int]:
     """Return the number of moving joints above each link, for a model with a checked URDF."""
     urdf = stored_tree(path)
-    counts: dict[str, int] = {}
-    for link in urdf.links:  # a parent comes before its children
-        joint = urdf.parent_joint(link)
-        counts[link] = 0 if joint is None else counts[joint.parent] + (joint.name in joints)
-    return counts
+    counts = _own_joints(urdf, urdf.links, joints)[:, 0]  # the first link is the root, below no joint
+    return dict(zip(urdf.links, counts.tolist(), strict=True))

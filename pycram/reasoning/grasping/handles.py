@@ -160,9 +160,7 @@ class DeadEnd:
     reached: float | None  # the last position that the arm reaches; None if the arm reaches no position
     position: Vector  # position of the tool at ``value``, in the world, m
     orientation: Quaternion  # orientation of the tool from the front at ``value``, xyzw
-    distance: float | None = (
-        None  # distance in m from the tool to its goal in the nearest posture; None if the tool is at its goal
-    )
+    distance: float | None = None  # distance in m from the tool to its goal in the nearest posture; None at the goal
     turn: float = 0.0  # angle in rad between the tool and its goal in the nearest posture
     pairs: Sequence[CollisionPair] = ()  # links that would touch if the arm reaches ``value``
 
@@ -226,19 +224,17 @@ def plan_path_with_torso(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], choice: Choice = UNRECORDED
 ) -> HandlePath | None:
     """Return a path with the torso at another height: the nearest height that allows a path; see :func:`plan_path`."""
-    found = (plan_path(robot, arm, handle, values, others=height, choice=choice) for height in _torso_heights(robot))
-    return next((path for path in found if isinstance(path, HandlePath)), None)
-
-
-def _torso_heights(robot: Object) -> list[dict[str, float]]:
-    """Return other heights of the torso, in m by the torso's joint, nearest first; empty without a torso."""
     torso = robot.description.torso if robot.description else None
     if torso is None:
-        return []
+        return None
     lower, upper = robot.joint_limits(torso.joint)
     now = robot.get_joint_position(torso.joint)
-    heights = sorted((lower, (lower + upper) / 2, upper), key=lambda height: abs(height - now))
-    return [{torso.joint: height} for height in heights if abs(height - now) > _SAME_HEIGHT]
+    for height in sorted((lower, (lower + upper) / 2, upper), key=lambda height: abs(height - now)):
+        if abs(height - now) > _SAME_HEIGHT:
+            path = plan_path(robot, arm, handle, values, others={torso.joint: height}, choice=choice)
+            if isinstance(path, HandlePath):
+                return path
+    return None
 
 
 class _Search:
@@ -434,7 +430,6 @@ class Remedy:
     arm: str  # name of the arm
     base: Vector | None = None  # place of the robot with its present heading, m; None if the robot needn't move
     distance: float = 0.0  # distance in m from the robot's present place
-    parked: str = ""  # name of another arm that must be parked first; "" for none
 
     def __str__(self) -> str:
         place = "here" if self.base is None else f"[{', '.join(f'{part:.2f}' for part in self.base[:2])}]"
@@ -442,34 +437,23 @@ class Remedy:
 
     def phrase(self) -> str:
         """Return the remedy as text."""
-        if self.parked:
-            return f"the {self.arm} arm can move the handle from here if the {self.parked} arm is parked"
         if self.base is None:
             return f"the {self.arm} arm can move the handle from here"
         place = ", ".join(f"{part:.2f}" for part in self.base)
         return f"the {self.arm} arm can move the handle with the robot at [{place}], {self.distance:.2f} m from here"
 
 
-@dataclass(frozen=True, slots=True)
-class InTheWay:
-    """An arm that is in the way even if it is parked."""
-
-    arm: str
-
-    def phrase(self) -> str:
-        """Return the obstacle as text."""
-        return f"the {self.arm} arm is in the way even if it is parked"
-
-
 def arms_in_the_way(
     robot: Object, arm: Arm, handle: Handle, values: Sequence[float], pairs: Sequence[CollisionPair]
-) -> list[Remedy | InTheWay]:
-    """Return the arms that block an arm's path, and whether parking each of them helps; see :func:`plan_path`."""
-    found: list[Remedy | InTheWay] = []
+) -> list[str]:
+    """Return texts about the arms that block an arm's path: whether parking them helps; see :func:`plan_path`."""
+    found: list[str] = []
     for other in robot.description.arms.values() if robot.description else ():
         if other is not arm and any(_meets(robot, other, pair) for pair in pairs):
             path = plan_path(robot, arm, handle, values, others=other.posture("park"))
-            found.append(Remedy(arm.name, parked=other.name) if isinstance(path, HandlePath) else InTheWay(other.name))
+            helps = f"the {arm.name} arm can move the handle from here if the {other.name} arm is parked"
+            no_help = f"the {other.name} arm is in the way even if it is parked"
+            found.append(helps if isinstance(path, HandlePath) else no_help)
     return found
 
 

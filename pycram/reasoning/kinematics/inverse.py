@@ -45,12 +45,10 @@ _MAX_COMPARED: Final = 60  # number of the closed form's misses that are compare
 _MAX_STARTS: Final = 6  # maximum number of the closed form's misses that are starts of a search
 _DIFFERENT: Final = 0.35  # minimum difference in rad or m of a joint between distinct postures
 _MAX_POSTURES: Final = 16  # maximum number of returned postures
-_MAX_PAIRED: Final = 40  # maximum number of postures of which all pairs are compared together
 _MAX_STRAIN: Final = 1.0  # a posture with a larger strain in rad has no solution nearby
 _MAX_SEARCHED: Final = 0.6  # largest strain in rad of a posture from which a search may succeed
 _HOPELESS: Final = 0.02  # for a target that is farther out of reach, in m, a search is useless
 _TOLERANCES: Final = (POSITION_TOLERANCE, TURN_TOLERANCE)
-_MAX_KNOWN: Final = 8  # number of searches with cached results
 _MAX_CHAINS: Final = 16  # number of cached chains of a robot
 
 
@@ -175,7 +173,7 @@ class ArmKinematics:
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
-        self._known: dict[tuple[object, ...], tuple[Array, NDArray[np.bool_]]] = {}
+        self._latest: tuple[object, tuple[Array, NDArray[np.bool_]] | None] = None, None  # inputs, results of a search
         self._closed: ClosedForm | None = None
         if chain.joints and not chain.sliding:
             self._closed = ClosedForm.of(*chain.at_zero(), chain.lower, chain.upper, chain.bounded)
@@ -234,15 +232,12 @@ class ArmKinematics:
     def _descend(
         self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the result of :func:`search_postures`, which is cached: long searches begin like quick searches."""
-        inputs = (start, goals, which) if turns is None else (start, goals, which, turns)
-        key = stop_early, *(part.tobytes() for part in inputs)
-        known = self._known.get(key)
+        """Return the result of :func:`search_postures`; the latest is cached: long searches begin like quick ones."""
+        key = stop_early, *(None if part is None else part.tobytes() for part in (start, goals, which, turns))
+        known = self._latest[1] if self._latest[0] == key else None
         if known is None:
             known = search_postures(self.chain, start, goals, turns, which, stop_early=stop_early)
-            if len(self._known) >= _MAX_KNOWN:
-                self._known.clear()
-            self._known[key] = known
+            self._latest = key, known
         return known
 
     def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
@@ -354,18 +349,11 @@ def _distinct(found: Array, home: Array) -> Array:
 
 def _different(found: Array, most: int) -> Array:
     """Return the first posture of each group of similar postures (n, joints)."""
-    if len(found) < 2:
-        return found
-    left = list(range(len(found)))
+    left = np.arange(len(found))
     kept: list[int] = []
-    apart: list[list[bool]] = []
-    if len(found) <= _MAX_PAIRED:
-        apart = np.logical_or.reduce(np.abs(found[:, None] - found) > _DIFFERENT, axis=2).tolist()
-    while left and len(kept) < most:
-        first = left[0]
-        kept.append(first)
-        row = apart[first] if apart else (np.abs(found - found[first]) > _DIFFERENT).any(axis=1).tolist()
-        left = [number for number in left if row[number]]
+    while len(left) and len(kept) < most:
+        kept.append(int(left[0]))
+        left = left[(np.abs(found[left] - found[left[0]]) > _DIFFERENT).any(axis=1)]
     return found[kept]
 
 
