@@ -42,11 +42,7 @@ class Rendering:
     numbers: NDArray[np.int64]  # (n,) index of the link of each triangle
 
     def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
-        """Return a colour image (height, width, 3), RGB. The scene is lit from above and from the camera.
-
-        Args:
-            up: unit vector in the camera's frame that points up in the world.
-        """
+        """Return an RGB image (height, width, 3), lit from the camera and from above (``up`` in the camera's frame)."""
         image = self._lit(up)[self.seen]
         empty = self.seen < 0
         sky = np.asarray(np.linspace(*_SKY, len(image)) * 255, dtype=np.uint8)

@@ -153,11 +153,8 @@ def run_once(
 ) -> bytes:
     """Run the plan once in a child of the sweep, and return the outcome as JSON.
 
-    Args:
-        attempt: Number of the attempt, from 1.
-        began: Start of the run by the system's monotonic clock, in s.
-        lost: Why the run's process ended in each attempt. If ``lost`` isn't empty, the plan doesn't run, and the
-            recording contains ``lost``.
+    ``attempt`` counts from 1; ``began`` is the start of the run by the monotonic clock in s. ``lost`` is the reason for
+    which the run's process ended in each attempt: the plan then doesn't run, and the recording contains the reason.
     """
     run, part, name = spec.run(number), spec.part(number), spec.name(number)
     if spec.memory and not lost:

@@ -78,7 +78,7 @@ def attach(
     left: Sequence[Object] = (),
     loose: bool = False,
 ) -> None:
-    """Make an object carry another object; an attachment that exists doesn't change.
+    """Make an object carry another object; see :meth:`pycram.world.object.Object.attach`.
 
     If only the body has a fixed base, as robots and furniture have, the body becomes the carrier.
 
@@ -90,11 +90,6 @@ def attach(
         left: Bodies that stay, but overlap the moving bodies or lean on them; in simulation they don't collide with the
             moving bodies.
         loose: Whether the body only lies in or on the carrier, and is released with the carrier.
-
-    Raises:
-        UnknownName: There is no such link.
-        AttachmentError: The objects are the same, both fixed, or in different worlds; another object carries the body;
-            or the body carries the carrier.
     """
     if body in carrier.attachments:
         return

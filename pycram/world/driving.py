@@ -48,13 +48,7 @@ _BASE_START: Final = (0.01, 0.01, 0.02)  # allowed deviations of a base from the
 
 
 class Followed:
-    """A trajectory that a body follows or has followed.
-
-    Raises:
-        UnknownName: The body lacks a joint of the trajectory.
-        BadArgument: The record isn't a trajectory, or positions of joints that mimic others contradict each other.
-        JointLimitError: A position is outside the joint's limits.
-    """
+    """A trajectory that a body follows or has followed; :func:`with_followers` describes the errors."""
 
     def __init__(self, body: Object, following: records.Following, sim_step: int) -> None:
         self.body = body
@@ -318,8 +312,7 @@ def stop(world: BulletWorld, number: int) -> None:
 def resume(body: Object, following: records.Following) -> None:
     """Make a body continue a recorded trajectory, in a world that is rebuilt from a recording, without a record.
 
-    Raises:
-        BadArgument: The body can't follow the trajectory, or the trajectory's steps contradict the world's time.
+    BadArgument is raised if the body can't follow the trajectory, or if its steps contradict the world's time.
     """
     world = body.world
     if not following.began <= world.sim_step >= following.stopped >= 0 or has_ended(following, world.sim_step):
@@ -415,8 +408,7 @@ class Coasting:
     def may_begin(self, following: Sequence[tuple[Object, Sequence[str]]]) -> bool:
         """Return whether all other bodies rest, and nothing is near the moving links at the start of an interval.
 
-        Args:
-            following: The bodies that follow trajectories, and the moving joints of each; no joints for a base.
+        ``following`` has the bodies that follow trajectories, with the moving joints of each; no joints for a base.
         """
         furniture = [body for body, _ in following if not body.is_robot]
         if list(following) != self._following:

@@ -37,18 +37,10 @@ class Event:
     def __init__(
         self, name: str = "", sender: str = "", envelope: Envelope | None = None, parameters: Sequence[str] = ()
     ) -> None:
-        """Create an event without handlers.
-
-        Args:
-            name: Name of the event in recordings, such as "attachment".
-            sender: Name of the sending world or object in recordings.
-            envelope: Returns the world's name and the number of simulated steps; None without a world.
-            parameters: Names of positional arguments in recordings.
-        """
-        self.name = name
-        self.sender = sender
-        self._where = envelope
-        self._parameters = tuple(parameters)
+        self.name = name  # name in recordings, such as "attachment"
+        self.sender = sender  # name of the sending world or object in recordings
+        self._where = envelope  # returns the world's name and the number of simulated steps; None without a world
+        self._parameters = tuple(parameters)  # names of positional arguments in recordings
         self._lock = threading.Lock()
         self._handlers: tuple[Handler, ...] = ()
 

@@ -39,13 +39,7 @@ def set_positions(body: Object, positions: Mapping[str, float]) -> None:
 
 
 def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return given positions (rad or m) by name as floats.
-
-    Raises:
-        BadArgument: The positions aren't numbers by joint name.
-        UnknownName: The object has no such joint.
-        JointLimitError: A position is outside the joint's limits.
-    """
+    """Return given positions (rad or m) as floats by joint name; raise BadArgument, UnknownName or JointLimitError."""
     if not isinstance(positions, Mapping):
         raise BadArgument("positions", positions, "values by joint name, such as {'torso_lift_joint': 0.2}")
     return {name: _checked(body, name, position) for name, position in positions.items()}
@@ -54,9 +48,7 @@ def checked_positions(body: Object, positions: Mapping[str, float]) -> dict[str,
 def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
     """Return given positions (rad or m) by name, extended by the positions of joints in the same mimic groups.
 
-    Raises:
-        BadArgument: Given positions of a group contradict each other, or contradict a joint that can't be moved.
-        JointLimitError: The position of the joint that the others mimic is outside its limits.
+    Positions of a group that contradict each other, or a joint that can't be moved, raise BadArgument.
     """
     urdf = body.urdf
     if not (body.model.loading.mimic and urdf.mimics):

@@ -61,12 +61,7 @@ def save(world: BulletWorld) -> SavedState:
 
 
 def restore(world: BulletWorld, saved: SavedState) -> None:
-    """Restore a saved state of a world in one transaction.
-
-    Raises:
-        BadArgument: The state is of another world.
-        ObjectsChanged: Objects were loaded or removed since the state was saved.
-    """
+    """Restore a saved state of a world in one transaction; see :meth:`pycram.world.world.BulletWorld.restore`."""
     if not isinstance(saved, SavedState) or saved.world is not world:
         raise BadArgument("saved", saved, f"a state that {world.name}.save() has returned")
     put_back(world, saved.command, saved.objects, saved.steps, saved.snapshots)
@@ -79,11 +74,9 @@ def put_back(
     steps: Mapping[Key, Steps] | None = None,
     snapshots: Mapping[Object, Snapshot] = MappingProxyType({}),
 ) -> None:
-    """Restore a recorded state of a world.
+    """Restore a recorded state of a world. Without ``objects``, names determine the objects of the state.
 
-    Args:
-        objects: The objects of the state; None to find them by their names.
-        steps: Steps of the records from which robots learned the beliefs; None if the command contains them.
+    ``steps`` are the steps of the records from which robots learned the beliefs; None if the command contains them.
     """
     with world.transactions.begin(records.Mutation(restore=command)) as transaction:
         expected = {*(world.objects if objects is None else objects)}

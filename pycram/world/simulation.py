@@ -54,15 +54,10 @@ _MAX_LAG: Final = 0.1  # largest lag in s that real time makes up for; a slow ma
 
 
 def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None = None) -> bool:
-    """Simulate steps of 1/240 s as part of a transaction.
+    """Simulate steps of 1/240 s in a transaction. Return False if Ctrl-C or the end of the world stops the simulation.
 
-    Ctrl-C, or the end of the world, stops the simulation between two samples; the record has the simulated steps.
-
-    Args:
-        until: Called after each 1/30 s of simulated time and at the end; True ends the simulation.
-
-    Returns:
-        Whether all steps were simulated, or ``until`` ended the simulation.
+    The simulation stops between two samples, and the record has the number of simulated steps. ``until`` is called
+    after each 1/30 s of simulated time and at the end; True ends the simulation.
     """
     engine = world.engine
     joints = {body: engine.joints(body.handle)[0] for body in world.objects if body.is_environment}
@@ -224,9 +219,8 @@ def _pass_time(world: BulletWorld, waiting: Wait) -> None:
 class WorldClock:
     """The simulated time of a world as a clock of the scheduler, for waits that only passing time can end.
 
-    Args:
-        last: Whether the clock stands still while a wall-clock deadline or a worker can end a wait of the thread. The
-            clock follows the wall clock while a thread or a signal handler of the plan can end a wait.
+    With ``last``, the clock stands still while a wall-clock deadline or a worker can end a wait of the thread, and
+    follows the wall clock while a thread or a signal handler of the plan can end a wait.
     """
 
     def __init__(self, world: BulletWorld, *, last: bool) -> None:
@@ -464,11 +458,7 @@ class RealtimeClock:
         self._thread.start()
 
     def stop(self) -> None:
-        """Stop the thread and wait for its present simulation; the caller must not hold the world's lock.
-
-        Raises:
-            Exception: The first error of an event handler in the thread.
-        """
+        """Stop the thread, and raise its first error of an event handler. The caller must not hold the world's lock."""
         self._stop.set()
         if self._thread is not threading.current_thread():
             join(self._ended, lambda: self._over)  # a handler of the last simulation may still wait for another branch

@@ -20,11 +20,7 @@ from recorder.records.motion import BASE_COORDINATES
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """A timed motion of a body's joints, or of its base.
-
-    Raises:
-        BadArgument: A value isn't finite, or the lengths of the rows differ.
-    """
+    """A timed motion of a body's joints, or of its base. Infinite values and wrong lengths raise BadArgument."""
 
     joints: tuple[str, ...]  # names of the joints; for a base, () and coordinates x, y (m) and yaw (rad), world frame
     times: tuple[float, ...]  # n times in s, strictly increasing from 0; n is at least 1

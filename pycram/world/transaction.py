@@ -197,10 +197,8 @@ def take_snapshot(body: Object) -> Snapshot:
 def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
     """Set an object to a snapshot of itself, or of the same model in another world; motors hold its joints.
 
-    This isn't a transaction: it is for worlds that are rebuilt from recordings.
-
-    Raises:
-        RuntimeError: A recording is running, and would miss the change.
+    This change isn't a transaction, but for worlds that are rebuilt from recordings. During a recording, which would
+    miss the change, RuntimeError is raised.
     """
     if journal.recording():
         raise RuntimeError(f"the state of {body.name} can only be restored while nothing is recorded")
@@ -213,12 +211,10 @@ def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
 
 
 def state_delta(body: Object, now: Snapshot, last: Snapshot | None, tolerance: float = 0.0) -> records.BodyState | None:
-    """Return the changes of an object's state since its last record; None without changes.
+    """Return the changes of an object's state since the state ``last``, or the whole state; None without changes.
 
-    Args:
-        last: The state in the last record; None for a record of the whole state.
-        tolerance: Differences of poses and joints up to this limit (m, rad, quaternion components) don't count. If the
-            tolerance isn't 0, a change of only velocities doesn't count.
+    Differences of poses and joints up to ``tolerance`` (m, rad, quaternion components) don't count. If the tolerance
+    isn't 0, a change of only velocities doesn't count.
     """
     if now is last:  # the engine returns the same snapshot until a body changes
         return None
@@ -285,11 +281,9 @@ class WorldLock(Lock):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Release the lock, then make the deferred calls.
+        """Release the lock, then make the deferred calls; then raise their first error.
 
-        Raises:
-            Exception: The first error of a call, raised after all calls. If the ``with`` block failed, its error
-                propagates, with the errors of calls as its context.
+        If the ``with`` block failed, its error propagates instead, with the errors of calls as its context.
         """
         deferred: list[Callable[[], None]] = []
         self._depth -= 1

@@ -39,11 +39,7 @@ def word(source: int) -> str:
 
 
 def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[str, Plain]:
-    """Return the evidence of a look. ``source`` is "seen" or "told".
-
-    Args:
-        poses: Poses of objects in the world by name: xyz in m, xyzw.
-    """
+    """Return the evidence of a look: poses of objects (xyz in m, xyzw) by name. ``source`` is "seen" or "told"."""
     found: dict[str, Plain] = {
         name: {"position": list(position), "orientation": list(orientation)}
         for name, (position, orientation) in poses.items()
@@ -52,11 +48,7 @@ def sightings(robot: str, source: str, poses: Mapping[str, PoseLike]) -> dict[st
 
 
 def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: int = -1) -> list[Key]:
-    """Fold the evidence of a query, and return the keys of new beliefs. Beliefs about held objects don't change.
-
-    Raises:
-        ValueError: the evidence is malformed.
-    """
+    """Fold the evidence of a query, and return the keys of new beliefs; raise ValueError for malformed evidence."""
     learned = []
     for fact, source in SOURCES.items():
         found, robot = evidence.get(fact), evidence.get(ROBOT)
@@ -67,7 +59,7 @@ def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: 
         for name, pose in found.items():
             key = robot, name
             known = beliefs.get(key)
-            if known is None or known.source != Belief.HELD:
+            if known is None or known.source != Belief.HELD:  # a look doesn't change beliefs about held objects
                 position, orientation = _pose(name, pose)
                 belief = Belief(position=position, orientation=orientation, source=source)
                 _learn(beliefs, key, belief, sim_step, step)

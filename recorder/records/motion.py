@@ -160,10 +160,7 @@ class FrameTree:
 
 
 def changed_bodies(record: Mutation | Keyframe, bodies: Mapping[str, LoadBody]) -> tuple[list[str], list[LoadBody]]:
-    """Return the names of bodies that are removed or get another model, and the loaded bodies.
-
-    ``bodies`` contains the bodies of the record's world, by name.
-    """
+    """Return which ``bodies`` of the record's world are removed or get another model, and the loaded bodies."""
     if isinstance(record, Keyframe):
         models = {name: [asset.sha256 for asset in loaded.assets] for name, loaded in bodies.items()}
         added = [

@@ -254,13 +254,8 @@ def emit(
 ) -> Mapping[Journal, int]:
     """Complete the envelope of a record, append the record to every open journal, and return its step in each journal.
 
-    Args:
-        sim_step: Simulated steps of the world.
-        task: Id of the record's task, by default the current task.
-        number: Sets references to steps in the record; called for each journal. Step numbers differ between journals.
-
-    Raises:
-        RecursionError: The stack has no room for a record.
+    ``task`` is the id of the record's task, by default the current task. ``number`` is called for each journal, to set
+    references to steps in the record. RecursionError is raised if the stack has no room for a record.
     """
     context.require_stack_room(context.FOR_RECORD)
     record.world = world
