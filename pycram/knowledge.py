@@ -69,7 +69,7 @@ def beliefs(what: str | Object | None = None, *, robot: Object | None = None) ->
 def learn(poses: Mapping[Object, PoseLike], *, robot: Object | None = None) -> None:
     """Update a robot's beliefs with seen poses; own process modules for cameras call this.
 
-    The recording contains the update as one query, ``seen``.
+    The recording contains the update as a query with the name ``seen``.
 
     Args:
         poses: Poses of the objects in the world: xyz in m, xyzw.

@@ -52,7 +52,7 @@ class Rendering:
     def picture_before(
         self, behind: NDArray[np.uint8], depth: NDArray[np.float64], up: Sequence[float]
     ) -> NDArray[np.uint8]:
-        """Return the colour image ``behind`` with this picture in front of it. ``behind`` has the ``depth`` in m."""
+        """Return the colour image ``behind``, which has the ``depth`` in m, with the nearer pixels of this picture."""
         nearer = self.depth < depth
         image = behind.copy()
         image[nearer] = self._lit(up)[self.seen[nearer]]

@@ -156,7 +156,7 @@ class McapSink:
                 self._wake.set()
 
     def _lifetime(self, record: Record) -> int:
-        """Return how many worlds have had the name of the record's world, including this one."""
+        """Return the number of worlds with this name so far, including the record's world."""
         lifetime = self._lifetimes.get(record.world, 0)
         if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
             lifetime = self._lifetimes[record.world] = lifetime + 1
@@ -327,7 +327,7 @@ def open_output(path: Path) -> io.FileIO:
         file = _open(path)
     except OSError as error:
         if error.errno == errno.ENXIO:
-            raise RecordingError(path, "it is a pipe without a reader", "start its reader first") from error
+            raise RecordingError(path, "the file is a pipe without a reader", "start its reader first") from error
         hint = "make the folder first" if not path.parent.exists() else "choose a path that you may write to"
         raise RecordingError(path, reason(error), hint) from error
     with contextlib.ExitStack() as undoing:
@@ -335,7 +335,7 @@ def open_output(path: Path) -> io.FileIO:
         try:
             system.lock(file.fileno())
         except BlockingIOError as error:
-            raise RecordingError(path, "another recording is writing it", "choose another path") from error
+            raise RecordingError(path, "another recording is writing this file", "choose another path") from error
         except OSError as error:
             if error.errno not in _WITHOUT_LOCKS:
                 raise RecordingError(path, reason(error), HINT) from error
@@ -343,7 +343,7 @@ def open_output(path: Path) -> io.FileIO:
             start = file.read(len(MAGIC)) or b""
             if start and start != MAGIC:
                 raise RecordingError(
-                    path, "there is a file that isn't a recording", "move it away or choose another path"
+                    path, "there is a file that isn't a recording", "move the file away or choose another path"
                 )
             file.seek(0)
             file.truncate()

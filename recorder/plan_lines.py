@@ -47,7 +47,7 @@ def last_name(node: ast.AST | None) -> str:
 
 
 def called_name(node: ast.AST) -> str:
-    """Return the name of the function or method that a node calls; "" if it calls none."""
+    """Return the name of the called function or method; "" if the node isn't a call."""
     return last_name(node.func) if isinstance(node, ast.Call) else ""
 
 

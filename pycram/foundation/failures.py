@@ -129,7 +129,7 @@ class InCollision(PlanFailure):
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
-        return f"the robot can't be at {_point(self.position)}: {touched}; it stays where it is"
+        return f"the robot can't be at {_point(self.position)}: {touched}; the robot stays where it is"
 
 
 @dataclass_error
@@ -141,7 +141,7 @@ class NotDrivable(PlanFailure):
     reason: str
 
     def _message(self) -> str:
-        return f"the robot can't drive to {_point(self.position)}: {self.reason}; it stays where it is"
+        return f"the robot can't drive to {_point(self.position)}: {self.reason}; the robot stays where it is"
 
 
 @dataclass_error
@@ -158,8 +158,10 @@ class PostureInCollision(PlanFailure):
 
     def _message(self) -> str:
         touched = phrases(self.pairs) if self.pairs else f"it would touch {', '.join(self.bodies)}"
-        hint = f"; with {self.torso[0]} at {self.torso[1]:g} m it can take the posture" if self.torso else ""
-        return f"the {' and '.join(self.arms)} arm can't take that posture: {touched}; it stays where it is{hint}"
+        hint = f"; with {self.torso[0]} at {self.torso[1]:g} m the robot can take the posture" if self.torso else ""
+        return (
+            f"the {' and '.join(self.arms)} arm can't take that posture: {touched}; the robot stays where it is{hint}"
+        )
 
 
 @dataclass_error
@@ -176,10 +178,10 @@ class NoPath(PlanFailure):
 
     def _message(self) -> str:
         if self.reason:
-            return f"no path was found for the {self.mover}: {self.reason}; it stays where it is"
+            return f"no path was found for the {self.mover}: {self.reason}; the {self.mover} stays where it is"
         often = f"; most often {phrases(self.pairs)}" if self.pairs else ""
         searched = f"the search ended {self.distance:.2f} from the goal after {self.checks} checked configurations"
-        return f"no path was found for the {self.mover}: {searched}{often}; it stays where it is"
+        return f"no path was found for the {self.mover}: {searched}{often}; the {self.mover} stays where it is"
 
 
 @dataclass_error
@@ -300,7 +302,7 @@ class TrackingLost(PlanFailure):
     pairs: Sequence[CollisionPair] = kept_as(list)  # contacts of the body at that time, the hardest first
 
     def _message(self) -> str:
-        why = f": {phrases(self.pairs)}" if self.pairs else "; it touches nothing"
+        why = f": {phrases(self.pairs)}" if self.pairs else f"; {self.body} touches nothing"
         off = f"{self.error:.3f} off trajectory {self.number} after {self.time:.3f} s"
         return f"{self.joint} of {self.body} is {off}{why}"
 
@@ -331,7 +333,7 @@ class Displaced(PlanFailure):
 
     _template = (
         "{coordinate} of {body} is at {position:.3f} instead of {expected:.3f}, because something else moved it during "
-        "the motion; it stays there: perform the motion again"
+        "the motion; {coordinate} stays there: perform the motion again"
     )
 
 

@@ -33,7 +33,7 @@ export("pycram.failures", PluginFailed)
 
 @cache
 def load(group: str, name: str) -> Any:
-    """Return the object of an entry point; None if no package has that name. Raise PluginFailed if it can't be used."""
+    """Return the object of an entry point; None if no package has the name. Raise PluginFailed if loading fails."""
     import logging  # noqa: PLC0415  imported here: slow to import, and few plans use plugins
     from importlib.metadata import entry_points  # noqa: PLC0415  imported here: slow to import
 

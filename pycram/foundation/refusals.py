@@ -25,7 +25,7 @@ T = TypeVar("T")
 Class = TypeVar("Class", bound=type)
 Error = TypeVar("Error", bound=BaseException)
 
-_RECORDED: Final = "_is_on_record"  # name of an attribute that marks recorded errors; it isn't part of their data
+_RECORDED: Final = "_is_on_record"  # attribute that marks a recorded error, and isn't part of the error's data
 
 
 def refusing(subject: str = "", *, name: str = "") -> Callable[[Callable[P, T]], Callable[P, T]]:

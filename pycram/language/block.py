@@ -47,7 +47,7 @@ class Policy:
 
 
 class Block:
-    """A block: ``s`` in ``with par as s``. Its failures go into the list ``failures``; without a list, it raises."""
+    """A block: ``s`` in ``with par as s``. The list ``failures`` gets its failures; without a list, the block fails."""
 
     def __init__(self, policy: Policy, failures: list[BaseException] | None = None) -> None:
         self.policy = policy
@@ -71,7 +71,7 @@ class Block:
         self._joined = 0  # number of branches at the beginning of ``branches`` that have ended
         self._decided = False  # whether a branch or a failure of the body has decided the block
         self._body_failures: list[PlanFailure] = []
-        self._entered = ExitStack()  # the contexts of the body, which end with it
+        self._entered = ExitStack()  # the contexts that end with the body
         self._span = Span("block", policy.name)
 
     @property
@@ -444,7 +444,7 @@ class Nothing(Opening, list[Result]):
 
 
 class Kind(Opening):
-    """One of the five words: it opens a block with or without parentheses, or runs functions."""
+    """One of the five words, which open a block with or without parentheses, or run functions."""
 
     @overload
     def __call__(self) -> Opening: ...

@@ -42,7 +42,7 @@ class NoResult(UsageError):
 
     def __init__(self, branch: str) -> None:
         super().__init__(
-            f"{branch} has no result: it was cancelled when another branch decided the block; see s.branches"
+            f"{branch} has no result: this branch was cancelled when another decided the block; see s.branches"
         )
         self.branch = branch  # name of the branch
 

@@ -33,7 +33,7 @@ Value = TypeVar("Value")
 
 
 class Misnested(UsageError):
-    """A block ended before a block that was opened inside it."""
+    """An outer block ended before an inner block."""
 
     def __init__(self, block: str) -> None:
         super().__init__(
@@ -61,7 +61,7 @@ _open: Final[ContextVar[tuple[_Open, ...]]] = ContextVar("pycram_open", default=
 
 
 class Scope(ABC, Generic[Value]):
-    """A context manager that rejects an end out of order; it can be reused, also nested."""
+    """A reusable context manager, also for nested blocks, that rejects an end out of order."""
 
     def __init__(self, name: str) -> None:
         self._name = name  # kind of the scope, for messages
@@ -112,7 +112,7 @@ def _generator() -> int:
 
 
 class GeneratorScope(Scope[Value], ContextDecorator):
-    """A scope that :func:`scope` makes from a generator; it is also a decorator."""
+    """A scope and decorator that :func:`scope` makes from a generator."""
 
     def __init__(self, name: str, make: Callable[[], AbstractContextManager[Value]]) -> None:
         super().__init__(name)

@@ -130,7 +130,7 @@ class FailureHandling:
         return result
 
     def __call__(self, function: Callable[..., Result]) -> Callable[..., Result]:
-        """Decorate a function so that each call retries it."""
+        """Decorate a function so that its calls are retried."""
 
         @functools.wraps(function)
         def handled(*args: object, **kwargs: object) -> Result:

@@ -162,7 +162,7 @@ class Engine:
             self._filter(body, _DYNAMIC_GROUP, _ALL)
 
     def ghost(self, body: LoadedBody) -> None:
-        """Let a body pass through all bodies permanently; contact and distance queries still include it."""
+        """Let a body pass through all bodies permanently; contact and distance queries still include the body."""
         self._filter(body, 0, 0)
 
     def _filter(self, body: LoadedBody, group: int, mask: int, links: Iterable[int] | None = None) -> None:
@@ -361,7 +361,7 @@ class Engine:
         return number
 
     def _to_inertial(self, body: LoadedBody, link: str, pose: Pose) -> Pose:
-        """Return a pose in a link's frame relative to the link's inertial frame, as constraints need it."""
+        """Return a pose in a link's frame relative to the link's inertial frame, for constraints."""
         at, turn = bullet.getDynamicsInfo(body.id, body.links[link], physicsClientId=self._client)[3:5]
         return pose if (at, turn) == IDENTITY else geometry.multiply(geometry.invert((at, turn)), pose)
 

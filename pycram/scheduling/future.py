@@ -135,7 +135,7 @@ def branch_of(value: object) -> Pending | None:
 def branches_in(value: object) -> Iterator[Pending]:
     """Yield the branches of all futures in a value, also in nested lists, tuples and dictionaries, without waiting.
 
-    If the caller waits for each branch before requesting the next, it also gets the branches of futures in results.
+    A caller that waits for each branch before the next also gets the branches of futures in results.
     """
     queue = [value]
     seen = set()

@@ -255,7 +255,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _in_use(folder: Path, who: str) -> SweepRefused:
-    return SweepRefused(f"{folder}: {who} is sweeping into it; wait until it ends, or name another folder")
+    return SweepRefused(f"{folder}: {who} is sweeping into this folder; wait for its end, or name another folder")
 
 
 def begin(folder: Path, facts: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -107,7 +107,7 @@ class _Store:
         try:
             self._files, self.root = fsspec.core.url_to_fs(given)
         except (ImportError, ValueError) as error:  # fsspec doesn't support the protocol, or needs another package
-            raise SweepRefused(f"{url}: {error}; all nodes need it") from error
+            raise SweepRefused(f"{url}: {error}; all nodes must support this URL") from error
         kinds = (self._files.protocol, *self._files.protocol)  # the protocol is a string or a tuple
         if "memory" in kinds:
             raise SweepRefused(f"{url}: files there are lost when the process ends; name a folder or another URL")

@@ -34,7 +34,7 @@ _BELOW: Final = -0.1  # maximum z of a contact's unit normal if a body touches a
 
 
 class StillHeld(UserWarning):
-    """An object was detached between closed fingers, which hold it by friction in simulation."""
+    """An object was detached, but closed fingers still hold the object by friction in simulation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ class BodyAttachment:
     pose: Pose  # pose of the body's base link in the carrier's link: position in m, orientation xyzw
     constraint: int  # the engine's id of the constraint that holds the body in simulation
     loose: bool = False  # whether the body only lies in or on the carrier, and is released with the carrier
-    left: Sequence[Object] = ()  # bodies that don't collide with this body in simulation while it is held
+    left: Sequence[Object] = ()  # bodies that don't collide with the held body in simulation
 
     def other(self, side: Object) -> Object:
         """Return the other object of the attachment."""
@@ -215,7 +215,7 @@ def _check(carrier: Object, body: Object) -> None:
 
 
 def move_attached(carrier: Object, transaction: Transaction) -> None:
-    """Move everything that an object carries to its relative pose, after the object or one of its joints has moved."""
+    """Move all carried objects to their relative poses, after their carrier or one of its joints has moved."""
     engine = carrier.world.engine
     for attachment in carrier.carried:
         body = attachment.body
@@ -312,8 +312,8 @@ def move_supported(
 def taken_along(body: Object) -> tuple[list[Object], list[Object]]:
     """Return the free objects that move along when a hand lifts an object, and the free objects that the hand leaves.
 
-    Objects in or on the lifted object move along. If such an object also rests on an object that stays, it only leans
-    on the lifted object, and is left. Other objects that overlap the lifted object are also left.
+    Objects in or on the lifted object move along. An object that also rests on an object that stays only leans on the
+    lifted object, and is left. Other objects that overlap the lifted object are also left.
     """
     engine, objects = body.world.engine, body.world.objects
     free = [other for other in objects if other is not body and not other.fixed and other.carrier is None]

@@ -185,13 +185,13 @@ class Trajectories:
         followed.hold()
 
     def end_all(self, body: Object | None = None) -> None:
-        """End all trajectories, or those of a body, in a transaction that moves or removes the body."""
+        """End all trajectories, or all trajectories of a body, in a transaction that moves or removes the body."""
         for followed in list(self.active.values()):
             if body in (None, followed.body):
                 self.end(followed)
 
     def refuse(self, action: str, body: Object, joints: Collection[str] = ()) -> None:
-        """Raise FollowsTrajectory if a joint follows a trajectory; without joints, if the base follows one."""
+        """Raise FollowsTrajectory if a joint follows a trajectory; without joints, if the base follows a trajectory."""
         for number, followed in self.active.items():
             moved = followed.trajectory.joints
             both = [name for name in moved if name in joints]
@@ -496,7 +496,7 @@ class Coasting:
         return overlap
 
     def _is_near(self, rows: Array, distances: Array) -> bool:
-        """Return whether a link is nearer to a moving link than a distance in m, and doesn't move along with it."""
+        """Return whether a link is nearer to a moving link than a distance in m, unless both links move together."""
         for row, column in zip(*np.nonzero(self._overlap(rows, distances)), strict=True):
             (body, link), (other, other_link) = self._rows[row], self._columns[column]
             if self._world.engine.link_closest_points(

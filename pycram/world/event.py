@@ -54,7 +54,7 @@ class Event:
 
     @refusing("event", name="+=")
     def __iadd__(self, handler: Handler) -> Self:
-        """Register a handler once; it gets the event's arguments.
+        """Register a handler, which gets the event's arguments, once.
 
         Raises:
             BadArgument: The handler isn't callable.

@@ -102,7 +102,7 @@ def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:
 
 
 def _speeds(urdf: Urdf, given: Mapping[str, float], moved: Iterable[str]) -> tuple[float, ...]:
-    """Return the given speeds of joints (rad/s or m/s), or those that follow from the joints that they mimic."""
+    """Return speeds of joints (rad/s or m/s): the given speeds, or speeds that follow from mimicked joints."""
     speeds = dict(given)
     for name, speed in given.items():
         mimic = urdf.mimics.get(name)

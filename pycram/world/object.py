@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from pycram.world.world import BulletWorld
 
 
-#: None, in attributes whose world, robot or description may be missing. Type checkers accept any use of it, so plans
-#: need no assertions.
+#: Marks attributes that are None without a world, robot or description. Type checkers accept any use of such
+#: attributes, so plans need no assertions.
 MaybeNone: TypeAlias = Any
 
 _SCALES = (1e-6, 1e6)  # lowest and highest scale, in m per unit of length

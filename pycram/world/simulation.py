@@ -35,7 +35,7 @@ SLOW: Final = 2e-3  # maximum speed in m/s of an object at rest
 SLOW_TURN: Final = 2e-2  # maximum angular speed in rad/s of an object at rest
 INTERVALS: Final = 4  # number of successive intervals in which an object must be slow before it is at rest
 _GAIN: Final = 1.15  # largest gain of speed over these intervals; a 2 m high shelf that starts to tip gains more
-_STRAY: Final = 0.25  # in this duration in s, an object at rest may move as far as the slow speed would move it
+_STRAY: Final = 0.25  # duration in s; an object at rest may move as far as the slow speed leads in this time
 _TREMBLES: Final = 3 * records.STEPS_PER_SECOND  # number of steps after which a trembling object is at rest
 _TO_AND_FRO: Final = 4.0  # minimum ratio of the path length of a trembling object to its displacement
 _NOISE: Final = 0.1  # smaller changes of speed, as shares of the slow speed, are noise of the solver
@@ -120,7 +120,7 @@ def _record_drags(world: BulletWorld, transaction: Transaction) -> None:
 
 
 def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:
-    """Return a sample of the objects that moved visibly since the last sample, and update ``last`` to it."""
+    """Return a sample of the objects that moved visibly since the last sample, and put their states into ``last``."""
     sample = records.Sample(sim_step=world.sim_step)
     for body in world.objects:
         now = take_snapshot(body)

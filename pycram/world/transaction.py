@@ -52,8 +52,8 @@ class Transaction:
     detached: list[BodyAttachment] = field(default_factory=list)  # attachments that ended
     samples: list[records.Sample] = field(default_factory=list)  # states within a simulation
     number: Callable[[Journal], None] | None = None  # sets step numbers in the command for a recording
-    #: Functions that are called under the lock when the transaction is recorded; the functions that they return are
-    #: called without it.
+    #: Functions that are called under the lock when the transaction is recorded. Each returns a function that is called
+    #: after the lock's release.
     callbacks: list[Callable[[], Callable[[], None]]] = field(default_factory=list)
 
     def mark_modified(self, *bodies: Object) -> None:
@@ -85,7 +85,7 @@ class Observer(Protocol):
 
 
 class TransactionManager:
-    """The lock and the records of one world; it refuses changes during queries."""
+    """Manages the lock and the records of one world, and refuses changes during queries."""
 
     def __init__(self, world: BulletWorld) -> None:
         self._world = world
@@ -312,7 +312,7 @@ class ReadOnlyAttributes:
     _sealed: frozenset[str] = frozenset()
 
     def _seal(self, kind: type) -> None:
-        """Make the present attributes and those of the class read-only."""
+        """Make the present attributes of the object and of the class read-only."""
         settable = {name for name, member in vars(kind).items() if isinstance(member, property) and member.fset}
         self._sealed = frozenset(name for name in (vars(self).keys() | vars(kind).keys()) - settable if name[0] != "_")
 

@@ -64,7 +64,7 @@ def _reserve_name(name: str | None) -> str:
 
 
 def make_current(world: BulletWorld) -> None:
-    """Make a world current; raise WorldClosed if it has ended."""
+    """Make a world current; raise WorldClosed if the world has ended."""
     with _lock:
         if world.closed:
             raise WorldClosed(world.name, "become current")

@@ -75,7 +75,7 @@ class Moments:
 
 
 def parse(text: str, source: str = "") -> Property:
-    """Parse a property; raise BadProperty if it isn't one. ``source`` is the property's file and line, for messages."""
+    """Parse a property; raise BadProperty for other texts. ``source`` is the property's file and line, for messages."""
     return _Parser(" ".join(text.split()), source).parse()
 
 

@@ -60,7 +60,7 @@ def format_traceback(error: BaseException, *, frames: int = MAX_FRAMES, errors: 
 
 
 def chain(error: BaseException) -> list[tuple[str, BaseException]]:
-    """Return the causes and the error; each comes after the text that links it to the error before.
+    """Return pairs of a text and an error, the root cause first; the text links the error to the previous error.
 
     A group of errors prints its own causes.
     """

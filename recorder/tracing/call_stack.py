@@ -100,7 +100,7 @@ def recorded_file(file: str) -> str:
 
 
 def plan_frame(frame: FrameType | None) -> tuple[FrameType | None, FrameType | None]:
-    """Return the plan's innermost frame of a frame and its callers, and the innermost foreign frame that it called."""
+    """Return the plan's innermost frame among a frame and its callers, and the innermost foreign frame within it."""
     foreign = None
     known, plan, elsewhere, runner = _origins.get, _Origin.PLAN, _Origin.FOREIGN, _Origin.RUNNER  # faster than globals
     while frame is not None:

@@ -230,7 +230,7 @@ def call_soon(function: Callable[[], bool]) -> None:
 
 
 def _call() -> None:
-    """Call the function of :func:`call_soon`, but not again after sections that it opens."""
+    """Call the function of :func:`call_soon` once; sections that this function opens don't call the function again."""
     global _soon  # noqa: PLW0603  as above
     if threading.get_ident() != threading.main_thread().ident:
         return

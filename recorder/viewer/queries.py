@@ -76,7 +76,7 @@ def _text(line: str) -> str:
 
 PICTURE: Final = "picture"
 _MAX_CLASSES: Final = 60_000  # maximum number of classes, because the viewer stores a class in 16 bits
-MAX_PIXELS: Final = 1 << 24  # maximum number of pixels; pictures of robot cameras have a tenth of it
+MAX_PIXELS: Final = 1 << 24  # maximum number of pixels; pictures of robot cameras have a tenth of this number
 
 
 class QueryPicture:

@@ -320,7 +320,7 @@ def table(robot: LoadBody, name: str) -> Mapping[str, Any]:
 
 
 def offset(described: Mapping[str, Any], name: str) -> Pose:
-    """Return a described pose in a link; without a description, that of the link's frame."""
+    """Return a described pose in a link; without a description, the pose of the link's frame."""
     found = described.get(name, {})
     x, y, z = found.get("xyz", (0.0, 0.0, 0.0))
     return (x, y, z), geometry.from_rpy(*found.get("rpy", (0.0, 0.0, 0.0)))

@@ -163,7 +163,8 @@ def test_a_posture_that_a_low_torso_is_in_the_way_of_says_at_which_height_it_wou
     perform(type="move-tcp", target=[0.9, 0.3, 1.0], arm="left")
     robot.set_joint_position(torso.joint, 0.0)
     with pytest.raises(
-        PostureInCollision, match=r"would touch base_link.*; with torso_lift_joint at 0\.3 m it can take the posture$"
+        PostureInCollision,
+        match=r"would touch base_link.*; with torso_lift_joint at 0\.3 m the robot can take the posture$",
     ) as low:
         perform(type="move-arm-joints", left_arm="park", right_arm="park")
     assert low.value.torso == (torso.joint, torso.default)
