@@ -126,9 +126,6 @@ class RunOutcome:
     remark: str = ""  # error that a hook raised
 
 
-# --- one run, in a child ----------------------------------------------------------------------------------------------
-
-
 class _RunSink(McapSink):
     end: Run | None = None
     started = False
@@ -217,9 +214,6 @@ def _answer(outcome: RunOutcome, models: Sequence[tuple[str, list[float], float]
 def hooks() -> tuple[Callable[[Path], object], ...]:
     """Return the functions for recordings that installed packages register."""
     return tuple(each.load() for each in entry_points(group=HOOKS))
-
-
-# --- many runs --------------------------------------------------------------------------------------------------------
 
 
 class _Job(NamedTuple):

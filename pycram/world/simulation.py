@@ -50,8 +50,6 @@ _MAX_WAIT_STEPS: Final = 10 * records.STEPS_PER_SECOND  # maximum number of step
 _PERIOD: Final = 1 / 30  # seconds of real time in one record
 _MAX_LAG: Final = 0.1  # largest lag in s that real time makes up for; a slow machine could never catch up with more
 
-# --- steps -----------------------------------------------------------------------------------------------------------
-
 
 def simulate(world: BulletWorld, steps: int, transaction: Transaction, until: Callable[[], bool] | None = None) -> bool:
     """Simulate steps of 1/240 s in a transaction. Return False if Ctrl-C or the end of the world stops the simulation.
@@ -129,9 +127,6 @@ def _sample(world: BulletWorld, last: dict[str, Snapshot]) -> records.Sample:
             last[body.name] = now
             sample.bodies.append(delta)
     return sample
-
-
-# --- waiting in simulated time ---------------------------------------------------------------------------------------
 
 
 class Wait:
@@ -268,9 +263,6 @@ def _is_needed(world: BulletWorld, scope: CancelScope | None) -> bool:
         or (observer is not None and observer.has_news())
         or bool(world.lock.contenders)
     )
-
-
-# --- coming to rest --------------------------------------------------------------------------------------------------
 
 
 class Restless(UserWarning):
@@ -436,9 +428,6 @@ def _speed(body: Object, before: Snapshot, after: Snapshot, seconds: float) -> S
         slow, unit = (SLOW, "m/s") if joint.kind == "prismatic" else (SLOW_TURN, "rad/s")
         fastest = max(fastest, Speed(abs(b - a) / slow / seconds, joint.name, unit))
     return fastest
-
-
-# --- real time -------------------------------------------------------------------------------------------------------
 
 
 class RealtimeClock:

@@ -186,9 +186,6 @@ class TransactionManager:
         return frame
 
 
-# --- states of objects -----------------------------------------------------------------------------------------------
-
-
 def take_snapshot(body: Object) -> Snapshot:
     """Return the state of an object in the engine."""
     return body.world.engine.snapshot(body.handle)
@@ -248,9 +245,6 @@ def _changed_joints(now: Snapshot, last: Snapshot | None, tolerance: float) -> S
     return [i for i, (old, new) in enumerate(zip(before, after, strict=True)) if old != new]
 
 
-# --- the lock --------------------------------------------------------------------------------------------------------
-
-
 class WorldLock(Lock):
     """A world's re-entrant lock, which isn't held while event handlers or other branches run.
 
@@ -295,9 +289,6 @@ class WorldLock(Lock):
             chained(error, errors)
         elif errors:
             raise chained(errors[0], errors[1:])
-
-
-# --- read-only attributes --------------------------------------------------------------------------------------------
 
 
 class ReadOnlyAttributes:
