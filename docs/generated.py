@@ -80,6 +80,14 @@ def pages() -> dict[str, str]:
     return made
 
 
+def order(page: str) -> tuple[str, int, str]:
+    """Return the key that sorts a page in the menu: recipes are sorted by subjects, other pages by names."""
+    folder, _, name = page.rpartition("/")
+    subjects = list(_SUBJECTS) if folder == "howto" else []
+    prefix = name.partition("_")[0]
+    return folder, subjects.index(prefix) if prefix in subjects else -1, name
+
+
 def _titles(folder: str, names: str) -> str:
     """Return a list of links to pages of a folder."""
     found = sorted((_DOCS / folder).glob(f"{names}.md"))

@@ -12,7 +12,7 @@ from mkdocs.structure.files import File, Files
 
 _REPO = Path(__file__).parent.parent
 sys.path.insert(0, str(_REPO))  # mkdocs loads this file by its path
-from docs.generated import pages  # noqa: E402
+from docs.generated import order, pages  # noqa: E402
 
 if TYPE_CHECKING:
     from mkdocs.config.defaults import MkDocsConfig
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 #: Pages of the repository's first folder that the site shows, too.
 _ROOT_PAGES = ("CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")
+#: Code in a cell of a table, without tags in it.
+_CODE = re.compile(r"(?<=<code>)[^<]+(?=</code>)")
+_LONG = 12  # number of characters of a name that may break
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -29,7 +32,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         files.append(File.generated(config, name.lower(), content=_linked(text, ".")))
     for path, text in pages().items():
         files.append(File.generated(config, path, content=text))
-    shown = sorted(file.src_uri for file in files.documentation_pages())
+    shown = sorted((file.src_uri for file in files.documentation_pages()), key=order)
     config.nav = _expanded(config.nav, shown)
     return files
 
@@ -45,8 +48,13 @@ def on_page_markdown(markdown: str, page: Page, **_: object) -> str:
 
 
 def on_page_content(html: str, **_: object) -> str:
-    """Leave out the roles of reStructuredText, which docstrings have."""
-    return re.sub(r":(?:class|func|mod|meth|attr|exc|data):(?=<code>|`)", "", html)
+    """Leave out the roles of reStructuredText, which docstrings have; let long names break in tables of a phone."""
+    html = re.sub(r":(?:class|func|mod|meth|attr|exc|data):(?=<code>|`)", "", html)
+    return re.sub(r"<td[ >].*?</td>", lambda cell: _CODE.sub(_breakable, cell[0]), html, flags=re.DOTALL)
+
+
+def _breakable(code: re.Match[str]) -> str:
+    return re.sub(r"(?<=[_(/])(?=\w)", "<wbr>", code[0]) if len(code[0]) > _LONG else code[0]
 
 
 def _linked(text: str, folder: str) -> str:
