@@ -73,8 +73,8 @@ lists all bundled models.
 ## Surfaces
 
 `Object("kitchen", "environment", "kitchen.urdf")` has the following surfaces; drawers and doors are closed. Each name
-is a destination of an action, as in `transporting(object=milk, target="counter")`. x and y are the ranges that objects
-may cover. An object rests half its height above the height of the surface; for example, the milk on the counter rests
+is a destination of an action, as in `transporting(object=milk, target="counter")`. x and y are the ranges of the
+surface. An object rests half its height above the height of the surface; for example, the milk on the counter rests
 at z = 0.85 + 0.097. The front edge of the counter is at x = 1.247; in the plans of the tutorial, the PR2 stands before
 the counter at x = 0.6. The last row is the table of `table.urdf`.
 """
@@ -82,9 +82,9 @@ _GRASPS: Final = """\
 ## Objects and grippers
 
 A two-finger gripper can hold an object along a horizontal axis on which the object is at least 4 mm narrower than the
-opening. The last four columns name the sides from which each robot's (left) hand fits on the upright object, if the
-robot looks along the object's x axis. `rim` means a grasp from the top over the rim. The columns ignore other objects:
-a surface in the way or a long distance can exclude a grasp. Sizes are in mm.
+opening. The last four columns list the sides from which a hand can grasp the upright object; the PR2 and TIAGo Pro use
+the left hand. The robot looks along the object's x axis. `rim` is a grasp from the top over the rim. The columns ignore
+other objects and the reach of the arm. Sizes are in mm.
 """
 _ROBOTS: Final = {"pr2": "PR2", "tiago_pro": "TIAGo Pro", "panda": "Panda", "ur5": "UR5"}
 

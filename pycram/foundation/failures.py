@@ -173,7 +173,7 @@ class NoPath(PlanFailure):
     checks: int  # number of configurations that were checked for collisions
     nearest: Mapping[str, float] = kept_as(dict)  # the reached configuration that is nearest to the goal
     distance: float  # joint distance from ``nearest`` to the goal; for a base in m, where 1 rad counts as 0.5 m
-    pairs: Sequence[CollisionPair] = kept_as(list)  # the pairs of links that most often ended a path by touching
+    pairs: Sequence[CollisionPair] = kept_as(list)  # the pairs of links whose contacts ended most paths
     reason: str = ""  # why the arm can't stay level, if that is the cause
 
     def _message(self) -> str:
