@@ -1,8 +1,8 @@
 """Small edits of a plan, each at one place: candidates for a repair.
 
 An edit changes a syntax node (:mod:`.operators`), moves a statement, or inserts a wait or another call of the plan.
-No edit removes a statement, or changes an assertion or what only assertions use, so a repair can't succeed by dropping
-the plan's goal.
+No edit removes a statement (except an unused world), or changes an assertion or what only assertions use, so a repair
+can't succeed by dropping the plan's goal.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final
 
 from recorder.plan_lines import called_name, stored
 from replay.fix.operators import FAR, Change, changes, similar_name
-from replay.fix.plan_syntax import PlanSyntax, asserts, loads
+from replay.fix.plan_syntax import PlanSyntax, asserts, loads, written_point
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
@@ -39,6 +39,7 @@ class Edit:
     text: str  # the whole source after the edit
     asks: bool = False  # whether a value or name changes, rather than the way in which values are computed
     chance: bool = False  # whether only the success of the run supports it
+    kind: str = ""  # name of the operator that made it
 
 
 class Editor:
@@ -47,6 +48,7 @@ class Editor:
     def __init__(self, text: str) -> None:
         self.text = text
         self.plan = PlanSyntax(text)
+        self.points: list[list[float]] = []  # lists of numbers in the failure; their edits come first
         #: The lines of handlers that swallow errors.
         handlers = (node for node in self.plan.nodes if isinstance(node, ast.ExceptHandler))
         self.handlers = [node.lineno for node in handlers if not any(map(asserts, ast.walk(node)))]
@@ -61,9 +63,8 @@ class Editor:
         """
         sets = [set(each) for each in alternatives]
         plan = self.plan
-        for node in plan.nodes:
-            if getattr(node, "lineno", None) != line or node in plan.goals:
-                continue
+        nodes = [node for node in plan.nodes if getattr(node, "lineno", 0) == line and node not in plan.goals]
+        for node in sorted(nodes, key=lambda node: not self._is_used(node)):
             for change in (*self._names(node, sets), *changes(node, plan)):
                 likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
                 yield self._edit(change, line, _SCENE * (node in plan.scene) - likely)
@@ -112,6 +113,10 @@ class Editor:
         for text, cost in found.items():
             if {each.id for each in ast.walk(ast.parse(text)) if isinstance(each, ast.Name)} <= known:
                 yield text, cost
+
+    def _is_used(self, node: ast.AST) -> bool:
+        """Return whether a node is, or is in, one of the points."""
+        return bool(self.points) and any(written_point(each) in self.points for each in (node, *self.plan.around(node)))
 
     def _is_forgotten(self, change: Change) -> bool:
         """Return whether a change uses a name that the plan defines, but doesn't use."""
@@ -169,4 +174,4 @@ class Editor:
 
     def _edit(self, change: Change, line: int, more: float = 0) -> Edit:
         text = self.plan.replaced(change.parts)
-        return Edit(change.cost + more, line, change.what, text, change.asks, change.chance)
+        return Edit(change.cost + more, line, change.what, text, change.asks, change.chance, change.kind)

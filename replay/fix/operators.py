@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from recorder.plan_lines import called_name, last_name, stored
-from replay.fix.plan_syntax import PlanSyntax, loads, written_number
+from replay.fix.plan_syntax import PlanSyntax, loads, written_number, written_point
 
 _FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
 #: Each row: an operator, and those that it replaces by mistake.
@@ -40,6 +40,7 @@ class Change(NamedTuple):
     parts: tuple[tuple[ast.AST | tuple[int, int], str], ...]  # nodes, or places in bytes
     asks: bool = False  # whether a value or name changes, rather than how values are computed
     chance: bool = False  # whether only the success of the run supports it
+    kind: str = ""  # name of the operator
 
 
 def _to(node: ast.AST, new: str, cost: float, what: str = "", *, asks: bool = False, chance: bool = False) -> Change:
@@ -67,6 +68,32 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
             yield _to(node, repr(other), 0.45, asks=True)
 
 
+def _frame(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a position in the world instead of a position relative to the robot."""
+    position = written_point(node)
+    for base in plan.bases if any(position[2:]) else ():
+        new = f"[{', '.join(f'{one + other:.6g}' for one, other in zip(position, base, strict=True))}]"
+        yield _to(node, new, 0.4, f"{new}: {ast.unparse(node)} seen from {base}", asks=True, chance=True)
+
+
+def _spare_world(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield the plan without a second world that it doesn't use: the newest world is the current one."""
+    match node:
+        case ast.Assign([ast.Name(name)], ast.Call(ast.Name("BulletWorld"))) if name in plan.unused:
+            place = plan.offset(node.lineno), plan.offset((node.end_lineno or node.lineno) + 1)
+            if len(plan.names["BulletWorld"]) > 1:
+                yield Change(f"without the unused world {name}", 0.2, ((place, ""),))
+
+
+def _lost_update(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a value that is added to the earlier value."""
+    match node:
+        case ast.Assign([ast.Name(name)], number) if written_number(number) and plan.in_loop(node):
+            yield _to(node, f"{name} += {ast.unparse(number)}", 0.3)
+        case ast.Call(ast.Attribute(fluent, "set_value"), [number]) if written_number(number):
+            yield _to(number, f"{ast.unparse(fluent)}.get_value() + {ast.unparse(number)}", 0.35)
+
+
 def _bounds(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
     """Yield other first and last items."""
     match node:
@@ -82,6 +109,8 @@ def _bounds(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
             yield _to(node, f"enumerate({ast.unparse(listed)}{'' if start or node.keywords else ', 1'})", 0.5)
         case ast.Subscript(listed, ast.Slice()):
             yield _to(node, f"{ast.unparse(listed)}[:]", 0.4)
+        case ast.Subscript(_, ast.Constant(0) | ast.UnaryOp(ast.USub(), ast.Constant(1)) as at):
+            yield _to(at, "-1" if isinstance(at, ast.Constant) else "0", 0.4)
 
 
 def _grouping(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
@@ -261,6 +290,34 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         yield _to(node, f"not ({ast.unparse(node)})", 0.56)
 
 
+def _undefined(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield objects instead of an undefined name."""
+    if isinstance(node, ast.Name) and node not in plan.called and plan.is_undefined(node.id):
+        yield from (_to(node, name, 0.2 + 0.01 * at) for at, name in enumerate(sorted(plan.names["Object"])))
+
+
+def _never_held(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield pick-ups of an object that is placed, but never picked up; the latest first."""
+    if called_name(node) == "place" and isinstance(node, ast.Call) and "pick_up" in plan.defined:
+        slots = {each.arg: plan.segment(each) for each in node.keywords if each.arg in ("object", "arm")}
+        picks = (each.keywords for each in plan.nodes if isinstance(each, ast.Call) and called_name(each) == "pick_up")
+        is_held = any(slots.get("object", "") in map(plan.segment, given) for given in picks)
+        statement = next(each for each in plan.around(node) if isinstance(each, ast.stmt))
+        block = plan.block(statement)
+        for at, each in enumerate(block[block.index(statement) :: -1] if not is_held else ()):
+            place = plan.offset(each.lineno), plan.offset(each.lineno)
+            new = f"{' ' * each.col_offset}perform(pick_up({', '.join(slots.values())}))\n"
+            yield Change(f"{new.strip()} before line {each.lineno}", 0.3 + 0.02 * at, ((place, new),))
+
+
+def _copied(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield an object without a use instead of one that stands twice in a list; the later one is likelier wrong."""
+    texts = [getattr(each, "value", each) for each in getattr(node, "elts", ())]
+    for at, text in [*enumerate(texts)][::-1]:
+        for name in sorted(plan.forgotten) if isinstance(text, str) and texts.count(text) > 1 else ():
+            yield _to(node.elts[at], repr(name), 0.05 - 0.001 * at)  # type: ignore[attr-defined]
+
+
 def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
     """Yield other variables with the same role."""
     fitting = set[str]().union(*(each for each in plan.names.values() if node.id in each))
@@ -269,10 +326,12 @@ def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
         yield _to(node, name, 0.6, asks=name in plan.constants, chance=chance)
 
 
-_EXPRESSIONS: Final = (_number, _bounds, _grouping, _angle, _aliasing, _calls, _structure)
-_STATEMENTS: Final = (_default, _late, _shadowing, _branches, _handling)
+_OPERATORS: Final = (
+    *(_number, _frame, _bounds, _grouping, _angle, _aliasing, _calls, _structure, _undefined, _copied, _never_held),
+    *(_default, _late, _shadowing, _branches, _handling, _spare_world, _lost_update),
+)
 
 
 def changes(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield the changes of a node."""
-    return (change for operator in (*_EXPRESSIONS, *_STATEMENTS) for change in operator(node, plan))
+    return (change._replace(kind=each.__name__) for each in _OPERATORS for change in each(node, plan))

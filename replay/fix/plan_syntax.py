@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import builtins
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from typing import Final
@@ -37,11 +38,14 @@ class PlanSyntax:
         self.checks = {name for name, node in self.functions.items() if any(map(asserts, ast.walk(node)))}
         self.called = {node.func for node in self.nodes if isinstance(node, ast.Call)}
         self.constants: set[str] = set()  # variables with a written container
+        self.forgotten: set[str] = set()  # names and types of loaded objects without a use
         self.unused: set[str] = set()  # names that the plan defines, but doesn't use for an effect
         self.literals: dict[str, str] = {}  # types of variables with a list, a dictionary or a set
         written = map(written_number, self.nodes)
         #: Numbers that may be lengths and angles, without signs; gravity is none of these.
         self.numbers = [each for each in written if each is not None and not _GRAVITY < each < _GRAVITY + 1]
+        points = map(written_point, self.nodes[::-1])
+        self.bases = [each for each in points if any(each) and not each[2]]  # places on the floor, as those of robots
         imported = (each for node in self.nodes for each in getattr(node, "names", ()) if isinstance(each, ast.alias))
         self.defined = {each.asname or each.name for each in imported}
         self.local: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
@@ -59,8 +63,11 @@ class PlanSyntax:
         match node:
             case ast.Subscript() | ast.BinOp() | ast.Compare() | ast.Slice():
                 self.counts |= {*ast.iter_child_nodes(node)}
-            case ast.Call():
+            case ast.Call(args=given):
                 name = ast.unparse(node.func)
+                texts = {each.value for each in given[:2] if isinstance(each, ast.Constant)}
+                is_loose = not {"environment", "robot"} & texts and isinstance(self.parents[node], ast.Expr)
+                self.forgotten |= {*map(str, texts)} if name == "Object" and is_loose else set()
                 self.counts |= {*node.args} if name in ("range", "enumerate") else set()
                 self.scene |= {*ast.walk(node)} if name.endswith("Object") else set()
                 self.goals |= {*ast.walk(node)} if name in _CHECKING else set()
@@ -120,6 +127,11 @@ class PlanSyntax:
         kinds = (each for each in self.around(node) if isinstance(each, ast.For | ast.While | Function))
         return isinstance(next(kinds, None), ast.For | ast.While)
 
+    def is_undefined(self, name: str) -> bool:
+        """Return whether nothing defines a name."""
+        named = (getattr(node, "name", "") for node in self.nodes)  # functions, classes and caught errors
+        return name not in self.defined.union(named, *self.local.values()) and not hasattr(builtins, name)
+
     def block(self, statement: ast.AST) -> list[ast.stmt]:
         """Return the statements of a statement's block."""
         fields = [value for _, value in ast.iter_fields(self.parents.get(statement, self.tree))]
@@ -162,7 +174,9 @@ class PlanSyntax:
         methods = {name for name, node in self.functions.items() if isinstance(self.parents[node], ast.ClassDef)}
         variables = {name for scope, names in self.local.items() for name in names if (scope, name) not in used}
         functions = {name for name in {*self.functions} - methods if (self.tree, name) not in used}
-        self.unused = variables | functions | (methods - attributes) - {"_"}
+        texts = (node for node in self.nodes if isinstance(node, ast.Constant) and node not in self.scene)
+        self.forgotten -= {node.value for node in texts if isinstance(node.value, str)}
+        self.unused = variables | functions | self.forgotten | (methods - attributes) - {"_"}
 
 
 def asserts(node: ast.AST) -> bool:
@@ -174,6 +188,14 @@ def written_number(node: ast.AST) -> int | float | None:
     """Return the number of a constant; None for another node."""
     value = node.value if isinstance(node, ast.Constant) else None
     return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def written_point(node: ast.AST) -> list[float]:
+    """Return the numbers of a list of three numbers; [] for another node."""
+    items = node.elts if isinstance(node, ast.List) else []
+    pairs = [(each, written_number(getattr(each, "operand", each))) for each in items]
+    found = [-value if isinstance(each, ast.UnaryOp) else value for each, value in pairs if value is not None]
+    return found if len(found) == len(items) == 3 else []
 
 
 def loads(node: ast.AST, names: set[str]) -> bool:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from pycram.projection.child import usable_cores
-from recorder.properties import BadProperty
+from recorder.properties import BadProperty, Property, parse
 from recorder.records import Check, Mutation, Plain
 from recorder.tasks import Node, State
 from replay.errors import ReplayError
@@ -91,7 +91,7 @@ def search(
     trials.control()
     why = log.why()
     properties = required(log, holds)
-    checked = log.check(*properties)
+    checked = _checks(log, properties, failed=trials.reference.kind != "succeeded")
     if trials.reference.kind == "succeeded" and all(checked):
         raise ReplayError("the plan succeeded; say what should have held: --holds 'always milk.z > 0.5'")
     failed = why.task.motion if why.task is not None else None
@@ -146,6 +146,18 @@ def _try_all(
                 last = min(last, trials.runs + _MORE)
 
 
+def _checks(log: Recording, properties: Sequence[str], *, failed: bool) -> list[CheckedProperty]:
+    """Check properties; in a failed run they needn't have a value, for example if their objects aren't loaded."""
+    parsed: list[Property] = []
+    try:
+        parsed = [*map(parse, properties)]
+        return log.check(*parsed)
+    except BadProperty as error:
+        if failed and parsed:
+            return []
+        raise ReplayError(str(error)) from None
+
+
 def required(log: Recording, holds: Sequence[str]) -> list[str]:
     """Return the given properties, and those that the plan or its run watches."""
     watched = (each.property for each in log.records(Check) if each.phase == Check.WATCHED)
@@ -161,10 +173,10 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     edits: list[Edit] = []
     lines, guessed, stale = _lines(trials, log, why, checked, editor)
     for rank, line in enumerate(lines):
-        kinds: Counter[float] = Counter()
+        kinds: Counter[tuple[str, float]] = Counter()
         for edit in editor.edits(line, alternatives, stale=line in stale):
-            kinds[edit.cost] += 1
-            later = _LATER * rank + _ANOTHER * (kinds[edit.cost] - 1)
+            kinds[edit.kind, edit.cost] += 1
+            later = _LATER * rank + _ANOTHER * (kinds[edit.kind, edit.cost] - 1)
             is_likely = line in guessed and edit.asks
             cost = edit.cost + later - _GUESSED * is_likely
             asks, chance = edit.asks and not is_likely, edit.chance and not is_likely
@@ -192,10 +204,13 @@ def _lines(
         found = None if why.failure is None else origins(log, why, recorded_source=True)
         if found is not None:
             ranked, stale, guessed = found.lines_of(name), found.stale_of(name), {each.line for each in found.guesses}
+            editor.points = found.points()
     source = PlanSource(log)
     stacks = [source.call_stack(each.record) for each in checked if not each and each.record is not None]
+    if not why.call_stack and not any(stacks):  # nothing failed, but something should have been done
+        stacks = [source.call_stack(each.started) for each in log.tree().roots[::-1]]
     inner = (line for stack in (why.call_stack, *stacks) for line in reversed(stack))
-    called = [line.number for line in inner if line.file.endswith(name)]
+    called = [*dict.fromkeys(line.number for line in inner if line.file.endswith(name))]
     flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
     lines = [*dict.fromkeys((*ranked, *called[:1], *flow))]
     lines[_LIKELY:_LIKELY] = editor.handlers

@@ -97,9 +97,15 @@ class Origins:
 
     def stale_of(self, name: str) -> set[int]:
         """Return the numbers of the lines of a file that use outdated values."""
-        facts = [each for call in (self.failed, *self.earlier) if call is not None for _, each in _walk(call, 0.0)]
-        stale = (each for each in facts if each.moved or "since then" in each.remark or _returns_stale(each))
+        stale = (each for each in self._facts() if each.moved or "since then" in each.remark or _returns_stale(each))
         return {each.line for each in stale if PurePath(each.file).name == name}
+
+    def points(self) -> list[list[float]]:
+        """Return the lists of numbers from which the values were computed."""
+        return [each.number for each in self._facts() if isinstance(each.number, list)]
+
+    def _facts(self) -> Iterator[Origin]:
+        return (each for call in (self.failed, *self.earlier) if call is not None for _, each in _walk(call, 0.0))
 
     def _ranked(self) -> tuple[list[tuple[str, int]], dict[tuple[str, int], list[Origin]]]:
         """Return the places of lines, the most probable first, and the facts about each line."""
