@@ -57,7 +57,10 @@ VERBS: Final = {
     "separate": "find facts that separate failed from successful runs in a folder of recordings",
 }
 #: Verbs in the file of another verb. The functions of such a verb have names such as ``add_fork`` and ``run_fork``.
-_FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"}
+_FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"} | {
+    "last-chance": "fix",
+    "test": "minimise",
+}
 _CHEAT: Final = "cheat"  # the only verb without a recording
 _DEBUG: Final = "debug"
 _READ: Final = tuple("info log source show tree state diff blame why check sql stats separate".split())  # noqa: SIM905
@@ -166,8 +169,8 @@ def _function(verb: str, name: str) -> Any:
 
     A function that runs the verb on a recording or on a folder may return an exit code.
     """
-    module = importlib.import_module(f"replay.cli.{_FILES.get(verb, verb.replace('-', '_'))}")
-    return getattr(module, f"{name}_{verb}" if verb in _FILES else name, None)
+    module = importlib.import_module(f"replay.cli.{_FILES.get(verb, verb)}")
+    return getattr(module, f"{name}_{verb.replace('-', '_')}" if verb in _FILES else name, None)
 
 
 def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
@@ -196,7 +199,7 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
         count = "?" if name == _DEBUG else None  # an editor may name the recording in a later message
         verb.add_argument("log", metavar="LOG", nargs=count, help=_LOG_HELP.get(name, "the recording"))
         if name in arguments and completing:
-            module = _FILES.get(name, name.replace("-", "_"))
+            module = _FILES.get(name, name)
             add_cached(name, module, verb, lambda parser: _function(parser.prog.split()[-1], "add")(parser))
         elif name in arguments:
             _function(name, "add")(verb)
