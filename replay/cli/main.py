@@ -57,10 +57,16 @@ VERBS: Final = {
     "separate": "find facts that separate failed from successful runs in a folder of recordings",
 }
 #: Verbs in the file of another verb. The functions of such a verb have names such as ``add_fork`` and ``run_fork``.
-_FILES: Final = {"fork": "retrace", "resume": "retrace", "show": "log", "tree": "log", "pack": "repair"} | {
-    "last-chance": "fix",
-    "test": "minimise",
-}
+_FILES: Final = (
+    dict.fromkeys(("show", "source", "tree"), "log")
+    | dict.fromkeys(("fork", "resume"), "retrace")
+    | {
+        "diff": "state",
+        "last-chance": "fix",
+        "pack": "repair",
+        "test": "minimise",
+    }
+)
 _CHEAT: Final = "cheat"  # the only verb without a recording
 _DEBUG: Final = "debug"
 _READ: Final = tuple("info log source show tree state diff blame why check sql stats separate".split())  # noqa: SIM905
