@@ -99,7 +99,7 @@ def print_message(text: str) -> None:
 
 @contextmanager
 def progress(words: str) -> Iterator[Callable[[int, int], None]]:
-    """Yield a function that prints words and the progress, such as "step 3 of 9", in a line that the block removes.
+    """Yield a function that prints the progress, such as "step 3 of 9"; the line is removed at the end of the block.
 
     Nothing is printed if stderr isn't a terminal.
     """

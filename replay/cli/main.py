@@ -171,7 +171,7 @@ def _own_error(error: Exception) -> str:
 
 
 def _function(verb: str, name: str) -> Any:
-    """Return a function of a verb, None if it is missing: "add" (adds arguments), "run" or "run_folder" (run the verb).
+    """Return the function of a verb with a name, or None: "add" adds arguments, "run" and "run_folder" run the verb.
 
     A function that runs the verb on a recording or on a folder may return an exit code.
     """

@@ -300,7 +300,7 @@ class Timeline:
         return {file for file, _ in self._lines}
 
     def line(self, file: str, number: int) -> tuple[int, list[int]]:
-        """Return the first line, from a given line on, that made a record; and the steps at which the plan reached it.
+        """Return the first line, at or after a given line, that made a record; and the steps at which the line ran.
 
         Each execution of the line counts once, at its first record. Repeated calls in one line count once if no other
         line made a record between them.

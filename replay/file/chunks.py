@@ -38,7 +38,7 @@ _FIELDS: Final = 22  # size in bytes of the fields of an MCAP message
 _PAYLOAD: Final = HEADER + _FIELDS  # number of bytes before the payload of an MCAP message
 _MESSAGES: Final = 100  # number of messages in each chunk of sorted messages
 _IN_MEMORY: Final = 16 << 20  # number of bytes up to which an inflated chunk stays in memory
-_OFFSET: Final = 40  # number of low bits of a sort key for the message's offset in the temporary file; then the step
+_OFFSET: Final = 40  # number of low bits of a sort key that contain an offset in a file; other bits contain the step
 
 
 @dataclass(slots=True)

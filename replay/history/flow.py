@@ -1,7 +1,7 @@
-"""Lines of a plan that may have made the values of a line, and lines that look like a slip, by the source alone.
+"""Find in the source of a plan the lines that may have made the values of a line, and lines that look like a slip.
 
-Slips are guesses: no rule knows the failure. Names are followed to their assignments, calls to the return statements of
-the plan's functions, attributes and containers to the lines that store values in them. Nothing is run.
+Slips are guesses: no rule knows the failure. A name leads to its assignments, a call to the return statements of the
+plan's function. An attribute or a container leads to the lines that store values in it. Nothing is run.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Pictures of a step, without a viewer and without the physics engine: our rasterizer draws the recorded state.
 
-The camera of a picture is one of the robot, at a given point, or at a viewpoint with a clear view of its target. The
+A picture shows the view of a robot's camera, from a given point, or from a viewpoint with a clear view of a target. The
 target is an object or a link, by default the robot and the movable objects. Viewpoints are rated by the visible share
 of an object's pixels in a window around the object, so small objects count as much as large ones. If no viewpoint has a
 clear view, the furniture and walls in front of the target are cut away.

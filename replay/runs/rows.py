@@ -1,9 +1,9 @@
 """The rows of a recording for the tables of its folder.
 
 The process that made a recording calls :func:`write_rows` at the end; readers make the rows of all other recordings.
-Two failures have the same cause if their types, their first colliding pairs of links, and the names of the tasks around
-them are equal. Without links, the first line of the message is compared without its numbers, so coordinates and seeds
-don't split a cause.
+Two failures have the same cause if three facts are equal: their types, their first colliding pairs of links, and the
+names of the tasks around them. Without links, the first lines of the messages are compared without their numbers, so
+failures with other coordinates or seeds have the same cause.
 """
 
 from __future__ import annotations

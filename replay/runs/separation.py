@@ -560,7 +560,7 @@ def _range_text(site: Site, values: np.ndarray, low: int, high: int) -> str:
 
 
 def _between(a: float, b: float) -> str:
-    """Return that number between two numbers that has the fewest digits."""
+    """Return the number with the fewest digits between two numbers."""
     texts = (f"{(a + b) / 2:.{digits}g}" for digits in range(2, 17))
     return next((text for text in texts if a < float(text) < b), repr((a + b) / 2))
 
