@@ -307,7 +307,7 @@ def _add_recording(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         type=_count,
         help="run the plan in N orders of its branches; report each different end, and the order of branches that "
-        "causes it. The exit code is 0 if all runs succeed and end alike, else 1",
+        "causes this end. The exit code is 0 if all runs succeed and end alike, else 1",
     )
     parser.add_argument(
         "--depth", metavar="D", type=_count, help="maximum depth of the races that --explore finds (default: 3)"

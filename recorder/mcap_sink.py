@@ -352,11 +352,7 @@ def open_output(path: Path) -> io.FileIO:
 
 
 def _open(path: Path) -> io.FileIO:
-    try:
-        is_pipe = stat.S_ISFIFO(path.stat().st_mode)
-    except OSError:
-        is_pipe = False
-    if not is_pipe:
+    if not path.is_fifo():
         return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | system.OPENED, 0o666), "r+")
     pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)  # without O_NONBLOCK, open waits for a reader
     os.set_blocking(pipe, True)

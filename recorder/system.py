@@ -82,6 +82,5 @@ def is_own(folder: Path) -> bool:
         return True
     except OSError:
         return False
-    if not HAS_OWNERS:  # Windows protects folders of users in other ways
-        return stat.S_ISDIR(of.st_mode)
-    return stat.S_ISDIR(of.st_mode) and of.st_uid in (user(), _ROOT) and not of.st_mode & stat.S_IWOTH
+    is_safe = of.st_uid in (user(), _ROOT) and not of.st_mode & stat.S_IWOTH
+    return stat.S_ISDIR(of.st_mode) and (is_safe or not HAS_OWNERS)  # Windows protects folders of users in other ways

@@ -206,7 +206,7 @@ def _check(carrier: Object, body: Object) -> None:
     if body.fixed:
         raise AttachmentError(carrier.name, body.name, f"{body.name} has a fixed base")
     if body.carrier is not None:
-        raise AttachmentError(carrier.name, body.name, f"{body.carrier.name} carries it; detach it there first")
+        raise AttachmentError(carrier.name, body.name, f"{body.carrier.name} carries {body.name}; detach them first")
     above: Object | None = carrier
     while above is not None:
         if above is body:

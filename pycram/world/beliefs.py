@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, TypeAlias
 
+from pycram.world.attachment import held
 from pycram.world.transaction import Transaction
 from recorder.records import Belief, beliefs as fold
 from recorder.records.beliefs import Key
@@ -47,11 +48,8 @@ class WorldBeliefs:
         world = self._world
         carriers: dict[str, str] | None = None
         if transaction.attached or transaction.detached:
-            carriers, carrying = {}, list(world.robots)
-            while carrying:
-                held = carrying.pop().carried
-                carriers |= {each.body.name: each.carrier.name for each in held}
-                carrying += [each.body for each in held]
+            carried = [body for robot in world.robots for body in held(robot)]
+            carriers = {body.name: body.carrier.name for body in carried if body.carrier is not None}
         learned = fold.follow(
             self._beliefs,
             transaction.command,

@@ -67,7 +67,9 @@ def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
         wanted = given.get(name, position)
         if abs(wanted - position) > _MIMIC_TOLERANCE:
             leader = urdf.mimics[name].leader
-            cause = f"{position:g}, because it mimics {leader}, which moves to {leaders[leader]:g}; set only {leader}"
+            cause = (
+                f"{position:g}, because {name} mimics {leader}, which moves to {leaders[leader]:g}; set only {leader}"
+            )
             raise BadArgument(name, wanted, cause)
     moved = leaders | followers | given
     return {name: position for name, position in moved.items() if urdf.joints[name].movable}

@@ -142,7 +142,7 @@ class Object(ReadOnlyAttributes):
             return
         if self.overlaps:
             others = ", ".join(f"{each.depth * 1e3:.0f} mm inside of {each.body}" for each in self.overlaps)
-            text = f"{self.name} is {others}; world.settle() lifts free objects apart before it simulates"
+            text = f"{self.name} is {others}; world.settle() lifts free objects apart before a simulation"
             warnings.warn_explicit(text, overlaps.Overlapping, *call_site())
         _warn_of_shape(self)
 
@@ -448,7 +448,7 @@ class Object(ReadOnlyAttributes):
         for robot, body in ((self, released), (released, self)):
             if robot.is_robot and (arm := attachment.gripping(robot, body)):
                 held = f"the fingers of the {arm} gripper still hold {body.name} by friction"
-                text = f"{held}; open the gripper (opening-gripper) to release it"
+                text = f"{held}; open the gripper (opening-gripper) to release the object"
                 warnings.warn_explicit(text, attachment.StillHeld, *call_site())
 
     def detach_all(self) -> None:

@@ -83,11 +83,10 @@ def chain(error: BaseException) -> list[tuple[str, BaseException]]:
 
 def part(error: BaseException, frames: int = MAX_FRAMES) -> str:
     """Return the text of an error without its causes."""
-    innermost = _innermost(error.__traceback__, frames)
     if _is_small_group(error):
-        return "".join(traceback.format_exception(type(error), error, innermost, limit=-frames))
-    title = "" if innermost is None else TITLE
-    return "".join((title, *stack(entries(innermost)), *message(error)))
+        return "".join(traceback.format_exception(type(error), error, error.__traceback__, limit=-frames))
+    shown = entries(error.__traceback__)[-frames:]
+    return "".join((TITLE if shown else "", *stack(shown), *message(error)))
 
 
 def _is_small_group(error: BaseException) -> bool:
@@ -103,15 +102,6 @@ def _is_quickly_printed(error: BaseException) -> bool:
         if len(errors) > _MAX_EXPLORED:
             return False
     return True
-
-
-def _innermost(trace: TracebackType | None, frames: int) -> TracebackType | None:
-    ahead, passed = trace, 0
-    while ahead is not None:
-        ahead, passed = ahead.tb_next, passed + 1
-        if trace is not None and passed > frames:
-            trace = trace.tb_next
-    return trace
 
 
 def entries(trace: TracebackType | None) -> list[TracebackType]:

@@ -21,7 +21,7 @@ from typing import Any, Final, NamedTuple, TypeAlias
 
 from recorder import notebook
 from recorder.records import Failure, SourceLine, StackFrame, Variable, escaped, failure
-from recorder.records.tracebacks import MAX_ERRORS
+from recorder.records.tracebacks import MAX_ERRORS, entries
 from recorder.records.values import LEFT_OUT, AssetFile, is_secret
 from recorder.tracing import journal
 from recorder.tracing.context import current_ident
@@ -229,17 +229,9 @@ def _new_frames(error: BaseException) -> list[StackFrame]:
 def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
     """Return the plan's frames of the traceback and of its callers, with their lines."""
     trace = error.__traceback__
-    outer: list[tuple[FrameType, int]] = []
-    around = trace.tb_frame.f_back if trace is not None else None
-    while (around := plan_frame(around)[0]) is not None:
-        outer.append((around, around.f_lineno))
-        around = around.f_back
-    inner = []
-    while trace is not None:
-        if is_plan(trace.tb_frame):
-            inner.append((trace.tb_frame, trace.tb_lineno))
-        trace = trace.tb_next
-    return [*reversed(outer), *inner]
+    around = plan_frames(trace.tb_frame.f_back if trace is not None else None)
+    inner = [(each.tb_frame, each.tb_lineno) for each in entries(trace) if is_plan(each.tb_frame)]
+    return [*[(frame, frame.f_lineno) for frame in around][::-1], *inner]
 
 
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:

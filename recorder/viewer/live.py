@@ -73,7 +73,7 @@ class RerunSink(NullSink):
     def __init__(self, live: str, title: str) -> None:
         self._target = Target.parse(live)
         if not hasattr(os, "fork"):  # systems without fork can't pass pipes to processes
-            hint = "record to a file, and show it with pycram-replay view"
+            hint = "record to a file, and show the file with pycram-replay view"
             raise RecordingError(live, "this system can't pass an open pipe to a process", hint)
         self._queue = LiveQueue()
         self._records = 0
@@ -304,7 +304,7 @@ def main(arguments: list[str]) -> None:
         status = 0
     except (ViewerGone, EOFError, OSError) as end:
         if str(end):
-            _print(f"{end}; the plan continues without it")
+            _print(f"{end}; the plan continues without a viewer")
     finally:
         if sys.exception() is not None:
             traceback.print_exc()
@@ -375,7 +375,7 @@ def _serve(batches: _Batches, target: Target, title: str, absent: threading.Even
         elif not answers(url):
             absent.set()
             batches.report(Status.ABSENT)
-            _print(f"no viewer answers at {url} yet; to start one at any time, run: rerun")
+            _print(f"no viewer answers at {url} yet; to start a viewer at any time, run: rerun")
             wait_for_answer(url)
             absent.clear()
         stream.set_sinks(rr.GrpcSink(url))

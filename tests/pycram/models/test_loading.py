@@ -130,7 +130,7 @@ def test_positions_of_mimic_joints_must_agree(tmp_path: Path, world: BulletWorld
     robot = Object("hand", "robot", hand(tmp_path))
     before = robot.get_joint_positions()
     with pytest.raises(
-        BadArgument, match=r"follow = 1.* expected 0\.3, because it mimics lead, which moves to 0\.1; set only lead"
+        BadArgument, match=r"follow = 1.* expected 0\.3, because follow mimics lead, which moves to 0\.1; set only lead"
     ):
         robot.set_joint_positions({"lead": 0.1, "follow": 1.0})
     with pytest.raises(BadArgument, match=r"joint lead of hand = -1\.0: expected a value from 0 to 1"):

@@ -97,7 +97,7 @@ def test_impossible_attachments_are_refused(scene: BulletWorld) -> None:
     assert dict(milk.attachments) == before
     for carrier, body, reason in (
         (bowl, bowl, "itself"),
-        (robot, bowl, "milk carries it"),
+        (robot, bowl, "milk carries bowl"),
         (robot, scene.get_object("kitchen"), "fixed"),
     ):
         with pytest.raises(AttachmentError, match=reason):

@@ -188,7 +188,7 @@ def test_a_viewer_that_starts_late_gets_what_was_before(
     running = plan("wait_for('go'); move(100)", f"connect:rerun+http://127.0.0.1:{port}/proxy")
     until((tmp_path / "begun").exists, "the plan has begun")
     assert running.process.stderr is not None
-    assert "to start one at any time" in running.process.stderr.readline(), "nobody was there when it looked"
+    assert "to start a viewer at any time" in running.process.stderr.readline(), "nobody was there when it looked"
     server = serve()
     until(server.rows, "something is shown")
     (tmp_path / "go").touch()
@@ -274,7 +274,7 @@ def test_a_viewer_is_closed_while_the_plan_runs(plan: Callable[..., Plan], serve
     (running.folder / "go").touch()
     ended = running.end()
     count = ended.check()
-    assert "the viewer was closed; the plan continues without it" in ended.err
+    assert "the viewer was closed; the plan continues without a viewer" in ended.err
     missed, of = ended.missed()
     assert of == count
     assert 0 < missed < count
