@@ -207,11 +207,8 @@ def _check(carrier: Object, body: Object) -> None:
         raise AttachmentError(carrier.name, body.name, f"{body.name} has a fixed base")
     if body.carrier is not None:
         raise AttachmentError(carrier.name, body.name, f"{body.carrier.name} carries {body.name}; detach them first")
-    above: Object | None = carrier
-    while above is not None:
-        if above is body:
-            raise AttachmentError(carrier.name, body.name, f"{body.name} carries {carrier.name} already")
-        above = above.carrier
+    if root_of(carrier) is body:
+        raise AttachmentError(carrier.name, body.name, f"{body.name} carries {carrier.name} already")
 
 
 def move_attached(carrier: Object, transaction: Transaction) -> None:
