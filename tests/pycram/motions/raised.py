@@ -60,6 +60,10 @@ class _Function:
             for child in (*node.handlers, *node.orelse, *node.finalbody):
                 self._walk(child, forgotten)
             return
+        if isinstance(node, ast.With):
+            calls = [item.context_expr for item in node.items if isinstance(item.context_expr, ast.Call)]
+            suppressing = [call for call in calls if ast.unparse(call.func) == "suppress"]
+            forgotten += tuple(self.value(kind) for call in suppressing for kind in call.args)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name | ast.Attribute):
             self.uses.append((node.func, True, forgotten))
         elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load):
