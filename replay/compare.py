@@ -340,16 +340,10 @@ def _first_divergence(
             candidates.append((None, alone, {}) if side else (alone, None, {}))
     if not candidates:
         return None
-    a, b, fields = min(candidates, key=_steps)
+    a, b, fields = min(candidates, key=lambda each: sorted(record.seq for record in each[:2] if record is not None))
     log, record = (second, b) if a is None else (first, a)
     tasks = causing_tasks(log, record).tasks if record is not None else ()
     return Divergence(a, b, "/".join(task.started.name for task in reversed(tasks)), fields)
-
-
-def _steps(diverged: _Diverged) -> list[int]:
-    """Return the sorted steps of two records. If only one record exists, both steps are its step."""
-    steps = sorted(record.seq for record in diverged[:2] if record is not None)
-    return [steps[0], steps[-1]]
 
 
 def _keyed(log: RecordReader, names: PairedNames, run: int) -> Iterator[tuple[_Key, Record]]:

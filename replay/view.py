@@ -238,7 +238,7 @@ def _partings(roots: Mapping[str, RecordReader]) -> dict[str, dict[int, list[str
 
 
 def front_world(log: RecordReader, at: int | None = None) -> str:
-    """Return the world in front: that of the last record up to a step, or else the first world with actions."""
+    """Return the world in front: the world of the last record up to a step, or else the first world with actions."""
     if at is not None:
         world = next((record.world for record in log.backwards(min(at, len(log) - 1)) if record.world), "")
         if world:

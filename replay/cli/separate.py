@@ -12,7 +12,7 @@ from replay.cli.console import print_message, print_result
 from replay.errors import ReplayError
 from replay.report.phrases import percent, plural
 from replay.runs.separation import LEVEL, Claim, Separation, separate
-from replay.runs.statistics import causes, names_of, plan_of
+from replay.runs.statistics import names_of, plan_of, statistics
 
 if TYPE_CHECKING:
     from replay.runs.folder import Runs
@@ -42,10 +42,7 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> None:
 def _cause(runs: Runs, plan: str, number: int | None) -> str | None:
     if number is None:
         return None
-    rows = runs.sql(
-        "SELECT run, cause, cause_step, message FROM runs WHERE plan = ? AND succeeded = false ORDER BY run", [plan]
-    )
-    found = causes([(run, cause, step, message) for run, cause, step, message in rows.rows()])
+    found = statistics(runs, plan).causes
     if not 1 <= number <= len(found):
         raise ReplayError(f"there is no cause {number}; the failures have {plural(len(found), 'cause')}")
     return found[number - 1].cause

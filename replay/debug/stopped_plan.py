@@ -273,8 +273,7 @@ class StoppingSink(NullSink):
     """A sink that stops a guided run, after :attr:`guided` has compared the record.
 
     The prompt listens at the socket ``address``. While the plan is stopped, the clock stands still. The plan stops for
-    the first time at the step ``until``. Checkpoints are ``spacing`` ns of the recording apart; with None, there are no
-    checkpoints.
+    the first time at the step ``until``. ``spacing`` is the recorded time between two copies in ns; None for no copies.
     """
 
     def __init__(

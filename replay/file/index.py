@@ -133,8 +133,8 @@ class Index:
     def contents(self, number: int) -> tuple[bytes, str, int | None]:
         """Return a chunk's decompressed messages, its difference from the index, and the number of messages.
 
-        If the chunk's head differs from the index, the head in the index is used. The number is the number in the
-        index; None if the index doesn't contain this number. If the chunk is damaged, CHUNK_DAMAGE is raised.
+        If the chunk's head differs from the index, the head in the index is used. The number comes from the index; None
+        means that the index lacks the number. If the chunk is damaged, CHUNK_DAMAGE is raised.
         """
         self.check_open()
         extent = self.chunks[number]

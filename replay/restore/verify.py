@@ -1,10 +1,9 @@
 """Verify a recording: check that it is consistent, and that repeating its changes has the recorded effects.
 
-The changes are executed in new worlds, in order. Each repeated mutation is compared with the recorded mutation to the
-last bit: poses, joints, velocities, attachments and samples. The effects are equal with the same build of the engine on
-the same kind of computer. On other computers, the last bits may differ, and contacts amplify the differences; then the
-result contains the largest deviation. In a world that began before its recording, changes without physics are compared
-with a tolerance of a micrometre.
+The changes are executed in new worlds. Each new mutation is compared with the recorded mutation to the last bit: poses,
+joints, velocities, attachments and samples. They are equal with the same build of the engine on the same kind of
+computer. On other computers, the last bits may differ, and contacts amplify the differences; then the result contains
+the largest deviation. In a world that began before its recording, changes without physics may differ by a micrometre.
 """
 
 from __future__ import annotations

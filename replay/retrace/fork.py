@@ -6,7 +6,7 @@ step are the same. A fork may also change the world after the step, the answers 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -115,10 +115,14 @@ def fork(
         controlled = None if controlling is None else controlling.result()
         undoing.pop_all()
     with RecordReader(file) as forked:
-        end = forked[-1]
-        notes += (*guided.notes, *_unused(forked, guided.unused))
+        began, end = forked[0], forked[-1]
+        notes, unused = (*notes, *guided.notes), guided.unused
+        if unused and isinstance(began, Run):  # answers of this fork or of an earlier fork
+            given = [each for each in began.origin.changes if each.answer]
+            listed = ", ".join(f"{each.answer} after step {each.step}" for each in given if each.answer in unused)
+            notes += (f"{len(unused)} of the {len(given)} given answers weren't used: {listed}",)
         succeeded = getattr(end, "succeeded", False)
-        return Fork(file, step, len(forked), succeeded, notes, controlled, guided.unused)
+        return Fork(file, step, len(forked), succeeded, notes, controlled, unused)
 
 
 def changes_of(
@@ -134,15 +138,6 @@ def changes_of(
     if changes and step == len(log) - 1 and log.closed:
         raise BadChange(change_text(changes[0]), f"step {step} is the last step; fork at an earlier step")
     return changes
-
-
-def _unused(forked: RecordReader, unused: Sequence[str]) -> Iterator[str]:
-    """Yield a text about unused answers of this fork or of an earlier fork."""
-    recorded = forked[0]
-    wanted = [each for each in recorded.origin.changes if each.answer] if isinstance(recorded, Run) else []
-    if unused:
-        listed = ", ".join(f"{each.answer} after step {each.step}" for each in wanted if each.answer in unused)
-        yield f"{len(unused)} of the {len(wanted)} given answers weren't used: {listed}"
 
 
 def resume(

@@ -66,8 +66,7 @@ class GuidedRun:
         self.guidance = guidance
         self.recorded = RecordReader(guidance.log)
         began = self.recorded[0]
-        if not isinstance(began, Run):
-            raise TypeError("the recording doesn't begin with a run")  # the other process has checked this
+        assert isinstance(began, Run)  # noqa: S101  for mypy: the other process has checked this
         self.began = began
         self.guide = Guide(self.recorded, report, guidance.until, folder / self.recorded.path.name)
         self.answers = AnswerOracle(self.guide, taken=guidance.take_answers, refuse=refuse)

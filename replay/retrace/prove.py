@@ -47,7 +47,6 @@ def prove(
     Effects outside of the plan's worlds (files, network) happen again in each run.
 
     Args:
-        why: The explanation of a failure in the recording.
         keep: A folder for the recordings of the forks. By default, these recordings are deleted.
         recorded_source: Whether to run the source that is attached to the recording, instead of the files on the disk.
 

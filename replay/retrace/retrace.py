@@ -78,8 +78,7 @@ def retrace(
     With ``answers="asked"``, reasoning queries are repeated, and their answers are compared. With "recorded", the
     answers come from the recording, which is faster; only the queries and their moments are compared.
 
-    Raises:
-        CantRetrace: The plan is missing, or the conditions of the run aren't recorded or can't be repeated.
+    If the plan is missing, or if the conditions of the run aren't recorded or can't be repeated, CantRetrace is raised.
     """
     process = PlanProcess(log, plan, arguments, recorded_source=recorded_source)
     return compared(process, log, take_answers=answers == "recorded")

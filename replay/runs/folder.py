@@ -62,6 +62,7 @@ class Folder:
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
+        self.tables = self.path / FOLDER  # the folder of the tables
         if not self.path.is_dir():
             raise NotALog(self.path, "isn't a folder" if self.path.exists() else "there is no such folder")
         if not self.recordings():
@@ -72,11 +73,6 @@ class Folder:
     def close(self) -> None:
         """Release the tables. Then other processes may remove obsolete parts."""
         self._held.close()
-
-    @property
-    def tables(self) -> Path:
-        """The folder of the tables."""
-        return self.path / FOLDER
 
     @property
     def skipped(self) -> tuple[Skipped, ...]:

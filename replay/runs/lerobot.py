@@ -68,8 +68,7 @@ class Exported:
 def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = None) -> Exported:
     """Export runs of a robot into a new folder. ``names`` are recordings. Without ``draw``, there is no video.
 
-    Raises:
-        ReplayError: No robot moves, the runs have several robots, or the folder can't be written.
+    If no robot moves, if the runs have several robots, or if the folder can't be written, ReplayError is raised.
     """
     if draw is not None:
         with needed("video"):

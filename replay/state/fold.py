@@ -26,7 +26,7 @@ CHANGES: Final = (Mutation, Keyframe, Query)
 def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
     """Return the state after some records. The first record of each world must be its opening or a keyframe.
 
-    The state's step is at least that of the last record.
+    The step of the state is ``step``, or the step of the last record if that step is larger.
     """
     worlds: dict[str, FoldedWorld] = {}
     for record in all_records:
@@ -38,11 +38,8 @@ def fold(all_records: Iterable[records.Record], step: int = -1) -> State:
 def state_at(log: RecordReader, step: int, moment: float | None = None) -> State:
     """Return the state after a step of a recording.
 
-    If the next record is a simulation that contains the moment (simulated time in s), return the state of the last
-    sample before the moment.
-
-    Raises:
-        Damaged: A record is inconsistent.
+    A moment is a simulated time in s. If the next record is a simulation that contains the moment, return the state of
+    the last sample before the moment. If a record is inconsistent, Damaged is raised.
     """
     worlds: dict[str, FoldedWorld] = {}
     first = step
@@ -141,7 +138,7 @@ def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
-    """Return the last step up to ``step`` at which a world is open, or the world with the name."""
+    """Return the last step up to ``step`` at which a world is open; with a ``name``, at which this world is open."""
     worlds = state_at(log, step).worlds
     if any(world.open for world in worlds.values() if name in (None, world.name)):
         return step
