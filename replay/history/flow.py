@@ -64,7 +64,7 @@ class Flow:
         guards: dict[ast.AST, tuple[int, ...]] = {}
         for _, block in ast.iter_fields(node):
             statements = [each for each in block if isinstance(each, ast.stmt)] if isinstance(block, list) else []
-            lines = [each.lineno for each in statements if not isinstance(each, _DECLARING) and not _is_docstring(each)]
+            lines = [each.lineno for each in statements if not isinstance(each, _DECLARING) and not _is_idle(each)]
             self._before |= {line: lines[max(at - _BEFORE, 0) : at] for at, line in enumerate(lines)}
             guards |= _guards(statements)
         for child in ast.iter_child_nodes(node):
@@ -87,7 +87,7 @@ class Flow:
                 (each for each in reversed(self._statements) if each[0].lineno <= line <= (each[0].end_lineno or 0)),
                 None,
             )
-            if found is None:
+            if found is None or (_is_idle(found[0]) and line not in starts):
                 continue
             weight = _weight(found[0])
             ranks[line] = rank + weight + _LAST * (line == failed and weight > 0)
@@ -135,8 +135,10 @@ def _weight(statement: ast.stmt) -> float:
     return _PASSED * (1 - own + parks) + _LOADING * bool(names & {"Object", "BulletWorld"})
 
 
-def _is_docstring(statement: ast.stmt) -> bool:
-    return isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Constant)
+def _is_idle(statement: ast.stmt) -> bool:
+    """Return whether no value flows out of a statement: a docstring, a print, or an assertion that held."""
+    alone = statement.value if isinstance(statement, ast.Expr) else statement
+    return isinstance(alone, ast.Constant | ast.Assert) or called_name(alone) == "print"
 
 
 def _stored(statement: ast.stmt) -> Iterator[str]:

@@ -28,6 +28,7 @@ _MAX_BEFORE: Final = 2  # maximum number of statements before a call that are li
 _TAKING: Final = ("pop", "popitem", "popleft", "setdefault")  # methods that change a container and also return an item
 _TRIVIAL: Final = (0, 1, None)  # numbers that are hardly ever mistyped
 _SCOPES: Final = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
+_IN_LINE: Final = ("<listcomp>", "<setcomp>", "<dictcomp>", "<genexpr>")
 _EXITS: Final = ast.Return | ast.Break | ast.Continue
 _LEFT: Final = {ast.Return: "returned", ast.Break: "ended the loop", ast.Continue: "began the next iteration"}
 _MAX_CHANGES: Final = 3  # maximum number of changes of a container that are listed
@@ -221,8 +222,7 @@ class Tracer:
             taken = _truth(held.copy)
         before = [each for each in self._of_node[self._numbers[id(test)]] if evaluated and each.time < evaluated.time]
         if isinstance(statement, ast.While) and not taken:  # a loop ends in this way even if it ran
-            earlier = before[-1].result if before and before[-1].frame == place.frame else None
-            taken = earlier is not None and _truth(earlier.copy)
+            taken = bool(before) and before[-1].frame == place.frame
         left, done = (statement.orelse, statement.body) if taken else (statement.body, statement.orelse)
         other = next((each for each in reversed(before) if each.result and _truth(each.result.copy) is not taken), None)
         unlike = f"unlike at step {other.step}, " if other is not None and not looped else ""
@@ -384,7 +384,8 @@ class Tracer:
 
     def _remark(self, name: str, note: Note, place: Evaluation) -> str:
         node, code = self._node(note), self._notes.codes[note.frame]
-        if isinstance(node, ast.For) and note.frame != place.frame:
+        reader = self._notes.codes[place.frame].co_name
+        if isinstance(node, ast.For) and note.frame != place.frame and reader not in _IN_LINE:
             return "as the loop left it"
         if isinstance(node, ast.Assign):
             function = node.value.func if isinstance(node.value, ast.Call) else None

@@ -236,7 +236,9 @@ class Written(Cause):
         found: list[Written] = []
         for name, part in dict.fromkeys(compared(case)) if case.world is not None else ():
             last = _writer(case, name, part)
-            if last is None or last.how in ("physics", "before", "removed") or not isinstance(last.record, Mutation):
+            if last is None or last.how in ("before", "removed") or not isinstance(last.record, Mutation):
+                continue
+            if last.how == "physics" and not last.record.simulate.driven:  # it fell; in a motion, it was carried
                 continue
             change = case.blamed(last)
             if change.task is None or change.task.kind not in ("motion", HANDLER):

@@ -110,7 +110,7 @@ class PendingTask:
             values = ", ".join(f"{name} = {phrases.value(value)}" for name, value in self.values.items())
             steps = phrases.names([str(step) for step in self.changed])
             changed = f"; it was set at steps {steps}" if self.changed else ""
-            since = f"since step {self.task.started.seq}{phrases.at(self.line)}"
+            since = f"waited since step {self.task.started.seq}{phrases.at(self.line)}"
             yield f"{self.task.name}: {values}{changed}  [{since}]"
             yield from [self.excluded] if self.excluded else []
             yield from map(str, self.fulfillers)
