@@ -324,7 +324,12 @@ def free_path(path: Path) -> Path:
 def open_output(path: Path) -> io.FileIO:
     """Open and lock a new file, an older recording, which is emptied, or a pipe; raise RecordingError for others."""
     try:
-        file = _open(path)
+        is_pipe = path.is_fifo()
+        # without O_NONBLOCK, opening a pipe waits for a reader
+        flags = os.O_WRONLY | os.O_NONBLOCK if is_pipe else os.O_RDWR | os.O_CREAT
+        file = io.FileIO(os.open(path, flags | system.OPENED, 0o666), "w" if is_pipe else "r+")
+        if is_pipe:
+            os.set_blocking(file.fileno(), True)
     except OSError as error:
         if error.errno == errno.ENXIO:
             raise RecordingError(path, "the file is a pipe without a reader", "start its reader first") from error
@@ -349,14 +354,6 @@ def open_output(path: Path) -> io.FileIO:
             file.truncate()
         undoing.pop_all()
     return file
-
-
-def _open(path: Path) -> io.FileIO:
-    if not path.is_fifo():
-        return io.FileIO(os.open(path, os.O_RDWR | os.O_CREAT | system.OPENED, 0o666), "r+")
-    pipe = os.open(path, os.O_WRONLY | os.O_NONBLOCK | system.OPENED)  # without O_NONBLOCK, open waits for a reader
-    os.set_blocking(pipe, True)
-    return io.FileIO(pipe, "w")
 
 
 class Changed(OSError):

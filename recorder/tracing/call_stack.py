@@ -213,7 +213,11 @@ def _new_frames(error: BaseException) -> list[StackFrame]:
     recording, known = vars(error).get(_MARK, (0, frozenset()))
     if recording != journal.recording_number():
         known = frozenset()
-    frames = [(frame, line) for frame, line in _frames(error) if id(frame) not in known][-MAX_FRAMES:]
+    trace = error.__traceback__
+    around = plan_frames(trace.tb_frame.f_back if trace is not None else None)
+    inner = [(each.tb_frame, each.tb_lineno) for each in entries(trace) if is_plan(each.tb_frame)]
+    led = [*[(frame, frame.f_lineno) for frame in around][::-1], *inner]
+    frames = [(frame, line) for frame, line in led if id(frame) not in known][-MAX_FRAMES:]
     vars(error)[_MARK] = journal.recording_number(), known.union(id(frame) for frame, _ in frames)
     return [
         StackFrame(
@@ -224,14 +228,6 @@ def _new_frames(error: BaseException) -> list[StackFrame]:
         )
         for frame, line in frames
     ]
-
-
-def _frames(error: BaseException) -> list[tuple[FrameType, int]]:
-    """Return the plan's frames of the traceback and of its callers, with their lines."""
-    trace = error.__traceback__
-    around = plan_frames(trace.tb_frame.f_back if trace is not None else None)
-    inner = [(each.tb_frame, each.tb_lineno) for each in entries(trace) if is_plan(each.tb_frame)]
-    return [*[(frame, frame.f_lineno) for frame in around][::-1], *inner]
 
 
 def _variables(frame: FrameType) -> Iterator[tuple[str, str]]:
