@@ -233,7 +233,7 @@ def seed_random_numbers(seed: int | None) -> None:
 def seed(number: int) -> None:
     """Seed the random numbers of Python and NumPy and the order of branches, as ``run --seed`` does.
 
-    Python chooses the order of sets of texts when it starts; set ``PYTHONHASHSEED`` for that.
+    ``PYTHONHASHSEED`` determines the order of sets of texts, which is fixed when Python starts.
 
     Raises:
         BadArgument: The number isn't an integer from 0 to 2**32 - 1.

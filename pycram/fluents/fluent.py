@@ -412,7 +412,7 @@ def whenever(fluent: Fluent, body: Callable[[], object]) -> None: ...
 
 @lazy("`s(whenever, fluent, body)`: without a body, `whenever` returns an iterator for a `for` loop")
 def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterator[Value] | None:
-    """Run a body whenever a fluent's value is not None; the body repeats while the value stays like that.
+    """Run a body whenever a fluent's value is not None; the body is repeated until the value is None.
 
     To run the body once for each change, use a counter: :meth:`Fluent.rising`, :meth:`Fluent.falling`,
     :meth:`Fluent.changed` or :meth:`Fluent.pulsed`. The behavior of a counter decides whether one run of the body

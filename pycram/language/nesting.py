@@ -172,7 +172,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
     """Run a cleanup action after the ``with`` block, even after an error; in the block, actions run in order.
 
     In a cancelled branch, Python's ``finally`` can't move the robot, but this cleanup can. If both block and cleanup
-    fail, the failure of the block is raised, with the other failure in its context; a usage error takes precedence.
+    fail, the block's failure is raised, with the cleanup's failure as its context; a usage error takes precedence.
 
     Raises:
         BadArgument: The action isn't callable.

@@ -47,8 +47,8 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 
     Args:
         seconds: The limit in s; 0 or more.
-        simulated: Whether to measure simulated time of the current world. Simulated time passes while all branches wait
-            and only passing time can end a wait in the block.
+        simulated: Whether to measure simulated time of the current world. Simulated time passes when all branches wait,
+            and nothing but time can end a wait of the block.
 
     Raises:
         TimedOut: The block missed its deadline.

@@ -389,7 +389,7 @@ class Scheduler:
         return order.outside if self.running is None or self.running.ranked is None else self.running.ranked
 
     def suspended(self) -> Iterator[tuple[FrameType, Context]]:
-        """Yield the innermost frames and contexts of all suspended branches, and of the suspended code outside."""
+        """Yield the innermost frame and the context of each suspended branch, and of the suspended code outside."""
         waiting = [branch._greenlet for branch in self.branches]  # noqa: SLF001  same module
         if self._loop is not None:
             waiting.append(self._loop.parent)

@@ -87,8 +87,7 @@ def attach(
         body_link: The held link of the body; None for its base link.
         pose: Pose of the body's base link in the carrier's link; None for the present pose.
         along: Bodies in or on the body that move along until the body is released; see :func:`taken_along`.
-        left: Bodies that stay, but overlap the moving bodies or lean on them; in simulation they don't collide with the
-            moving bodies.
+        left: Bodies that stay, but overlap the moving bodies or lean on them. In simulation, both don't collide.
         loose: Whether the body only lies in or on the carrier, and is released with the carrier.
     """
     if body in carrier.attachments:

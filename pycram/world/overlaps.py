@@ -33,7 +33,7 @@ def overlaps(body: Object) -> list[records.Overlap]:
 
 
 def sunk(world: BulletWorld) -> list[tuple[Object, records.Overlap, float]]:
-    """Return the free objects that stick in a surface of furniture, with their underside far below it.
+    """Return the free objects that stick in a surface of furniture: their underside is far below the surface.
 
     The results have the overlap of each object, and the distance in m from its underside up to the surface. The engine
     throws such an object away, sometimes through the furniture. Objects inside of a hull of furniture don't count if no

@@ -364,7 +364,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         """Start or stop a thread that simulates the world at the pace of the wall clock.
 
         Raises:
-            Exception: When real time stops: the first error of an event handler in the thread of real time.
+            Exception: The first error of an event handler in the thread of real time, when real time stops.
         """
         enabled = checks.switch("real_time", real_time)
         stopped = None

@@ -113,7 +113,7 @@ class ViewerScene:
         return x, y, z
 
     def posture(self, world: str, body: str, link: str, joints: dict[str, float]) -> list[Vector]:
-        """Return the positions in m in the world of the joints from the first given joint to a link.
+        """Return the positions (m, in the world) of the joints from the first given joint to a link.
 
         ``joints`` contains positions in rad or m; other joints don't move. Without a model, the list is empty.
         """
@@ -274,8 +274,8 @@ def draw(
 ) -> Iterator[tuple[str, list[rr.AsComponents]]]:
     """Yield the entities of a link's shapes: one for all boxes, one for each mesh, and so on.
 
-    The name of an entity is unique within the link; it comes with the components. ``meshes`` returns the content of a
-    mesh, or None if it is missing. If ``color`` is None, shapes have the colours of the model.
+    Each entity has a name, which is unique within the link, and components. ``meshes`` returns the content of a mesh;
+    None for a missing mesh. If ``color`` is None, shapes have the colours of the model.
     """
     for kind in ("box", "cylinder", "sphere", "capsule"):
         alike = [shape for shape in shapes if shape.kind == kind]

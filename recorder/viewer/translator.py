@@ -44,9 +44,8 @@ _MOTIONS: Final = ("move_body", "move_joints", "simulate")  # commands that neit
 class Translator:
     """Translates records, and shows them in a viewer; not thread-safe.
 
-    ``root`` is the root entity, and the prefix of all frames. ``folds`` is whether beliefs and properties are shown;
-    that takes time for each record. ``partings`` contains the names of other runs, by the step at which this run begins
-    to differ.
+    ``root`` is the root entity, and the prefix of all frames. ``folds`` is whether beliefs and properties are shown,
+    which takes time for each record. ``partings`` has the names of other runs, by the first step that differs there.
     """
 
     def __init__(
