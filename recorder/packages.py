@@ -52,7 +52,7 @@ class NotInstalled(ModuleNotFoundError):
 def hint(extra: str) -> str:
     """Return the command that installs an extra of pyproject.toml, or a note that there are no wheels."""
     if extra == "motion" and (sys.platform, platform.machine()) != ("linux", "x86_64"):
-        return "the extra 'motion' has no wheels for this system; instant motions don't need it"
+        return "the extra 'motion' has no wheels for this system; only continuous motions need this extra"
     return f"in a checkout of PyCRAM: pip install '.[{extra}]'"
 
 

@@ -183,7 +183,7 @@ class NoWorld(UsageError):
 
     def _message(self) -> str:
         if self.what == "world":
-            return "there is no current world; open one with BulletWorld()"
+            return "there is no current world; open a world with BulletWorld()"
         return "the current world has no robot; set BulletWorld.robot"
 
 
@@ -210,7 +210,7 @@ class ObjectsChanged(UsageError):
         since = " and ".join(
             f"{', '.join(names)} {'were' if names[1:] else 'was'} {how}" for names, how in changes if names
         )
-        return f"a saved state of {self.world} can't be restored, because {since} since it was saved"
+        return f"a saved state of {self.world} can't be restored, because {since} after the state was saved"
 
 
 @dataclass_error
@@ -226,7 +226,7 @@ class FollowsTrajectory(UsageError):
         joints = self.joints
         listed = ", ".join(joints[:3]) + (f" and {len(joints) - 3} more" if len(joints) > 3 else "")
         moved = f"{listed or 'the base'} of {self.body}"
-        remedy = f"wait until it has ended, or stop it with stop_trajectory({self.number})"
+        remedy = f"wait for the trajectory's end, or call stop_trajectory({self.number})"
         return f"can't {self.action}: trajectory {self.number} moves {moved}; {remedy}"
 
 

@@ -220,7 +220,7 @@ class LookingFailed(PlanFailure):
     angle: float  # angle that remains between the camera's axis and the target, with the head at its joint limits
 
     def _message(self) -> str:
-        return f"the head can't look at {_point(self.target)}: its joint limits stop it {self.angle:.3f} rad before"
+        return f"the head can't look at {_point(self.target)}: joint limits stop the turn {self.angle:.3f} rad before"
 
 
 @dataclass_error
@@ -317,8 +317,8 @@ class TrajectoryEnded(PlanFailure):
     duration: float  # duration of the whole trajectory, s
 
     _template = (
-        "trajectory {number} of {body} ended after {time:.3f} of {duration:.3f} s: it was stopped, "
-        "or the world was reset or restored"
+        "trajectory {number} of {body} ended after {time:.3f} of {duration:.3f} s: the trajectory was "
+        "stopped, or the world was reset or restored"
     )
 
 
@@ -332,8 +332,8 @@ class Displaced(PlanFailure):
     position: float
 
     _template = (
-        "{coordinate} of {body} is at {position:.3f} instead of {expected:.3f}, because something else moved it during "
-        "the motion; {coordinate} stays there: perform the motion again"
+        "{coordinate} of {body} is at {position:.3f} instead of {expected:.3f}: something else moved {body} during the "
+        "motion; {body} stays where it is: perform the motion again"
     )
 
 

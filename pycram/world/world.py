@@ -144,8 +144,8 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
             "sim_step": "use simulate(seconds)",
             "realtime": "use set_realtime(real_time)",
             "mode": 'open another world with BulletWorld("GUI") or BulletWorld("DIRECT")',
-            "objects": "use Object(...) to load one, and remove()",
-            "robots": "use Object(...) to load one, and remove()",
+            "objects": "use Object(...) to load an object, and remove()",
+            "robots": "use Object(...) to load a robot, and remove()",
             "closed": "use exit()",
             "exiting": "use exit()",
         }

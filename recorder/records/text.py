@@ -391,7 +391,7 @@ _REASONS: Final[Mapping[str, Callable[[Mapping[str, Any]], str]]] = {
     ),
     "Inferior": lambda data: f"{data['by']} {data['value']:g}",
     "Untried": lambda _: "not tried",
-    "Excluded": lambda _: "the fork forces another one",
+    "Excluded": lambda _: "the fork forces another candidate",
     "Unfit": lambda data: str(data["reason"]),
 }
 

@@ -127,7 +127,7 @@ class RerunSink(NullSink):
         if missed:
             count = f"{missed} of {self._records} records"
             time_left = "until its server ends" if served else f"{_LINGER_TIMEOUT:.0f} s"
-            late = f"the viewer is {count} behind; it has {time_left} to catch up"
+            late = f"the viewer is {count} behind, and has {time_left} to catch up"
             text = late if behind else f"the viewer missed {count}"
             print(f"recorder: {text}; the file contains all records", file=sys.stderr)
 

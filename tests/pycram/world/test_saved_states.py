@@ -105,7 +105,9 @@ def test_objects_that_came_or_went_are_named_before_anything_changes(world: Bull
     cup.set_position([3, 3, 3])
     bowl.remove()
     Object("spoon", "spoon", "spoon.stl", [2, 0, 0])
-    with pytest.raises(ObjectsChanged, match="spoon was loaded and bowl was removed since it was saved") as raised:
+    with pytest.raises(
+        ObjectsChanged, match="spoon was loaded and bowl was removed after the state was saved"
+    ) as raised:
         world.restore(saved)
     assert (raised.value.added, raised.value.removed) == (("spoon",), ("bowl",))
     assert cup.get_position() == pytest.approx([3, 3, 3])

@@ -84,7 +84,7 @@ def test_all_kinds_of_decisions_are_forced(log: Recording, tmp_path: Path, capsy
         assert forced[1].answer_json == '"top"'
         assert retrace(other).identical  # the fork runs again, with its decisions
     assert main(["log", str(file)]) == 0
-    assert "front, top across, left, right: the fork forces another one" in capsys.readouterr().out
+    assert "front, top across, left, right: the fork forces another candidate" in capsys.readouterr().out
 
 
 @pytest.mark.costly
