@@ -85,17 +85,11 @@ def looking(object: Any = None, target: Any = None) -> None:  # noqa: A002  the 
 
 
 class ObjectNotFound(PerceptionError):
-    """The robot looked at all places, but didn't find the object.
-
-    Attributes:
-        object_type: Type of the object.
-        looked: The searched places, in order, and the failures to see the object there.
-        reasons: Messages of the last failure at each place, by place.
-    """
+    """The robot looked at all places, but didn't find the object; ``reasons`` has the last failure at each place."""
 
     def __init__(self, object_type: str, looked: Sequence[tuple[str, BaseException]]) -> None:
         super().__init__(object_type, {where: str(failure) for where, failure in looked})
-        self.looked = list(looked)
+        self.looked = list(looked)  # the searched places, in order, and the failures to see the object there
         seen = dict.fromkeys(where for where, failure in looked if isinstance(failure, PerceptionError))
         vain = [where for where in dict.fromkeys(where for where, _ in looked) if where not in seen]
         text = f"the robot looked {', '.join(seen)}" if seen else "there was no place to look at"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import math
 import sys
 from collections.abc import Iterator, Mapping, Sequence, Sized
@@ -278,10 +279,4 @@ def _of_surface(surface: Surface, tree: Urdf) -> str:
 
 
 def _value(value: object) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return quoted(value)
-    if isinstance(value, list):
-        return f"[{', '.join(map(_value, value))}]"
-    return repr(value)
+    return "inf" if value == math.inf else json.dumps(value, ensure_ascii=False)  # other JSON values are TOML, too

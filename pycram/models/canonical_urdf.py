@@ -53,10 +53,8 @@ _MOMENTS: Final = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 def read(source: Path, content: str | bytes, scale: float = 1.0) -> ET.Element:
     """Return the checked <robot> element of a URDF in metres, without elements that URDF doesn't define.
 
-    ``scale`` is the number of metres in the file's unit of length.
-
-    Raises:
-        AssetError: The text isn't XML, isn't a URDF, or has a link that the engine can't use.
+    ``scale`` is the number of metres in the file's unit of length. AssetError is raised if the text isn't XML, isn't a
+    URDF, or has a link that the engine can't use.
     """
     try:
         root = ET.fromstring(content)  # noqa: S314  the user chose the file, and expat limits the expansion of entities
@@ -193,8 +191,7 @@ def _numbers(source: Path, where: str, element: ET.Element, attribute: str, coun
 def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
     """Return the canonical text and the tree of a <robot> element from :func:`read`; this modifies the element.
 
-    Raises:
-        AssetError: The links and joints aren't a tree, a joint is invalid, or the engine can't handle so many joints.
+    AssetError is raised if the links aren't a tree, a joint is invalid, or the engine can't handle so many joints.
     """
     tree = parse_urdf(ET.tostring(root), source, chains=True)
     chains = [joint for joint in root.findall("joint") if joint.get("type") in ("planar", "floating")]

@@ -38,10 +38,7 @@ def get(
 ) -> Sequence[Piece]:
     """Return the pieces of a converted mesh: file name, content and colour RGBA 0..1 of each piece.
 
-    The conversion also reads the files ``beside`` if they exist.
-
-    Raises:
-        AssetError: The mesh can't be read or converted.
+    The conversion also reads the files ``beside`` if they exist. AssetError is raised for a broken mesh.
     """
     content = read_bytes(file)
     textures = {name: file.parent / name for name in map(os.fsdecode, _textures(file, content))}

@@ -67,10 +67,8 @@ def parse_toml(text: str, source: str | Path) -> dict[str, object]:
 def parse_urdf(text: str | bytes, source: str | Path, *, chains: bool = False) -> Urdf:
     """Return the tree of links and joints of a URDF.
 
-    If ``chains`` is true, the URDF may have planar and floating joints, which the caller will replace.
-
-    Raises:
-        AssetError: The text isn't a URDF, its links aren't one tree, or a joint copies its own position.
+    If ``chains`` is true, the URDF may have planar and floating joints, which the caller will replace. AssetError is
+    raised if the text isn't a URDF, its links aren't one tree, or a joint copies its own position.
     """
     try:
         tree = Urdf.parse(text, chains=chains)

@@ -1,9 +1,8 @@
 """Loading models: from a user's file or a recording's attachments to a checked, canonical URDF in the store.
 
-Broken files make PyBullet crash or load no shape, so every file is checked first, also files of a stranger's recording.
-PyBullet uses the convex hull of a mesh for collisions, so a concave mesh is decomposed into convex pieces: the ``o``
-groups of ``NAME.collision.obj`` next to the mesh, else the result of V-HACD. The table ``[NAME]`` of ``objects.toml``
-next to the mesh may contain mass (kg), friction and coloured visual parts.
+Broken files make PyBullet crash or load no shape, so every file is checked first. PyBullet uses the convex hull of a
+mesh for collisions, so a concave mesh is decomposed into convex pieces: the ``o`` groups of ``NAME.collision.obj``, or
+the result of V-HACD. The table ``[NAME]`` of ``objects.toml`` may contain mass (kg), friction and coloured parts.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from hashlib import sha256
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -38,6 +37,8 @@ from recorder.urdf import Urdf
 if TYPE_CHECKING:
     import trimesh
 
+
+_Painted: TypeAlias = tuple[AssetFile, Sequence[float] | None]  # a mesh in the store, and its RGBA 0..1
 
 _MESH_SUFFIXES = (".stl", ".obj", ".dae")
 _CACHED_MODELS: Final = 128
@@ -75,7 +76,7 @@ def load(
 
     Args:
         path: A .urdf, .xacro, .stl, .obj or .dae file; see :func:`pycram.models.files.find`.
-        color: RGBA 0..1 of a mesh; None keeps the colours of the file.
+        color: RGBA 0..1 of a mesh; None for the colours of the file, or grey if the file has no colours.
         packages: Folders of ROS packages, or folders that contain them; see :mod:`pycram.models.files`.
         scale: Number of metres in the file's unit of length.
 
@@ -199,11 +200,6 @@ def _color(
         link.insert(place + at, part)
 
 
-class _Painted(NamedTuple):
-    asset: AssetFile  # a mesh in the store
-    rgba: Sequence[float] | None  # 0..1
-
-
 @cache
 def _collision_mesh(version: _FileVersion) -> AssetFile:
     """Store a collision mesh in a format that the engine reads; check each version of a file once."""
@@ -232,21 +228,20 @@ def _visual_meshes(version: _FileVersion, picture: _FileVersion | None) -> tuple
     file, cover = version.file, None if picture is None else read_bytes(picture.file)
     kind = "visual" if cover is None else f"visual {sha256(cover).hexdigest()}"
     parts = conversion_cache.get(kind, file, lambda: mesh.convert_visual(file, cover))
-    return tuple(_Painted(store.write_mesh(name, content), rgba) for name, content, rgba in parts)
+    return tuple((store.write_mesh(name, content), rgba) for name, content, rgba in parts)
 
 
 @cache
 def _covered(kind: str, size: tuple[float, ...], picture: _FileVersion) -> tuple[_Painted, ...]:
     name = f"{picture.file.stem}-{kind}"
     parts = enumerate(cover_shape(kind, size, picture.file))
-    return tuple(_Painted(store.write_mesh(f"{name}-{n}.stl", mesh.stl(some)), rgba) for n, (some, rgba) in parts)
+    return tuple((store.write_mesh(f"{name}-{n}.stl", mesh.stl(some)), rgba) for n, (some, rgba) in parts)
 
 
 def restore(files: Iterable[tuple[str, bytes]], loading: Loading) -> Model:
     """Load a model from the names (``<sha256>/<file name>``) and contents of a recording's attachments, the URDF first.
 
-    Raises:
-        AssetError: A name doesn't match the hash of its content, the URDF names another file, or a file is broken.
+    AssetError is raised for a broken file, a name that doesn't match its content, and a URDF that names another file.
     """
     model, *others = [_file(key, content) for key, content in files]
     beside = [file for file in others if file.name.endswith(corrections.SUFFIX)]
@@ -305,14 +300,9 @@ _GREY: Final = (0.8, 0.8, 0.8, 1.0)
 
 
 def build(file: Path, color: Sequence[float] | None, scale: float = 1.0) -> bytes:
-    """Return the URDF of an object, and store its meshes.
+    """Return the URDF of an object, and store its meshes; :func:`load` describes the arguments.
 
-    Args:
-        color: RGBA 0..1 of the object; None for the colours of the mesh, or grey if the mesh has no colours.
-        scale: Number of metres in the unit of length of the mesh and of the other meshes next to it.
-
-    Raises:
-        AssetError: The mesh or a file next to it is broken, or the object is too large for the engine.
+    AssetError is raised if the mesh or a file next to it is broken, or if the object is too large for the engine.
     """
     kind = f"object {None if color is None else [float(part) for part in color]} scale {float(scale)!r}"
     parts = [file.parent / str(part["mesh"]) for part in _colored(_properties(file)) or ()]

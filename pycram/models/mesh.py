@@ -133,8 +133,7 @@ def _obj_parts(file: Path, content: bytes, cover: Image.Image | None) -> Iterato
 def _read_faces(content: bytes) -> tuple[list[list[bytes]], list[list[int]]]:
     """Return the vertices of an OBJ as texts of coordinates, and the indices of each face's vertices.
 
-    Raises:
-        ValueError: A face has a missing corner, or a line is too long; both would crash PyBullet.
+    ValueError is raised for a missing corner of a face, and for a line that is too long: both would crash PyBullet.
     """
     known = dict.fromkeys((b"v", b"vt", b"vn"), 0)
     vertices: list[list[bytes]] = []
@@ -206,11 +205,7 @@ def _without_log() -> Iterator[None]:
 
 
 def parse(file: Path) -> trimesh.Trimesh:
-    """Read a .stl, .obj or .dae file as a single mesh, in metres.
-
-    Raises:
-        AssetError: The file can't be read, has no faces, or has a number that isn't finite.
-    """
+    """Read a .stl, .obj or .dae file as a single mesh, in metres; raise AssetError for a broken or empty mesh."""
     content = _bytes(file)
     if file.suffix.lower() == ".stl" and not _is_ascii(content):
         _check_binary_stl(file, content)
@@ -231,8 +226,7 @@ def parse(file: Path) -> trimesh.Trimesh:
 def convert(file: Path) -> tuple[str, bytes]:
     """Return file name and content of a mesh for the engine; ASCII STL and COLLADA become binary STL.
 
-    Raises:
-        AssetError: The file is empty or truncated, has no faces, or has a number that isn't finite.
+    AssetError is raised if the file is empty or truncated, has no faces, or has a number that isn't finite.
     """
     content = _bytes(file)
     kind = file.suffix.lower()

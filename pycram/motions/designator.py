@@ -93,11 +93,8 @@ class Solutions:
     """The solutions that a designator and its successors have in common, in any number of threads.
 
     Resolvers run without a lock, because they may wait for a thread that requests the same solutions. All concurrent
-    threads search, and use the solution that is found first.
-
-    Args:
-        find: Yields solutions and the names of their resolvers. ``find`` is called again after a failure; solutions
-            that are already known are then skipped.
+    threads search, and use the solution that is found first. ``find`` yields solutions and the names of their
+    resolvers; after a failure, ``find`` is called again, and known solutions are skipped.
     """
 
     def __init__(self, find: Callable[[], Iterator[tuple[Solution, str]]]) -> None:
@@ -228,11 +225,7 @@ class Designator(ABC):
             yield from value.branches() if issubclass(type(value), Designator) else branches_in(value)
 
     def check(self) -> None:  # noqa: B027  most classes have nothing to check
-        """Check the slots as far as possible without a search.
-
-        Raises:
-            UsageError: A slot is missing, unknown or wrong.
-        """
+        """Check the slots without a search; raise UsageError if a slot is missing, unknown or wrong."""
 
     def values_for(self, slot: str, given: Mapping[str, Value]) -> Iterator[Mapping[str, Value]]:  # noqa: ARG002  for subclasses
         """Yield values for the slots of an outer designator, for each solution of this designator.

@@ -93,15 +93,11 @@ class Execution:
         ignored_links: Sequence[tuple[Object, str]] = (),  # noqa: ARG002
         patience: float = 1.0,  # noqa: ARG002
     ) -> Step:
-        """Move an arm to a posture; the last centimetres are a straight line.
+        """Move an arm to a posture, in rad or m by joint; the last centimetres are a straight line.
 
-        Args:
-            posture: Positions in rad or m by joint.
-            direction: Unit vector in the tool frame of that posture, from which the tool comes.
-            opened: Positions of the gripper's joints at the beginning of the motion.
-            ignored: Objects that the hand may touch on the straight line.
-            ignored_links: Links that the hand may touch on the straight line, with the objects on them.
-            patience: Budget of the search for a path, as a multiple of the usual budget.
+        The tool comes from ``direction``, a unit vector in the tool frame of that posture. The gripper's joints first
+        move to ``opened``. On the line, the hand may touch ``ignored`` objects, and ``ignored_links`` with the objects
+        on them. ``patience`` is the budget of the search for a path, as a multiple of the usual budget.
         """
         return _all([partial(robot.set_joint_positions, each) for each in (opened, posture) if each is not None])
 
@@ -149,8 +145,7 @@ class Execution:
     def settle(self, world: BulletWorld) -> Collection[Object]:
         """Let simulated time pass until all objects are at rest, at most :data:`TIMEOUT`; return objects still moving.
 
-        Raises:
-            WorldClosed: Another thread closed the world during the simulation.
+        If another thread closes the world during the simulation, WorldClosed is raised.
         """
         restless, completed = simulation.settle(world, TIMEOUT * STEPS_PER_SECOND)
         if world.exiting and not completed:

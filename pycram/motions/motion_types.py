@@ -41,9 +41,6 @@ class MotionType(SlotTable):
         return replace(self, slots=tuple(replace(slot, name=name) for name in names), one_of=names)
 
 
-# --- defaults --------------------------------------------------------------------------------------------------------
-
-
 def _heading(_: dict[str, Value]) -> Value:
     return BulletWorld.current_robot().get_orientation()
 
@@ -54,9 +51,6 @@ def _holding_arm(given: dict[str, Value]) -> Value:
     description = BulletWorld.current_robot().description
     arm = description.arm_of(attachment.carrier_link) if attachment is not None and description is not None else None
     return arm.name if arm else slots.default_arm()
-
-
-# --- resources -------------------------------------------------------------------------------------------------------
 
 
 def _arms(given: dict[str, Value], slot: str) -> tuple[str, ...]:
@@ -70,8 +64,6 @@ def _arm_resources(given: dict[str, Value]) -> Resources:
         arms = (*arms, giver)
     return Resources({f"{arm}-{part}" for arm in arms for part in ("arm", "gripper")}, {"base"})
 
-
-# --- the types -------------------------------------------------------------------------------------------------------
 
 _ARM: Final = Slot("arm", slots.ARM, default=lambda _: slots.default_arm(), otherwise='The only arm, or "left"')
 _GRIPPER: Final = Slot(

@@ -125,14 +125,10 @@ def forget_tickets() -> None:
 
 
 class Ticket:
-    """A motion's place in a queue. :meth:`enqueue` takes a place in the queue, and :meth:`leave` gives it up.
+    """A motion's place in a queue. :meth:`enqueue` takes a place in the queue, and :meth:`leave` gives the place up.
 
-    Args:
-        resources: The resources that the motion needs; None for all resources.
-        motion: Name of the motion, for messages.
-
-    Raises:
-        ResourceError: The outer motion doesn't hold all needed resources.
+    The motion needs ``resources``; None stands for all resources. If the outer motion doesn't hold all needed
+    resources, ResourceError is raised.
     """
 
     def __init__(self, queue: ResourceQueue, resources: Resources | None, motion: str = "the motion") -> None:

@@ -46,8 +46,6 @@ class DesignatorError(UsageError):
 
 export("pycram.designator", DesignatorError)
 
-# --- pairs -----------------------------------------------------------------------------------------------------------
-
 
 def pairs(description: Description) -> tuple[tuple[str, Value], ...]:
     """Return the slots of a list of pairs or of a mapping, with copies of containers; else raise DesignatorError."""
@@ -132,8 +130,6 @@ def same(left: Value, right: Value) -> bool:
     arrays = isinstance(left, np.ndarray) or isinstance(right, np.ndarray)
     return bool(np.array_equal(left, right) if arrays else left == right)
 
-
-# --- tables of slots -------------------------------------------------------------------------------------------------
 
 #: A function that returns a slot's value in the form that process modules use, or raises BadArgument.
 Check: TypeAlias = Callable[[str, Value], Value]
@@ -254,9 +250,6 @@ def given_slots(
             problem, type=str(wanted or ""), slot="type", value=wanted, takes=f"types: {', '.join(types)}"
         )
     return types[wanted], given
-
-
-# --- kinds of values -------------------------------------------------------------------------------------------------
 
 
 def arm_names() -> tuple[str, ...]:

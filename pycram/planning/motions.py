@@ -73,9 +73,7 @@ def joint_motion(
         goal: joint positions in rad or m by name. Other joints don't move; neither does an arm that is already at its
             goal.
         start: joint positions at the start, where they differ from the present positions.
-        ignored: objects that aren't obstacles.
         ignored_links: objects with the links that aren't obstacles.
-        seed: seed of the search; None for the run's seed.
         patience: budget of the search, as a multiple of :data:`pycram.planning.path.MAX_CHECKS` checks.
         earlier: motions of the robot; the way back along one of them is often free, and needs no search.
 
@@ -247,7 +245,7 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
 
 
 def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) -> list[dict[str, float]]:
-    """Return postures in which an arm's tool moves on a straight line to a pose, and turns uniformly.
+    """Return postures, in order, in which an arm's tool moves on a straight line to a pose, and turns uniformly.
 
     Collisions aren't checked.
 
@@ -255,9 +253,6 @@ def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) ->
         start: joint positions in rad or m by name at the start of the line; each returned posture has the same joints.
             Other joints keep their present positions.
         goal: position and orientation of the tool in the world.
-
-    Returns:
-        Postures from the start to the end of the line.
 
     Raises:
         Unreachable: The arm doesn't reach the pose, or would have to change its posture during the motion.
@@ -320,7 +315,6 @@ def base_motion(
         position: xyz of the goal, m.
         orientation: xyzw of the goal.
         start: position and orientation at the start; None for the present pose.
-        seed: seed of the search; None for the run's seed.
 
     Raises:
         BadArgument: The goal isn't a pose.

@@ -77,16 +77,11 @@ class Path:
 def find_path(
     query: Query, clearance: Clearance, choice: Choice, failure: NoPath | None = None, earlier: Iterable[Array] = ()
 ) -> Path:
-    """Return a path that touches only objects that the robot touches at the ends.
+    """Return a path that touches only objects that the robot touches at the ends; raise NoPath if the budget is spent.
 
     The first search has half of the budget, keeps a distance from obstacles, and stays in the query's narrower space.
-
-    Args:
-        failure: failure of the same search before, which isn't repeated.
-        earlier: paths (n, d) that are tried before a search, in both directions.
-
-    Raises:
-        NoPath: The search found no path within the budget.
+    Before a search, ``earlier`` paths (n, d) are tried in both directions. With the ``failure`` of an equal search, no
+    search is made.
     """
     fine = _FINE * query.space.step
     line = np.array([query.start, query.goal])

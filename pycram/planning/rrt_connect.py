@@ -67,11 +67,8 @@ def search(
 ) -> tuple[Array | None, Array]:
     """Return a free path (n, d), or None, and the reached configuration (d,) nearest to the goal.
 
-    Args:
-        step: weighted change of any coordinate between checked configurations in the search.
-        fine: weighted change of any coordinate between checked configurations while the path is shortened.
-        seed: an integer from 1 to 2**31.
-        max_checks: number of the clearance's checks after which the search ends.
+    Between checked configurations, no coordinate changes by more than ``step`` (weighted), or by more than ``fine``
+    while the path is shortened. The ``seed`` is from 1 to 2**31. The search ends after ``max_checks`` checks.
     """
     with _one_query:
         level = util.getLogLevel()

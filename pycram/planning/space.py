@@ -73,13 +73,9 @@ def _spread(count: int) -> list[int]:
 class Clearance:
     """Checks whether configurations are free of collisions, and counts these checks.
 
-    A configuration is a row of joint positions, or a pose of a base. The robot keeps a distance from objects. If the
-    robot is nearer to an object at the start or at the goal, this smaller distance is allowed on the whole path.
-
-    Args:
-        predict: returns the checker's candidates for configurations (n, d).
-        start: (d,) first configuration.
-        goal: (d,) last configuration.
+    A configuration is a row of joint positions, or a pose of a base; ``predict`` returns the checker's candidates for
+    configurations (n, d). The robot keeps a distance from objects. If the robot is nearer to an object at the ``start``
+    or at the ``goal`` (d,), this smaller distance is allowed on the whole path.
     """
 
     def __init__(

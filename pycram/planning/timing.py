@@ -60,11 +60,9 @@ class Knots:
 
 
 def timed(path: Array, rates: Rates, spacing: float) -> Knots:
-    """Return a path with times; the motion starts and ends at rest.
+    """Return a path (n, d) with times; the motion starts and ends at rest.
 
-    Args:
-        path: (n, d) configurations.
-        spacing: distance in rad or m between way points of the spline that rounds the path's corners.
+    ``spacing`` is the distance in rad or m between way points of the spline that rounds the path's corners.
     """
     kept = [path[0]]
     for row in path[1:]:

@@ -19,7 +19,6 @@ from pycram.foundation.failures import (
     phrases,
 )
 from pycram.models.robots.description import Arm
-from pycram.models.shapes import shapes_of
 from pycram.motions.designator import Designator
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
@@ -156,17 +155,15 @@ def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, Col
     Contents of the container aren't obstacles, because they move with it. Objects in hands are obstacles.
     """
     container = handle.container
-    moved = attachment.moved_links(container.urdf, [handle.joint])
     clone = clone_of(container.world, "reach")
     clone.sync()
-    solid = shapes_of(container.model.path, "collision").links
     along = {container, *handle.contents}
     others = [body for body in container.world.objects if not body.fixed and attachment.root_of(body) not in along]
     known: set[str] = set()
     try:
-        for value, link in itertools.product(values[1:], moved):
-            if link not in solid or len(known) == len(others):
-                continue
+        for value, link in itertools.product(values[1:], handle.moved):
+            if len(known) == len(others):
+                return
             part = clone.link(container, link)
             clone.engine.set_pose(part, handle.pose(value, link))
             for body in others:

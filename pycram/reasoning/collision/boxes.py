@@ -155,10 +155,7 @@ def overlaps(centers: Array, axes: Array, half_extents: Array, others: Boxes) ->
     """Return the overlaps between moving boxes and other boxes, for many postures together.
 
     The k moving boxes have centers (n, k, 3) in the world, m, and axes (n, k, 3, 3) in each posture, and half extents
-    (k, 3), m.
-
-    Returns:
-        Indices of postures, moving boxes and other boxes for each overlap, in order.
+    (k, 3), m. The result has the indices of postures, moving boxes and other boxes for each overlap, in order.
     """
     extents = _world_extents(axes, half_extents)
     lows, highs = centers - extents, centers + extents

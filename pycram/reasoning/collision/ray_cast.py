@@ -80,11 +80,9 @@ class RayCaster:
     def extents(self, scans: Sequence[Scan], count: int | Sequence[int], zs: Sequence[float]) -> Array:
         """Return the extents of the object along the y axes of frames, over all z coordinates ``zs``, m.
 
-        The lines of each scan are parallel to the y axis of its frame, at coordinates along the x axis.
-
-        Returns:
-            An array (len(scans), greatest count, 2) in m: lowest and highest y in the frame at each x; nan outside of
-            the object. Rows beyond the count of their scan are undefined.
+        The lines of each scan are parallel to the y axis of its frame, at coordinates along the x axis. The result
+        (len(scans), greatest count, 2) in m has the lowest and the highest y in the frame at each x; nan outside of the
+        object. Rows beyond the count of their scan are undefined.
         """
         hits = self._intersect(scans, (0, 2, 1), count, zs)
         ends = hits.nearest(np.stack([hits.enter.min(axis=1), -hits.leave.max(axis=1)], axis=1))
@@ -95,11 +93,8 @@ class RayCaster:
         """Return the walls of a hollow object along the x axes of frames, over all y coordinates ``ys``, m.
 
         The lines of each scan start in the hollow, parallel to the x axis of its frame, at coordinates along the z
-        axis.
-
-        Returns:
-            (len(scans), count, 2), m: x of the inner and the outer surface of the wall at each z. The inner surface is
-            nan if a line starts in a wall; both are nan without a wall.
+        axis. The result (len(scans), count, 2) in m has x of the inner and of the outer surface of the wall at each z.
+        The inner surface is nan if a line starts in a wall; both are nan without a wall.
         """
         hits = self._intersect(scans, (2, 1, 0), count, ys)
         first = hits.nearest(np.where(hits.enter > 0.0, hits.enter, np.inf))

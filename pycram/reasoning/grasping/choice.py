@@ -242,10 +242,8 @@ def holding_grasps(
 ) -> Iterator[tuple[Grasp, Posture, Closing]]:
     """Yield grasps with a posture of the arm and the closed gripper; the grasp with the least contact comes first.
 
-    Args:
-        names: the allowed sides; None for all sides.
-        failures: a list that receives the reasons against other grasps. The caller may add failures, too; after a few
-            failures the search ends.
+    ``names`` are the allowed sides; None for all sides. ``failures`` receives the reasons against other grasps. The
+    caller may add failures, too; after a few failures the search ends.
     """
     refused: list[Grasp] = []
     adjusted: list[Grasp] = []

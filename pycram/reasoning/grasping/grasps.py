@@ -78,13 +78,10 @@ def candidates(
     base: Pose | None = None,
     choice: Choice = UNRECORDED,
 ) -> Sequence[Grasp]:
-    """Return grasps of an object, best first.
+    """Return grasps of an object, best first; the robot's heading defines the front.
 
-    Args:
-        robot: the robot, whose heading defines the front.
-        names: the allowed sides; None for all sides.
-        off_center: whether to return other grasps: from the top beside the middle of a long object, and with the lean
-            of a slightly leaning object.
+    ``names`` are the allowed sides; None for all sides. With ``off_center``, the result has other grasps: from the top
+    beside the middle of a long object, and with the lean of a slightly leaning object.
     """
     offsets: Sequence[Vector] = ((0.0, 0.0, 0.0),)
     sides = names

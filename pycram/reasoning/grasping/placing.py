@@ -280,12 +280,10 @@ def _poses(
     choice: Choice,
     rests: dict[Quaternion, Vector | PlaceFailed],
 ) -> Iterator[tuple[Pose, bool, float]]:
-    """Yield poses in which an object may be put down: first for a quick search, then again for a thorough search.
+    """Yield poses for putting an object down, whether the search is quick, and the height in m above the rest.
 
-    If the hand would touch a narrow support, the last poses are a little higher, and the hand drops the object.
-
-    Yields:
-        The pose; whether the search is quick; the height in m of the pose above the resting position.
+    After the quick searches, the same poses are searched thoroughly. If the hand would touch a narrow support, the last
+    poses are a little higher, and the hand drops the object.
     """
     tried: list[Pose] = []
     for turn in turns:

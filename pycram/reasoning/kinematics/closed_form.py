@@ -1,10 +1,8 @@
 """Inverse kinematics in closed form, for arms with seven joints and a spherical shoulder and wrist, as in the PR2.
 
-Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. Joint 1 is sampled; for targets without an
-orientation, joints 5 and 6, too. Subproblems of Paden and Kahan give up to eight postures for each sample (Murray, Li,
-Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2). In the subproblems, points and
-vectors are columns (3, n) or (3, 1), axes are unit vectors (3,), and angles are (n,) in rad. Without a solution, the
-result is the nearest angle, and a strain: roughly the missing angle in rad.
+Axes 2 and 3 must meet in a shoulder, and axes 5, 6 and 7 in a wrist. Joint 1 is sampled; subproblems of Paden and Kahan
+give the other joints (Murray, Li, Sastry, A Mathematical Introduction to Robotic Manipulation, 1994, section 3.3.2).
+Points are columns (3, n), axes are unit vectors (3,), angles are (n,) in rad. A strain is roughly the missing angle.
 """
 
 from __future__ import annotations
@@ -93,16 +91,11 @@ class ClosedForm:
         )
 
     def postures(self, positions: Array, turns: Array | None, home: Array) -> tuple[Array, Array]:
-        """Return postures for targets, also postures that miss their targets.
+        """Return postures (m, n, 7) for targets, also postures that miss their targets, and their strains (m, n).
 
-        Args:
-            positions: (m, 3) positions of the tool in the base link, m.
-            turns: (m, 3, 3) orientations of the tool; None for any orientation.
-            home: (7,) a posture; its joint positions are also sampled, to find near solutions.
-
-        Returns:
-            Postures (m, n, 7) and their strains (m, n). A strain is 0 for a solution within the limits, otherwise
-            roughly the missing or excessive angle in rad.
+        The targets are positions (m, 3) of the tool in the base link, m, and orientations (m, 3, 3); None for any
+        orientation. The joint positions of ``home`` (7,) are also sampled, to find near solutions. A strain is 0 for a
+        solution within the limits, otherwise roughly the missing or excessive angle in rad.
         """
         if turns is None:
             return self._by_target(len(positions), *self._at_positions(positions, home))
@@ -330,10 +323,8 @@ def angle_between(axis: Array, start: Array, end: Array) -> Array:
 def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:
     """Return two angles about two axes through the origin, not parallel, that turn a vector to another: subproblem 2.
 
-    The vector ``start`` is turned about ``second`` and then about ``first``. Only the direction of ``end`` counts.
-
-    Returns:
-        Both solutions: angles (2, n) about the first axis, angles (2, n) about the second axis, and the strain (n,).
+    The vector ``start`` is turned about ``second`` and then about ``first``. Only the direction of ``end`` counts. Both
+    solutions are returned: angles (2, n) about the first axis, angles (2, n) about the second axis, and strains (n,).
     """
     cosine, sine, outer_frame, inner_frame = _crossing(first.tobytes(), second.tobytes())
     # components of both vectors: along the other axis, perpendicular to both axes, and along their own axis
@@ -377,9 +368,8 @@ def twice(vectors: Array) -> Array:
 def hinge(axis: Array, start: Array, end: Array) -> Hinge:
     """Return the part of subproblem 3 that doesn't depend on the distance between a turned and a fixed point.
 
-    Returns:
-        Three arrays (n,) or (1,): the angle of the least distance, the mean of the squares of the least and the
-        greatest distance, and half of the difference of these squares.
+    The three arrays (n,) or (1,) are the angle of the least distance, the mean of the squares of the least and the
+    greatest distance, and half of the difference of these squares.
     """
     _, a, beside = _parts(axis, start)
     _, b, _ = _parts(axis, end)

@@ -187,17 +187,10 @@ class ArmKinematics:
         quick: bool = False,
         enough: float = POSITION_TOLERANCE,
     ) -> list[list[Posture]]:
-        """Return distinct postures for targets. Postures that reach a target are ordered by their distance to the seed.
+        """Return distinct postures for targets, nearest to the first seed first; see :meth:`Solver.search`.
 
-        Args:
-            targets: xyz in m and orientations xyzw in the base link; all targets have an orientation, or none.
-            seeds: the first starting postures.
-            thorough: whether to use all starting postures, even if some reach the target.
-            quick: whether to use only a few starting postures; if they fail, the target may still be reachable.
-            enough: maximum distance in m between the target and a tool that is useful to the caller.
-
-        Returns:
-            At least one posture for each target; if the first posture misses the target, no posture reaches it.
+        The targets are in the base link. The search begins at the ``seeds``. A tool within ``enough`` m of its target
+        is useful to the caller.
         """
         goals, turns = _arrays(targets)
         first = [np.array([seed.get(name, 0.0) for name in self.chain.joints]) for seed in seeds]
@@ -406,7 +399,8 @@ class Solver:
 
         Args:
             targets: positions, orientations and poses of the base in the world; all have an orientation, or none.
-            thorough: whether to search for several postures.
+            thorough: whether to use all starting postures, even if some reach the target.
+            quick: whether to use only a few starting postures; if they fail, the target may still be reachable.
             seed: the first starting posture; None for the present posture.
             threshold: m, largest distance between the tool and a reached target.
 

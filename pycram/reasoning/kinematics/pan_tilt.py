@@ -30,10 +30,8 @@ def aim_camera(
     """Return the joint positions that turn the camera's axis (z of its frame) to a point, or close to it.
 
     The joints are a pan joint, a tilt joint, both in this order, or none. The point is in the robot's root link, m;
-    ``now`` has the present positions of all joints, rad or m.
-
-    Returns:
-        Joint positions within the limits, and the point in the turned camera's frame, m.
+    ``now`` has the present positions of all joints, rad or m. The other result is the point in the turned camera's
+    frame, m.
     """
     turning, behind = _neck(urdf, joints, camera, now)
 

@@ -90,8 +90,7 @@ class Goal(Protocol):
 def goal_of(robot: Object, target: Target, grasp: str | None = None) -> Goal:
     """Return the goal for a target; an arm takes an object from the side ``grasp``, or from any side if None.
 
-    Raises:
-        BadArgument: The target has another type, or is in another world.
+    BadArgument is raised if the target has another type, or is in another world.
     """
     if isinstance(target, Object):
         world_of(robot, target)

@@ -94,13 +94,7 @@ def reachable_pose(
     orientation: Sequence[float] | None = None,
     collision_free: bool = False,
 ) -> Verdict:
-    """Return whether a robot reaches a position with a link (thesis 4.4.5).
-
-    :func:`reachable` describes the arguments.
-
-    Returns:
-        The answer. The evidence has the joint positions of the posture.
-    """
+    """Return whether a robot reaches a position with a link (thesis 4.4.5), as :func:`reachable_object` does."""
     return _reach(robot, gripper_name, pose, orientation, threshold, [] if collision_free else None)
 
 

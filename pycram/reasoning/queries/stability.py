@@ -1,9 +1,8 @@
 """Stability: whether an object stays in place in a simulation (thesis 4.4.1).
 
-An object is unstable if it moves more than 1 cm or turns more than 5 degrees within 2 s. The simulation ends early if
-all bodies that could reach the object in time are at rest and stand firmly: the center of mass of a body and of all
-bodies on it is well within the support polygon. A ball never stands firmly. A clone is simulated, because PyBullet
-can't restore a world exactly; in disorderly piles, one answer in 25 depends on contacts that only the world has kept.
+The simulation ends early if all bodies that could reach the object in time are at rest and stand firmly: the center of
+mass of a body and of all bodies on it is well within the support polygon. A clone is simulated, because PyBullet can't
+restore a world exactly; in disorderly piles, one answer in 25 depends on contacts that only the world has kept.
 """
 
 from __future__ import annotations
