@@ -74,9 +74,9 @@ lists all bundled models.
 
 `Object("kitchen", "environment", "kitchen.urdf")` has the following surfaces; drawers and doors are closed. Each name
 is a destination of an action, as in `transporting(object=milk, target="counter")`. x and y are the ranges of the
-surface. An object rests half its height above the height of the surface; for example, the milk on the counter rests
-at z = 0.85 + 0.097. The front edge of the counter is at x = 1.247; in the plans of the tutorial, the PR2 stands before
-the counter at x = 0.6. The last row is the table of `table.urdf`.
+surface. An object rests half its height above the surface: on the counter, the milk rests at z = 0.85 + 0.097. The
+front edge of the counter is at x = 1.247. In the tutorial, the PR2 stands at x = 0.6 when it works at the counter. The
+last row is the table of `table.urdf`.
 """
 _GRASPS: Final = """\
 ## Objects and grippers
