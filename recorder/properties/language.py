@@ -86,17 +86,14 @@ def parse_file(path: str | Path) -> list[Property]:
         lines = file.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:
         raise BadProperty(str(path), f"it isn't a text in UTF-8: {error}") from None
-    found = [
-        parse(line, f"{file.name}:{number}") for number, text in enumerate(lines, 1) if (line := _uncommented(text))
-    ]
+    found = []
+    for number, text in enumerate(lines, 1):
+        comment = f"{_hidden(text)}#".index("#")
+        if line := text[:comment].strip():
+            found.append(parse(line, f"{file.name}:{number}"))
     if not found:
         raise BadProperty(str(path), "it has no properties")
     return found
-
-
-def _uncommented(line: str) -> str:
-    cut = _hidden(line).find("#")
-    return (line if cut < 0 else line[:cut]).strip()
 
 
 def _hidden(text: str) -> str:

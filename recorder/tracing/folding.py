@@ -30,7 +30,11 @@ def format_folded(error: BaseException, ours: type[BaseException]) -> str:
 def _formatted(error: BaseException, ours: type[BaseException]) -> str:
     parts: list[str] = []
     before: list[str] = []  # messages of the errors of earlier attempts
-    shown = [each for each in tracebacks.chain(error) if each[1] is error or not _is_internal(each[1], ours)]
+    shown = [
+        (link, each)
+        for link, each in tracebacks.chain(error)
+        if each is error or not isinstance(each, ours) or each.__traceback__ is None or _plan_line(each) is not None
+    ]
     for (link, each), (next_link, following) in zip(shown, [*shown[1:], ("", error)], strict=True):
         line = _plan_line(each)
         if line is not None and next_link == tracebacks.CONTEXT and line == _plan_line(following):
@@ -52,11 +56,6 @@ def _plan_line(error: BaseException) -> tuple[str, int] | None:
     entries = tracebacks.entries(error.__traceback__)
     plan = [(each.tb_frame.f_code.co_filename, each.tb_lineno) for each in entries if is_plan(each.tb_frame)]
     return plan[-1] if plan else None
-
-
-def _is_internal(error: BaseException, ours: type[BaseException]) -> bool:
-    """Return whether PyCRAM has raised and handled an error, so that the plan gets only the next error."""
-    return isinstance(error, ours) and error.__traceback__ is not None and _plan_line(error) is None
 
 
 def _part(error: BaseException, ours: type[BaseException]) -> str:
