@@ -173,9 +173,8 @@ def explore_runs(
     If ``file`` is RUN.mcap, recordings are named RUN.explored-1.mcap, ...; None keeps no recordings. ``plan`` is the
     file of the plan; None for the program. ``progress`` is called after each run with the number of ended runs.
     """
-    for argument, number in (("runs", count), ("depth", depth)):
-        if checks.number(argument, number) != int(number) or number < 1:
-            raise BadArgument(argument, number, "a whole number from 1")
+    checks.count("runs", count, least=1)
+    checks.count("depth", depth, least=1)
     if checks.number("limit", limit) <= 0:
         raise BadArgument("limit", limit, "seconds, more than 0")
     if cause := obstacle():

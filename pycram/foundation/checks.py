@@ -45,11 +45,11 @@ def in_range(argument: str, value: object, low: float, high: float = math.inf) -
     return result
 
 
-def count(argument: str, value: object) -> int:
-    """Return a whole number from 0 to 2**53 - 1, the largest number that JSON holds exactly."""
+def count(argument: str, value: object, least: int = 0) -> int:
+    """Return a whole number from ``least`` to 2**53 - 1, the largest number that JSON holds exactly."""
     result = number(argument, value)
-    if result != int(result) or not 0 <= result < _MAX_COUNT:
-        raise BadArgument(argument, value, "a whole number from 0 up")
+    if result != int(result) or not least <= result < _MAX_COUNT:
+        raise BadArgument(argument, value, f"a whole number from {least} up")
     return int(result)
 
 

@@ -181,9 +181,8 @@ def _check(limit: float, memory: int, seed: int, runs: int, cores: int) -> None:
         raise BadArgument("memory", memory, "bytes, 0 for no limit")
     if checks.number("seed", seed) != int(seed) or not 0 <= seed <= MAX_SEED:
         raise BadArgument("seed", seed, f"a whole number from 0 to {MAX_SEED}")
-    for name, number, least in (("runs", runs, 1), ("cores", cores, 0)):
-        if checks.number(name, number) != int(number) or number < least:
-            raise BadArgument(name, number, f"a whole number from {least}")
+    checks.count("runs", runs, least=1)
+    checks.count("cores", cores)
 
 
 def _sweep(spec: SweepSpec, runs: int, cores: int, progress: Callable[[Sweep, RunOutcome | None], None]) -> Sweep:
