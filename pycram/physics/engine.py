@@ -485,11 +485,9 @@ def _named(a: LoadedBody, b: LoadedBody, points: Sequence[tuple[Any, ...]] | Non
 
 
 def _pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends, in the world in m, of the line of sight through a pixel of the window.
+    """Return both ends (m, in the world) of the line of sight through a pixel; x and y begin at the upper left corner.
 
     ``camera`` has PyBullet's order of values: width, height, ..., forward, horizontal, vertical, ..., distance, target.
-    The vectors ``horizontal`` and ``vertical`` span a picture at a great distance. x and y are pixels from its upper
-    left corner.
     """
     width, height, *_ = camera
     forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))
