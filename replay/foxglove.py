@@ -116,7 +116,7 @@ class FoxgloveTranslator:
     def _pass_time(self, record: Record) -> int:
         """Set the time to the time of a record; return the time before.
 
-        While a world is simulated, simulated time passes; otherwise the time of the wall clock.
+        A simulation takes its simulated time; other records take the time of the wall clock since the previous record.
         """
         before, passed, steps = self._now or record.wall_time_ns, record.wall_time_ns - self._clock, 0
         self._clock = record.wall_time_ns
@@ -165,7 +165,7 @@ class FoxgloveTranslator:
         self._add("/tf", message, step, time_ns)
 
     def _file(self, name: str) -> bytes:
-        """Return the content of an attached file; b"" if it is missing or damaged, which the recording notes."""
+        """Return the content of an attached file; b"" if the file is missing or damaged. The recording notes damage."""
         with contextlib.suppress(Damaged):
             return self._log.assets.get(name, b"")
         return b""

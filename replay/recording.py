@@ -92,8 +92,8 @@ class Recording(RecordReader):
         """Return the state after a step (:func:`replay.state.fold.state_at`).
 
         For a time within a simulation, such as "0.25s", return the state of the last sample, whose time is
-        ``state.sampled``. Pictures, questions and restored worlds do so, too, but exactly restored worlds are simulated
-        up to the requested time.
+        ``state.sampled``. Pictures, questions and restored worlds also use this sample; exactly restored worlds are
+        simulated up to the requested time.
         """
         number, moment = self.step(step), moment_of(step)
         return replace(state_at(self, number, moment), source=_Moment(self, number, moment))

@@ -164,7 +164,7 @@ def follow(log: RecordReader, step: int, url: str | None = None) -> tuple[str, C
 def show(path: Path, step: int | None = None, url: str | None = None) -> str:
     """Open an ``.rrd`` file at a step in a viewer, and return the viewer's address.
 
-    The viewer is the one at ``url``, or else an open one on this machine, or else a new one. It stays open.
+    The viewer is the viewer at ``url``, or else an open viewer on this machine, or else a new viewer. It stays open.
 
     Raises:
         ReplayError: no viewer answers at ``url``, or no viewer can be started.

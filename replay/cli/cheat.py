@@ -56,7 +56,7 @@ debug run.mcap  # a debugger that also steps back
 debug run.mcap task:pick-up@start  # a debugger at the start of a task
 fix run.mcap  # the smallest edit that repairs the plan
 fix run.mcap --apply  # the same, and write it into the plan
-last-chance run.mcap  # the last step where it could succeed
+last-chance run.mcap  # the last step with a way to success
 last-chance run.mcap --budget 20  # the same, in at most 20 runs
 minimise run.mcap  # a smaller plan with the same failure
 minimise run.mcap -o small.py --budget 50  # the same, in at most 50 runs

@@ -92,7 +92,7 @@ def serve(port: int | None, recording: str | None = None) -> None:
 
 @dataclass(slots=True)
 class _Variable:
-    """A variable in an editor's list. The function ``parts`` returns the variables of which its value consists."""
+    """A variable in an editor's list. The function ``parts`` returns the parts of the variable's value."""
 
     name: str
     value: str

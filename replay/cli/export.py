@@ -1,7 +1,7 @@
 """``export``: a recording for Foxglove, its trajectories as a table, or a folder of recordings as a data set.
 
 The table contains planned and driven positions of joints over time. Driven positions are the samples of simulations, 30
-per simulated second. Velocities of joints come from the engine. Bases have no velocities: they move from pose to pose.
+per simulated second. Velocities of joints come from the engine. Bases move from pose to pose, without velocities.
 """
 
 from __future__ import annotations

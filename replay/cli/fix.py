@@ -1,4 +1,4 @@
-"""Verbs that search for a way to success: ``fix`` tries edits of the plan, ``last-chance`` other choices at a step."""
+"""Verbs that search for a way to success: ``fix`` finds an edit of the plan, ``last-chance`` the last possible step."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``minimise`` writes a smaller plan that fails like the recorded plan, ``test`` a pytest that fails like it."""
+"""``minimise`` writes a smaller plan with the recorded failure; ``test`` writes a pytest with the recorded failure."""
 
 from __future__ import annotations
 

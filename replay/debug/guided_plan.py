@@ -194,7 +194,7 @@ class PlanCopy:
 
 
 class PlanCopies:
-    """The processes of a plan. ``spacing`` is the recorded time between two copies in ns; with None, there are none."""
+    """The processes of a plan. ``spacing`` is the recorded time between two copies in ns; None for no copies."""
 
     def __init__(self, process: PlanProcess, spacing: int | None) -> None:
         self.waiting: list[PlanCopy] = []  # waiting copies, each after its parent
@@ -332,7 +332,7 @@ class PlanCopies:
 
     def _next(self, running: PlanCopy | None) -> PlanCopy:
         """Accept the child that continues from a copy."""
-        if running is not None:  # this process sends the message that it waits, because it is the child's parent
+        if running is not None:  # this process is the child's parent, so its next message says that it waits
             message = _received(running.channel)
             if message is None:
                 self._lost(running)

@@ -175,7 +175,7 @@ class Chunks:
     # --- search for a step -------------------------------------------------------------------------------------------
 
     def span(self, number: int) -> tuple[int, int]:
-        """Return the first and last step of a chunk; for an unreadable chunk, the first step is after the last one."""
+        """Return the first and last step of a chunk; for an unreadable chunk, the first step is larger."""
         for at in range(number, -1, -1):
             if at not in self._spans:
                 first = next(self.records(at), None)
@@ -273,8 +273,8 @@ def kinds_of(index: Index) -> dict[int, type[Record]]:
 class SortedMessages:
     """The messages of a file in the order of steps, in chunks of the same size as the recorder's.
 
-    Files of other programs may have other chunks, or no chunks, and messages in any order. Such a file is read once;
-    its messages are in a temporary file; inflating a large chunk again for each record could take hours.
+    Files of other programs may have other chunks, or no chunks, and messages in any order. Such a file is read once
+    into a temporary file, because inflating a large chunk again for each record could take hours.
     """
 
     def __init__(self, index: Index, kinds: Mapping[int, type[Record]]) -> None:
@@ -287,7 +287,7 @@ class SortedMessages:
         last = at = 0
         for where, message in _messages(index, self.damage):
             try:
-                # a message for other tools has the step of its record as its number
+                # a message for other tools has the step of its record as its sequence number
                 channel, step = _CHANNEL.unpack_from(message, HEADER)
                 if channel in kinds:  # some programs change the numbers of messages, but not the steps in records
                     step = decode(kinds[channel], message[HEADER + _FIELDS :]).seq

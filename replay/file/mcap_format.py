@@ -31,7 +31,7 @@ CHUNK_HEAD: Final = struct.Struct("<QQQII")  # fields: start, end, size, CRC, an
 MAX_INFLATED: Final = 64 << 20  # larger chunks (bytes) are rejected, because recorders close chunks at about 1 MiB
 #: Errors that libraries raise when they decode a damaged file.
 DAMAGE: Final = (McapError, struct.error, ValueError, EOFError, OSError, LookupError, ArithmeticError, MemoryError)
-#: Errors that reading a damaged chunk raises, including those of Zstandard and LZ4 (RuntimeError).
+#: Errors that reading a damaged chunk raises; Zstandard raises ZstdError, and LZ4 raises RuntimeError.
 CHUNK_DAMAGE: Final = (*DAMAGE, ZstdError, RuntimeError)
 
 

@@ -447,7 +447,7 @@ def _listed(names: Sequence[str]) -> str:
 
 
 def _is_later(release: str) -> bool:
-    """Return whether a release is known to be later than this one."""
+    """Return whether a release is known to be later than this release."""
     other = _RELEASE.match(release)
     if other is None or _numbers(other) <= _FIRST:
         return False

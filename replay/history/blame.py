@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 #: Changes in simulation (m or rad for positions, rad for turns) below which an object only settles.
 SETTLING: Final = 5e-3, math.radians(5)
-#: Changes (m, rad) that count as rounding: an object in a resting hand moves that little when the head turns.
+#: Smaller changes (m, rad) are rounding, such as the changes of an object in a resting hand while the head turns.
 _ROUNDING: Final = 1e-6, 1e-6
 
 
@@ -56,7 +56,7 @@ class Blame:
     angle: float  # angle of the body's turn in rad; 0 for joints
     record: Mutation | Keyframe  # the record of the change; a keyframe if no change is on record
     causes: CausingTasks  # causes of that record
-    carried: tuple[Carried, ...]  # attachments from the body up to the commanded body, that of the body first
+    carried: tuple[Carried, ...]  # attachments from the body up to the commanded body; the body's own is first
     #: The previous change before a removal, or before a change in simulation. Changes of objects that only settle don't
     #: count.
     earlier: Blame | None = None
@@ -189,7 +189,7 @@ class _Search:
         return record
 
     def _counts(self, record: Mutation | Keyframe, part: str, after: Sequence[float], before: Sequence[float]) -> bool:
-        """Return whether a change is larger than that of a settling object or of rounding."""
+        """Return whether a change is larger than the changes of settling objects and of rounding."""
         if commanded(record) == self._body:
             return True
         limits = SETTLING if is_physics(record) else _ROUNDING

@@ -63,7 +63,7 @@ class PlanSource:
         return Line(file, number, names[-1] if names else "<module>", lines[number - 1].strip())
 
     def handler(self, line: Line) -> Line | None:
-        """Return the first line that runs if a line raises an error: after the ``except`` of its ``try``; or None."""
+        """Return the first line of the ``except`` block for errors of a line, in its function; None without a block."""
         around = [node for node in syntax_nodes(self.text(line.file)) if isinstance(node, ast.Try | ast.FunctionDef)]
         around = [node for node in around if node.lineno <= line.number <= node.body[-1].end_lineno]  # type: ignore[operator]
         inner = around[-1] if around else None

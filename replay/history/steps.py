@@ -22,8 +22,8 @@ def step_of(log: RecordReader, name: int | str) -> int:
     """Return the number of a step; raise NoSuchStep if there is no such step.
 
     A name is a number, ``last``, ``failure`` (the step that ``why`` explains), a simulated time such as ``12.5s``, or a
-    task (:func:`task_step`). Negative numbers count from the end. A time means the last step before the first world has
-    passed it.
+    task (:func:`task_step`). Negative numbers count from the end. A time means the last step before a world's clock
+    passes the time.
     """
     text = str(name).strip()
     if text == "last":

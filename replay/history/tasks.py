@@ -23,7 +23,7 @@ from replay.file.record_reader import RecordReader
 if TYPE_CHECKING:
     from replay.history.source import Line, ParsedException
 
-_RUN_RECORDS: Final = 2  # a run in which no thread fails has this many run records
+_RUN_RECORDS: Final = 2  # number of run records in a run in which no thread fails
 INTERRUPT: Final = "KeyboardInterrupt"  # the exception of an interrupted plan
 _MAX_KEPT: Final = 5_000  # largest number of failures or motions; each takes about 3 kB
 

@@ -1,7 +1,7 @@
 """Ask reasoning queries at a past step, with objects moved if necessary.
 
 The world of the step is rebuilt without recording, objects are moved, and the query runs. Plans call the same code, so
-a query of a plan that is asked again has the same answer.
+repeating a plan's query gives the same answer.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _PARAMETERS: Final = {recorded: parameter for parameter, recorded in RECORDED_AS
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """An object, and where it is moved before the query."""
+    """An object, and the pose to which it is moved before the query."""
 
     body: str
     position: Vector  # xyz, m
@@ -86,7 +86,7 @@ def ask(
 
     The objects in ``moves``, and objects that they carry, are moved first. A question is a query of
     :mod:`pycram.bullet_world_reasoning`, such as ``visible(milk, wide_stereo_optical_frame)``, or ``believed(milk)``
-    with an object or a type. By default, it is the query that the step recorded, in its world. By default, the world is
+    with an object or a type. By default, the question is the query that the step recorded. By default, the world is
     the last opened world. :func:`replay.restore.world.world_at` explains ``moment``.
 
     Raises:

@@ -159,7 +159,7 @@ class DrawnWorld:
         *,
         cuts: bool = True,
     ) -> CutawayView:
-        """Return a view that shows a target in all given worlds; walls may be cut away as this world needs it."""
+        """Return a view that shows a target in all given worlds; walls that hide the target here may be cut away."""
         subject, point = self.subject(target)
         scenes = []
         for world in [world for world in worlds if world.movable] or worlds:
@@ -275,7 +275,7 @@ def film(
 ) -> Iterator[Image.Image]:
     """Yield pictures of several moments, all from one viewpoint that has a clear view at the last moment.
 
-    Links that look the same at all moments are drawn only once, so this is much faster than single pictures.
+    Links that look the same at all moments are drawn only once, so a film is much faster than single pictures.
     :meth:`DrawnWorld.picture` describes the arguments and errors.
     """
     _check_size(size)
@@ -320,7 +320,7 @@ def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:
 def failure_view(log: RecordReader, step: int | None = None) -> tuple[Vector, Vector] | None:
     """Return a viewpoint for the failure of the plan, and the middle of its picture, m.
 
-    No link is cut away for it. Without a failure, and for the step of another moment, return None.
+    No link is cut away for this viewpoint. Without a failure, and if ``step`` isn't its step, return None.
     """
     explained = why(log)
     if explained.failure is None or step not in (None, explained.step) or not explained.bodies:
@@ -437,7 +437,7 @@ def free_view(
 ) -> CutawayView:
     """Return the first camera that sees enough of the subject in each scene, else the best camera.
 
-    If no camera sees enough, links are cut away as the last scene needs it, unless ``cuts`` is False.
+    If no camera sees enough, links that hide the subject of the last scene are cut away, unless ``cuts`` is False.
     """
     parts, subject = scenes[-1]
     cameras = [camera for camera in cameras if not _in_furniture(camera, parts)] or cameras

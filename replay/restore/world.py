@@ -44,7 +44,7 @@ def world_at(
 ) -> BulletWorld:
     """Return the world of a past step, named ``NAME@STEP``, which becomes the current world. Its time stops.
 
-    By default, it is the last opened world. With ``exact``, every change is executed again, so that the world continues
+    By default, the world was opened last. With ``exact``, every change is executed again, so that the world continues
     like the original. A ``moment`` is a simulated time in s within the next record: the world has the state of the last
     sample, or with ``exact`` of the last simulated step before the moment.
 
@@ -262,7 +262,7 @@ class Reexecution:
 
 
 def _keep_what_follows(record: Mutation, repeated: Mutation, *, with_overlaps: bool) -> None:
-    """Copy the fields that don't depend on the repetition. If the recording has no overlaps, they are removed."""
+    """Copy the fields that don't depend on the repetition. Overlaps are removed if the recording has none."""
     if record.HasField("open_world"):
         repeated.open_world.mode = record.open_world.mode  # opening a window changes nothing in the world
     if record.HasField("load_body") and not with_overlaps and not record.load_body.overlaps:

@@ -214,7 +214,7 @@ def change_text(change: Change) -> str:
 
 
 def object_of(world: BulletWorld, name: str) -> Object:
-    """Return an object of a world by name. If no object has the name ``robot``, it means the world's robot."""
+    """Return an object of a world by name. If no object is called ``robot``, this name means the robot."""
     if name == "robot" and world.robot is not None and not world.get_objects_by_name(name):
         return world.robot
     return world.get_object(name)
@@ -335,7 +335,7 @@ class PendingChanges:
     the world. Changes are made outside of tasks, by the same setters that plans call. The records of changes name the
     fork.
 
-    ``answers`` receives those changes that are answers. ``make`` makes other changes. For an impossible change,
+    ``answers`` receives the changes that are answers. ``make`` makes other changes. For an impossible change,
     ``refuse`` is called with the error, and doesn't return.
     """
 

@@ -208,7 +208,7 @@ class _Writer:
     def _series(
         self, run: str, table: str, key: str, columns: Sequence[str], body: str | None = None
     ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Return times and values, by name. If there are several values at a time, the last one counts."""
+        """Return times and values, by name. If there are several values at a time, the last value counts."""
         rows = self.runs.sql(
             f"SELECT {key}, sim_seconds, {', '.join(columns)} FROM {table} WHERE run = ? AND (? IS NULL OR body = ?) "  # noqa: S608  the names are ours
             "ORDER BY step, sim_seconds",

@@ -400,7 +400,7 @@ class Fact:
 
     @property
     def effect(self) -> float:
-        """The failure rate of runs with the fact, minus that of other runs."""
+        """The failure rate of runs with the fact, minus the failure rate of other runs."""
         others = len(self.known) - len(self.true)
         false = (self.failures - self.failed) / others if others else 0.0
         return self.failed / len(self.true) - false

@@ -229,7 +229,7 @@ class FolderComparison:
 
     @property
     def effect(self) -> float:
-        """The success rate in the second folder, minus that in the first; 0 without rates."""
+        """The success rate in the second folder, minus the success rate in the first folder; 0 without rates."""
         a, b = self.first, self.second
         return b.succeeded / b.of - a.succeeded / a.of if a.of and b.of else 0.0
 

@@ -47,7 +47,7 @@ class Body:
 
     @property
     def models(self) -> tuple[str, ...]:
-        """Names of the files for the body that the recording contains. The first name is that of the URDF."""
+        """Names of the files for the body that the recording contains. The first file is the URDF."""
         return tuple(f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in self.loaded.assets)
 
     def joint(self, name: str) -> float:
@@ -212,7 +212,7 @@ class State:
     def world(self, name: str | None = None) -> World:
         """Return a world by name, by default the last opened world that is still open.
 
-        If all worlds have ended, the result is the last one, as it was after its last open step.
+        If all worlds have ended, the result is the last world, as it was after the last step at which it was open.
 
         Raises:
             NoSuchName: There is no such world.
