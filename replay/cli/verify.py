@@ -6,11 +6,11 @@ import argparse
 import math
 import time
 from collections.abc import Iterator
-from dataclasses import asdict
 
 from replay.cli.console import native_output_to_stderr, print_result, progress
 from replay.cli.main import FAILED, FINE, INCOMPLETE
 from replay.recording import Recording
+from replay.report import report
 from replay.report.phrases import plural
 from replay.state.integrity import Deviation, Verification, verify_static
 
@@ -24,16 +24,16 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     start = time.perf_counter()
     with progress("step") as show:
 
-        def report(step: int) -> None:
+        def show_step(step: int) -> None:
             show(step, len(log))
 
         if options.static:
-            verification = verify_static(log, report)
+            verification = verify_static(log, show_step)
         else:
             from replay.restore.verify import verify  # noqa: PLC0415  imports the engine
 
             with native_output_to_stderr():
-                verification = verify(log, report)
+                verification = verify(log, show_step)
     seconds = time.perf_counter() - start
     print_result(lambda: _data(verification, seconds), _lines(verification, seconds), as_json=options.json)
     if verification.damage or verification.incomplete:
@@ -90,14 +90,10 @@ def _notes(verification: Verification) -> Iterator[str]:
 
 
 def _data(verification: Verification, seconds: float) -> dict[str, object]:
-    data = asdict(verification) | {"sound": verification.sound, "exact": verification.exact, "seconds": seconds}
-    data["largest"] = _deviation(verification.largest)
-    if verification.problem is not None:
-        data["problem"]["deviation"] = _deviation(verification.problem.deviation)
-    return data
+    facts = {"sound": verification.sound, "exact": verification.exact, "seconds": seconds}
+    return report.fields_data(verification) | facts
 
 
-def _deviation(deviation: Deviation | None) -> dict[str, object] | None:
-    if deviation is None:
-        return None
-    return asdict(deviation) | {"size": deviation.size if math.isfinite(deviation.size) else None}
+@report.data.register(Deviation)
+def _(deviation: Deviation) -> dict[str, object]:
+    return report.fields_data(deviation) | {"size": deviation.size if math.isfinite(deviation.size) else None}
