@@ -78,6 +78,12 @@ surface. An object rests half its height above the surface: on the counter, the 
 front edge of the counter is at x = 1.247. In the tutorial, the PR2 stands at x = 0.6 when it works at the counter. The
 last row is the table of `table.urdf`.
 """
+_CONTAINERS: Final = """\
+## Drawers and doors
+
+`perform(opening(container="fridge"))` opens a container. `kitchen.get_joint_position(joint)` returns how far the
+container is open: in m for a drawer, and in rad for a door. All containers are closed at 0.
+"""
 _GRASPS: Final = """\
 ## Objects and grippers
 
@@ -123,7 +129,7 @@ def _first_paragraph(text: str) -> str:
 
 def bundled() -> str:
     """Return the page of the sizes and places of bundled models, as Markdown."""
-    return f"{_BUNDLED}\n{surfaces()}\n{_GRASPS}\n{grasps()}"
+    return f"{_BUNDLED}\n{surfaces()}\n{_CONTAINERS}\n{containers()}\n{_GRASPS}\n{grasps()}"
 
 
 def surfaces() -> str:
@@ -136,6 +142,13 @@ def surfaces() -> str:
             rows.append((found, name, bool(surface.container)))
     rows.sort(key=lambda row: row[1:])
     return _table(("surface", "x", "y", "height", "free above", "in"), (row for row, *_ in rows))
+
+
+def containers() -> str:
+    """Return the table of the drawers and doors of the kitchen."""
+    found = furniture_of(load.load("kitchen.urdf")).containers.values()
+    rows = [(each.name, each.kind, f"`{each.joint}`", f"{each.open:.2f}", f"`{each.handle}`") for each in found]
+    return _table(("container", "kind", "joint", "open at", "link of the handle"), rows)
 
 
 def _extents(urdf: Urdf, surface: Surface) -> Iterator[str]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from docs.make_reference import reference
-from docs.make_tables import ATTRIBUTES, bundled, objects, sizes, surfaces
+from docs.make_tables import ATTRIBUTES, bundled, containers, objects, sizes, surfaces
 from pycram.actions.action import TYPES as ACTIONS
 from pycram.bullet_world import BulletWorld, Object
 from pycram.foundation.failures import NoPath, Unreachable
@@ -35,6 +35,7 @@ def test_the_page_of_worlds_and_objects_is_what_make_reference_writes() -> None:
 def test_the_page_of_bundled_models_has_their_sizes_and_surfaces() -> None:
     page = BUNDLED.read_text(encoding="utf-8")
     assert surfaces() in page
+    assert containers() in page
     assert all(f"| {' | '.join((name, *size))} |" in page for name, size in sizes().items())
 
 
