@@ -1,9 +1,8 @@
-"""Sets a breakfast and clears it away, without one pose of where to stand or how to grasp: it says what, not where.
+"""Sets a breakfast and clears it away. The plan names objects and goals; PyCRAM chooses poses, arms and grasps.
 
-The milk stands in the fridge, the spoon lies in a drawer, bowl and cereal stand on the counter. All of it goes to the
-kitchen island, the cereal from one hand to the other on its way; afterwards the bowl goes to the counter, and the milk
-into the fridge, which is shut. Run it with ``pycram demo breakfast``. Arms that are bolted down have breakfast on a
-table, from its right side to its left. What a robot can't do, as with an arm too few, is told before it begins.
+The robot takes the milk from the fridge, the spoon from a drawer, and bowl and cereal from the counter to the island.
+The cereal goes from one hand to the other. Then the bowl goes to the counter, and the milk into the fridge. Arms that
+are bolted down carry the objects from the right to the left side of a table. Run it with ``pycram demo breakfast``.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ WITHOUT = {BASE: "breakfast is on a table, without fridge and drawer", ARM: "not
 
 
 def build_kitchen(robot: str) -> None:
-    """Loads a kitchen, a robot in it, and what there is for breakfast."""
+    """Loads a kitchen, a robot and the objects for breakfast."""
     Object("kitchen", "environment", "kitchen.urdf")
     BulletWorld.robot = Object(robot, "robot", f"{robot}.urdf")
     Object("milk", "milk", "milk.stl", [1.42, -1.05, 0.87])  # on the lowest shelf but one
@@ -33,10 +32,10 @@ def build_kitchen(robot: str) -> None:
 
 
 def build_table(robot: str) -> None:
-    """Loads a table with a robot that is bolted to it, and the same things."""
+    """Loads a table, a robot that is bolted to the table, and the same objects."""
     Object("table", "environment", "table.urdf")
     BulletWorld.robot = body = Object(robot, "robot", f"{robot}.urdf", [0, 0, 0.72])
-    for arm in body.description.arms.values():  # as it is loaded, it may lie where the objects come
+    for arm in body.description.arms.values():  # the unfolded arm would be in the way of the objects
         body.set_joint_positions(arm.posture("park"))
     Object("milk", "milk", "milk.stl", [0.6, -0.25, 0.83])
     Object("spoon", "spoon", "spoon.stl", [0.3, -0.45, 0.74])
@@ -45,7 +44,7 @@ def build_table(robot: str) -> None:
 
 
 def missing() -> list[MissingPart]:
-    """Returns what the robot lacks of what a whole breakfast takes."""
+    """Returns the parts that a whole breakfast needs and the robot lacks."""
     robot = BulletWorld.robot
     lacks = []
     if not robot.description.drives:
@@ -56,13 +55,13 @@ def missing() -> list[MissingPart]:
 
 
 def bring(kind: str, target: LocationDesignator) -> None:
-    """Carries something, which says what it is and where it goes."""
+    """Carries the object of a type to a place, and prints its position."""
     body = perform(transporting(object=kind, target=target))
     print(f"{kind}: at", [round(x, 2) for x in body.get_position()])
 
 
 def breakfast() -> None:
-    """Sets everything, and clears bowl and milk away."""
+    """Sets all objects on the table, and clears bowl and milk away."""
     lacks = {failure.part for failure in missing()}
     there = LocationDesignator(on="island")
     away = LocationDesignator(on="counter")
@@ -99,7 +98,7 @@ def main(robot: str = "pr2") -> None:
         build_table(robot)
     else:
         build_kitchen(robot)
-    world.settle()  # everything comes to rest where it was put
+    world.settle()  # the objects come to rest
     for failure in missing():
         print(f"{failure}: {WITHOUT[failure.part]}")
     breakfast()

@@ -1,7 +1,7 @@
-"""Fails on purpose: the milk stands at the back of the counter, out of reach and behind other things.
+"""Fails on purpose: the milk stands at the back of the counter, out of reach and behind other objects.
 
 The plan tries each arm from two positions and gives up. Its recording is an example for debugging.
-These two commands make it, and say why the plan failed:
+The first command makes the recording, and the second command explains the failure:
 ``pycram run demos/fails_to_reach.py --log fails.mcap`` and
 ``pycram-replay why fails.mcap``.
 """

@@ -1,6 +1,6 @@
-"""Sets the table of ``set_the_table`` from other places each time: one plan, many runs.
+"""Sets the table of ``set_the_table`` with other places of the objects in each run.
 
-``pycram sweep scattered_table.py --runs 500 --set scatter=0.02,0.05 -o runs`` runs it with 500 seeds.
+``pycram sweep scattered_table.py --runs 500 --set scatter=0.02,0.05 -o runs`` runs the plan with 500 seeds.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import set_the_table
 import pycram
 from pycram.bullet_world import BulletWorld
 
-SCATTERED = ("milk", "cereal", "bowl")  # the spoon lies in a drawer, where there is no room
+SCATTERED = ("milk", "cereal", "bowl")  # the drawer of the spoon has no room
 
 
 def scatter(distance: float) -> None:
-    """Moves what stands on the counter by up to a distance, in m, along both of its sides."""
+    """Moves the objects on the counter by up to a distance, in m, along x and along y."""
     world = BulletWorld.current_bullet_world
     for kind in SCATTERED:
         body = world.get_objects_by_type(kind)[0]

@@ -1,9 +1,9 @@
 """Sets the table: the thesis' pick-and-place plan (5.1), on a PR2 in a kitchen, or on another robot.
 
-Milk, bowl and cereal stand on the counter, the spoon lies in a drawer. The robot carries each to the kitchen island;
-whatever blocks its way to an object is carried over first, as the bowl that stands before the milk. Arms that are
-bolted down have the same things on a table, and carry them to its other side. Run it with ``pycram demo``, on another
-robot with ``pycram demo --robot panda``, or record any variation of it with ``pycram run my_plan.py``.
+Milk, bowl and cereal stand on the counter, the spoon lies in a drawer. The robot carries each object to the island. If
+an object blocks the way, such as the bowl before the milk, the robot carries this obstacle to the island first. Arms
+that are bolted down carry the same objects from one side of a table to the other. Run the plan with ``pycram demo``,
+on another robot with ``pycram demo --robot panda``, or record your variation with ``pycram run my_plan.py``.
 """
 
 from __future__ import annotations
@@ -63,15 +63,15 @@ def build_scene(robot: str = "pr2") -> Object:
     Object("cereal", "cereal", "breakfast_cereal.stl", [1.3, 0.6, 1])
     Object("bowl", "bowl", "bowl.stl", [1.3, 0.98, 1])  # before the milk
     BulletWorld.robot = body
-    world.simulate(0.5)  # everything comes to rest where it was put
+    world.simulate(0.5)  # the objects come to rest
     return kitchen
 
 
 def build_table(world: BulletWorld, robot: str) -> Object:
-    """Loads a table with a robot that is bolted to it, and the objects; returns the table."""
+    """Loads a table, a robot that is bolted to the table, and the objects; returns the table."""
     table = Object("table", "environment", "table.urdf")
     BulletWorld.robot = body = Object(robot, "robot", f"{robot}.urdf", [0, 0, 0.72])
-    for arm in body.description.arms.values():  # as it is loaded, it may lie where the objects come
+    for arm in body.description.arms.values():  # the unfolded arm would be in the way of the objects
         body.set_joint_positions(arm.posture("park"))
     Object("milk", "milk", "milk.stl", [0.62, -0.25, 0.83])
     Object("spoon", "spoon", "spoon.stl", [0.3, -0.45, 0.74])
@@ -82,12 +82,12 @@ def build_table(world: BulletWorld, robot: str) -> Object:
 
 
 def park() -> None:
-    """Folds the arms, however many there are."""
+    """Folds all arms."""
     perform(move_arm_joints(arms=dict.fromkeys(BulletWorld.robot.description.arms, "park")))
 
 
 def go(pose: Pose) -> None:
-    """Drives somewhere with parked arms, if the robot drives."""
+    """Drives to a pose with parked arms, if the robot can drive."""
     position, orientation = pose
     with par:
         park()
@@ -127,7 +127,7 @@ def targets() -> dict[str, tuple[list[float], str]]:
 
 
 def move_object(object_type: str, furniture: Object, waiting: tuple[str, ...] = ()) -> None:
-    """Carries an object to its place, and whatever blocks it before it (Listings 5.3-5.5), for which others wait."""
+    """Carries an object to its place, and obstacles before it (Listings 5.3-5.5), while objects are ``waiting``."""
     target, arm = targets()[object_type]
     robot = BulletWorld.robot
     gripper = robot.description.arm(arm).tool_frame
@@ -162,11 +162,11 @@ def move_object(object_type: str, furniture: Object, waiting: tuple[str, ...] = 
 
 
 def set_table(furniture: Object) -> None:
-    """Carries everything to its place."""
+    """Carries all objects to their places."""
     for object_type, (target, _) in targets().items():
         body = BulletWorld.current_bullet_world.get_objects_by_type(object_type)[0]
         away = max(abs(a - b) for a, b in zip(body.get_position(), target, strict=True))
-        if away > 0.1:  # the way of another one may have led over it
+        if away > 0.1:  # the robot may have carried it away as an obstacle
             move_object(object_type, furniture)
 
 

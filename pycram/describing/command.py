@@ -266,7 +266,8 @@ def _tables(kind: str, found: list[str], said: Mapping[str, Any], now: Mapping[s
         entries = said.get(key, {})
         about = now.get(entries.get("name", key), "removed")
         yield from ("", f"[{kind}.{quoted(key)}]  # {about}")
-        yield from (f"{entry} = {_value(value)}" for entry, value in entries.items())
+        for entry, value in entries.items():  # JSON values are TOML values, except infinity
+            yield f"{entry} = {'inf' if value == math.inf else json.dumps(value, ensure_ascii=False)}"
 
 
 def _of_surface(surface: Surface, tree: Urdf) -> str:
@@ -276,7 +277,3 @@ def _of_surface(surface: Surface, tree: Urdf) -> str:
     above = "open above" if surface.clearance == math.inf else f"{surface.clearance:.2f} free above"
     inside = f", in {quoted(surface.container)}" if surface.container else ""
     return f"{x:.2f} x {y:.2f} at height {height:.3f}, {above}, on {surface.link}{inside}"
-
-
-def _value(value: object) -> str:
-    return "inf" if value == math.inf else json.dumps(value, ensure_ascii=False)  # other JSON values are TOML, too

@@ -29,7 +29,9 @@ _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
     "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 }
 _ANY_CHILD: Final = ("geometry", "contact")  # _check_shape() checks shapes; "contact" is an element of PyBullet
-_MAX_JOINTS: Final = 127  # maximum number of joints, also fixed ones; with more, PyBullet returns no states
+_MAX_JOINTS: Final = (
+    127  # maximum number of joints, including fixed joints; with more joints, PyBullet returns no states
+)
 _MAX_MOVABLE: Final = 121  # maximum number of movable joints: PyBullet's state has 128 values, 7 for the base's pose
 _MAX_NAME: Final = 1000  # maximum length of a name in bytes; PyBullet crashes at about 1,024
 _FAR: Final = "10000"  # limit in m of the chains that replace planar and floating joints
@@ -111,7 +113,7 @@ def _multiply(element: ET.Element, attributes: Iterable[str], factor: float) -> 
 
 
 def _strip(element: ET.Element) -> None:
-    """Remove elements that URDF doesn't define, without a recursion into their children, which may be nested deeply."""
+    """Remove elements that URDF doesn't define; skip the children of removed elements, which may be nested deeply."""
     own = _OWN_CHILDREN.get(element.tag, ())
     for child in list(element):
         if child.tag in own:

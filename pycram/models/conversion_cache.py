@@ -24,7 +24,7 @@ from recorder.system import cache_folder
 if TYPE_CHECKING:
     Piece = tuple[str, bytes, Sequence[float] | None]
 
-_WORTH: Final = 50_000  # maximum size in bytes of a binary STL whose conversion is faster than a look-up
+_WORTH: Final = 50_000  # a binary STL with fewer bytes is converted faster than its entry is found
 _LARGEST: Final = 1_000_000_000  # maximum total size in bytes; the least recently used entries are deleted first
 _CODE: Final = ("canonical_urdf.py", "load.py", "mesh.py", "shapes.py", "texture.py")
 _LIBRARIES: Final = ("numpy", "pillow", "pybullet", "pycollada", "scipy", "trimesh")

@@ -173,7 +173,7 @@ class _Correction:
         return Furniture(MappingProxyType(surfaces), MappingProxyType(containers))
 
     def _things(self, kind: str, found: Mapping[str, Any], said: Mapping[str, Mapping[str, Any]]) -> list[Any]:
-        """Return names and the found surfaces or containers, without removed ones; for an added name, None."""
+        """Return pairs of a name and a surface or container; None for an added thing. Removed things are left out."""
         for key, entries in said.items():
             needed = [part for part in _NEW[kind] if not any(name in entries for name in part.split(" or "))]
             if key not in found and (needed or "remove" in entries):

@@ -366,7 +366,7 @@ def _check_new(robot: Object, arm: Arm, way: Sequence[Mapping[str, float]], goal
 
 
 def _led(robot: Object, positions: Mapping[str, float]) -> dict[str, float]:
-    """Return the positions of joints that don't mimic others of these joints; motors follow a mimic only roughly."""
+    """Leave out the positions of joints that mimic another given joint, because motors follow a mimic only roughly."""
     mimics = robot.urdf.mimics if robot.model.loading.mimic else {}
     return {name: at for name, at in positions.items() if name not in mimics or mimics[name].leader not in positions}
 
@@ -454,7 +454,7 @@ def _displacement(body: Object, planned: planning.PlannedMotion) -> tuple[str, f
 
 
 def _unwound(body: Object, way_points: Sequence[Mapping[str, float]]) -> list[Mapping[str, float]]:
-    """Return way points in which joints without limits have the equivalent angle nearest to the one before."""
+    """Return way points with equivalent angles of joints without limits: the angles nearest to the angles before."""
     before: Mapping[str, float] = body.get_joint_positions()
     unwound: list[Mapping[str, float]] = []
     for way_point in way_points:

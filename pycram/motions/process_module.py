@@ -335,7 +335,7 @@ class ProcessModule(ABC):
     one_at_a_time = True  # false for a module without state, so that two arms can use the module at the same time
 
     failures: ClassVar[tuple[type[PlanFailure], ...]] = ()
-    """Failures that the module may raise in any environment; docs/reference/designators.md lists those of PyCRAM."""
+    """Failures that the module may raise in any environment; docs/reference/designators.md lists PyCRAM's failures."""
 
     failures_in_time: ClassVar[tuple[type[PlanFailure], ...]] = ()
     """Types of failures that the module may raise if motions take simulated time."""

@@ -30,7 +30,11 @@ from recorder.tracing.call_stack import call_site
 if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
-SPACINGS: Final = (0.3, 0.1, 0.03)  # distances in rad or m of the spline's way points; small ones round corners less
+SPACINGS: Final = (
+    0.3,
+    0.1,
+    0.03,
+)  # distances in rad or m of the spline's way points; small distances round corners less
 _RATE: Final = 30.0  # number of a trajectory's knots per second; the trajectory is cubic between knots
 _STILL: Final = 1e-4  # a path that is shorter, in rad or m, takes one step
 _GRID: Final = 25  # number of points of toppra's grid between way points, if toppra's own grid fails
@@ -143,7 +147,7 @@ def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
 
 
 def slowed(knots: Knots, rates: Rates) -> Knots:
-    """Return knots that keep the limits, even between knots; slower ones if toppra or the cubic exceeds a limit."""
+    """Return knots that keep the limits, even between knots: slower knots if toppra or the cubic exceeds a limit."""
     inside = np.clip(knots.positions, rates.lower, rates.upper)  # at a turning point, the spline may exceed a limit
     knots = Knots(knots.times, inside, np.where(inside == knots.positions, knots.velocities, 0.0))
     spans = np.diff(knots.times)[:, None]
@@ -224,7 +228,7 @@ def base_rates(robot: Object) -> Rates:
 
 
 def stacked(parts: Sequence[Rates]) -> Rates:
-    """Return the limits of several bodies together; the columns of each body follow those of the body before."""
+    """Return the limits of several bodies together; with the columns of the bodies in order."""
     rows, columns = (sum(part.directions.shape[axis] for part in parts) for axis in (0, 1))
     directions = np.zeros((rows, columns))
     row = column = 0

@@ -106,7 +106,7 @@ class PickUp(SimulatedModule):
 
     def _check_free(self, robot: Object, arm: Arm, body: Object, giver: Arm | None) -> None:
         if body.fixed:
-            raise GraspFailed(arm.name, body.name, "it is fixed")
+            raise GraspFailed(arm.name, body.name, "the object is fixed")
         if giver is not None and (giver.name == arm.name or self.held(robot, giver) is not body):
             why = "both are the same gripper" if giver is arm else f"the {giver.name} gripper doesn't hold it"
             raise GraspFailed(arm.name, body.name, f"{why}, so it can't be taken from there")
@@ -114,7 +114,7 @@ class PickUp(SimulatedModule):
             raise GraspFailed(arm.name, body.name, self._holder(robot, arm, body))
         held = self.held(robot, arm)
         if held is not None:
-            raise GraspFailed(arm.name, body.name, f"it holds {held.name}")
+            raise GraspFailed(arm.name, body.name, f"the gripper holds {held.name}")
         velocity = robot.world.engine.velocity(body.handle)
         speed, turning = math.hypot(*velocity[:3]), math.hypot(*velocity[3:])
         if speed > _MOVING[0] or turning > _MOVING[1]:

@@ -113,7 +113,7 @@ class Place(SimulatedModule):
 
 
 def _check_sunk(body: Object, target: Sequence[float]) -> None:
-    """Check that no object is inside of furniture: the engine would throw it while the placed object comes to rest."""
+    """Check that no object is inside of furniture: the engine would throw this object during the placement."""
     for other, overlap, _ in sunk(body.world):
         inside = f"{other.name} is {overlap.depth * 1e3:.0f} mm inside of {overlap.body}"
         raise PlaceFailed(body.name, target, f"{inside}, which would throw it; world.settle() lifts it out")

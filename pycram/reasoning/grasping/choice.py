@@ -290,7 +290,7 @@ def _nothing(
         tilt = geometry.angle(leaning(body.get_orientation()), geometry.IDENTITY[1])
         lies = f"because it leans by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
         if arm.gripper.suction:
-            return GraspFailed(arm.name, body.name, f"{lies}no part of it is flat enough for the suction cup")
+            return GraspFailed(arm.name, body.name, f"{lies}no part of the object is flat enough for the suction cup")
         sides = Choice("grasp", {})  # receives the reasons, even if nothing is recorded
         candidates(body, robot, arm, names, base=base, choice=sides)
         misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]

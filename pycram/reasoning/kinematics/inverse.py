@@ -225,7 +225,7 @@ class ArmKinematics:
     def _descend(
         self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool
     ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the result of :func:`search_postures`; the latest is cached: long searches begin like quick ones."""
+        """Return the result of :func:`search_postures`; the latest is cached: long searches begin as quick ones do."""
         key = stop_early, *(None if part is None else part.tobytes() for part in (start, goals, which, turns))
         known = self._latest[1] if self._latest[0] == key else None
         if known is None:
