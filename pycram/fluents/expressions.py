@@ -174,7 +174,7 @@ class Behavior(Enum):
 
 
 class _Seen:
-    """A state that a counter counts later, because no function of a network may run during a change."""
+    """A state whose pulses are counted later, because no function of a network may run during a change."""
 
     def __init__(self, state: State, before: _Seen | None) -> None:
         self.state: State | None = state  # set to None when the number of pulses is computed

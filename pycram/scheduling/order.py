@@ -20,7 +20,7 @@ from pycram.foundation.failures import BadArgument, UsageError
 if TYPE_CHECKING:
     from pycram.scheduling.schedule import Ready
 
-MOST_IN_A_ROW: Final = 100  # after this many turns of a branch in a row, as in a poll, all other branches run next
+MOST_IN_A_ROW: Final = 100  # after this many turns in a row of a branch that polls, for example, all other branches run
 ADDED: Final = "added"
 OUTSIDE: Final = "0"
 _PCT: Final = re.compile(r"pct:(\d+):([1-9]\d*):([1-9]\d*)")

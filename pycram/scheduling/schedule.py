@@ -96,7 +96,7 @@ class Waiter:
         self._greenlet.throw(error)
 
     def plan_line(self) -> BranchLine:
-        """Return the waiting line of the plan."""
+        """Return the line of the plan that waits."""
         return _plan_line(self.branch, self._greenlet)
 
     def sleep(self) -> bool:

@@ -231,7 +231,7 @@ class _Watch:
         self._seen: tuple[float, dict[str, Any]] | None = None  # for "at end": margin and values in this period
 
     def dues(self) -> Iterator[float]:
-        """Yield the times in s at which an unchanged state may decide the property."""
+        """Yield the times in s at which the property may be decided although the state doesn't change."""
         watched = self._property
         for episode in self._episodes:
             if watched.within is not None:

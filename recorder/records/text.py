@@ -46,7 +46,7 @@ _NS: Final = 1_000_000_000
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
 _OF_PLAN: Final = frozenset({Task, Run, Output})
 _LEVELS: Final = {"DEBUG": _DEBUG, "INFO": _INFO, "WARNING": _WARNING, "ERROR": _ERROR, "CRITICAL": _ERROR}
-_LITTLE: Final = 0.005  # minimum share of an object outside of the picture that texts mention
+_LITTLE: Final = 0.005  # texts mention a share of an object outside of the picture from this share on
 _NOTABLE_ERROR: Final = 0.01  # minimum error of a motor, rad or m, that texts mention
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # for the most frequent length, this is faster than a loop
 
