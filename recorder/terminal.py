@@ -166,7 +166,7 @@ class Parser(argparse.ArgumentParser):
         stream.write(painted(self.format_help(), _HELP, stream))
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Parse arguments; the usage of the subcommand follows unknown arguments."""
+        """Parse arguments; an error about unknown arguments shows the usage of the subcommand."""
         options, unknown = self.parse_known_args(args, namespace)
         verbs = (each for each in self._actions if isinstance(each, argparse._SubParsersAction))  # noqa: SLF001
         if unknown:

@@ -380,7 +380,7 @@ def _touching(body: Object, joint: str) -> list[CollisionPair]:
     return sorted(found, key=found.__getitem__, reverse=True)
 
 
-_NEAR: Final = 0.001  # minimum distance in m between bodies, plus the distance that a link covers in the interval
+_NEAR: Final = 0.001  # minimum distance in m between coasting and other bodies, apart from the way in the interval
 _ALONG: Final = 0.05  # maximum distance in m between the boxes of two moving links that may move together
 _RIGID: Final = (5e-3, 5e-2)  # largest relative motion in m and rad of links that move together
 

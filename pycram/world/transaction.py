@@ -194,8 +194,8 @@ def take_snapshot(body: Object) -> Snapshot:
 def restore_snapshot(body: Object, snapshot: Snapshot) -> None:
     """Set an object to a snapshot of itself, or of the same model in another world; motors hold its joints.
 
-    This change isn't a transaction, but for worlds that are rebuilt from recordings. During a recording, which would
-    miss the change, RuntimeError is raised.
+    Only worlds that are rebuilt from recordings need this change, which isn't a transaction. During a recording, which
+    would miss the change, RuntimeError is raised.
     """
     if journal.recording():
         raise RuntimeError(f"the state of {body.name} can only be restored while nothing is recorded")

@@ -189,7 +189,7 @@ def position(value: object) -> Position | None:
 
 
 def first_position(values: Mapping[str, Any], objects: Mapping[str, Position]) -> Position | None:
-    """Return the first position among recorded values, or else that of the first named object; None without both.
+    """Return the first position among recorded values, or else the position of the first named object; or None.
 
     ``objects`` contains positions by name.
     """

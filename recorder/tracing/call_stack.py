@@ -200,7 +200,7 @@ _BRACKETS: Final[Mapping[type, tuple[str, str]]] = {
 
 
 def failure_with_frames(error: BaseException, *, errors: int = MAX_ERRORS) -> Failure:
-    """Return the failure of an error, with the plan's frames if this recording contains frames."""
+    """Return the failure of an error, with the plan's frames if the recording keeps local variables."""
     record = failure(error, errors=errors)
     if journal.keeps_local_variables():
         with suppress(Exception):  # methods of the error may raise any error

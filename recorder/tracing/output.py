@@ -24,7 +24,7 @@ from recorder.tracing.journal import Journal
 
 MAX_CHARACTERS: Final = 10_000  # maximum number of characters in a record; longer lines are split into several records
 
-_Origin: TypeAlias = tuple[CallSite, int]  # the plan's line that began an output line, and the id of its task
+_Origin: TypeAlias = tuple[CallSite, int]  # the plan's line that began an output line, and the task's id
 _CONTROL: Final = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # escape sequences of terminals, such as colours
 #: Whether handlers of logging are printing a message, which is already recorded.
 _logging: ContextVar[bool] = ContextVar("pycram_logging", default=False)
