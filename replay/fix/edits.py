@@ -15,7 +15,7 @@ from typing import Final
 
 from recorder.plan_lines import called_name, stored
 from replay.fix.operators import FAR, Change, changes, similar_name
-from replay.fix.plan_syntax import PlanSyntax, asserts, loads, written_point
+from replay.fix.plan_syntax import PlanSyntax, asserts, loads, written_numbers
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
@@ -116,7 +116,9 @@ class Editor:
 
     def _is_used(self, node: ast.AST) -> bool:
         """Return whether a node is, or is in, one of the points."""
-        return bool(self.points) and any(written_point(each) in self.points for each in (node, *self.plan.around(node)))
+        return bool(self.points) and any(
+            written_numbers(each) in self.points for each in (node, *self.plan.around(node))
+        )
 
     def _is_forgotten(self, change: Change) -> bool:
         """Return whether a change uses a name that the plan defines, but doesn't use."""
@@ -128,7 +130,7 @@ class Editor:
             return
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             fitting = set[str]().union(*(each for each in (*sets, *plan.strings.values()) if node.value in each))
-            for text in sorted(fitting - {node.value}):
+            for text in sorted(fitting - {node.value} - plan.fixed):
                 yield Change(f"{text!r} instead of {node.value!r}", 0.4, ((node, repr(text)),), asks=True)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield from similar_name(node, plan)

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from recorder.plan_lines import called_name, last_name, stored
-from replay.fix.plan_syntax import PlanSyntax, loads, written_number, written_point
+from replay.fix.plan_syntax import PlanSyntax, loads, written_number, written_numbers
 
 _FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
 #: Each row: an operator, and those that it replaces by mistake.
@@ -53,7 +53,7 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         return
     is_count = isinstance(value, int) and value <= _FEW and node in plan.counts
     usual = max((each for each in plan.numbers if each != value), default=math.inf)
-    for number, factor in enumerate(_FACTORS if value and not is_count else ()):
+    for number, factor in enumerate(_FACTORS if value and not is_count and node not in plan.turns else ()):
         new = f"{value * factor:.6g}"  # without rounding errors, for the comparison too
         is_unit = value in plan.numbers and value >= _MANY * usual and float(new) <= usual
         is_unit |= factor == _FACTORS[2] and not value % _RIGHT_ANGLES
@@ -61,7 +61,7 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)
         what = f"{value} times {factor:.3g}"
         yield _to(node, new, cost, what, asks=not is_unit, chance=not is_unit)
-    if value and (isinstance(value, float) or node not in plan.counts):
+    if value and (isinstance(value, float) or node not in plan.counts | plan.turns):
         yield _to(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":
         for other in (value - 1, value + 1):
@@ -70,8 +70,8 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 
 def _frame(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield a position in the world instead of a position relative to the robot."""
-    position = written_point(node)
-    for base in plan.bases if any(position[2:]) else ():
+    position = written_numbers(node)
+    for base in plan.bases if len(position) == 3 and position[2] else ():
         new = f"[{', '.join(f'{one + other:.6g}' for one, other in zip(position, base, strict=True))}]"
         yield _to(node, new, 0.4, f"{new}: {ast.unparse(node)} seen from {base}", asks=True, chance=True)
 
@@ -88,8 +88,9 @@ def _spare_world(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 def _lost_update(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield a value that is added to the earlier value."""
     match node:
-        case ast.Assign([ast.Name(name)], number) if written_number(number) and plan.in_loop(node):
-            yield _to(node, f"{name} += {ast.unparse(number)}", 0.3)
+        case ast.Assign([ast.Name(name)], value) if plan.in_loop(node):
+            if written_number(value) or (name in plan.literals and isinstance(value, ast.Call)):
+                yield _to(node, f"{name} += {ast.unparse(value)}", 0.3)
         case ast.Call(ast.Attribute(fluent, "set_value"), [number]) if written_number(number):
             yield _to(number, f"{ast.unparse(fluent)}.get_value() + {ast.unparse(number)}", 0.35)
 
@@ -262,8 +263,10 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 vars(other).update({"ops": [sign]} if compares else {"op": sign})
                 what = "" if compares else f"{ast.unparse(node)} with another operator"
                 is_scale = {name, type(op).__name__} == {"Mult", "Div"}
+                around = plan.parents[node]
+                skips = compares and isinstance(around, ast.If) and isinstance(around.body[-1], ast.Continue)
                 new = ast.unparse(other) if compares else f"({ast.unparse(other)})"
-                yield _to(node, new, 0.65 - 0.1 * compares, what, chance=is_scale)
+                yield _to(node, new, 0.65 - 0.1 * compares - 0.25 * skips, what, chance=is_scale)
             if (
                 isinstance(node, ast.BinOp)
                 and isinstance(op, ast.Add | ast.Sub)
@@ -273,11 +276,9 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         case ast.List([_, _, *_] as items) | ast.Tuple([_, _, *_] as items) if len(items) <= 4:
             turned = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
             swapped = [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
-            for order in (*turned, *swapped):
-                swaps = order not in turned
-                yield _to(
-                    node, ast.unparse(type(node)(order, ast.Load())), 0.35 + 0.07 * swaps, asks=True, chance=swaps
-                )
+            for at, order in enumerate((*turned, *swapped)):
+                swaps, new = at >= len(turned), ast.unparse(type(node)(order, ast.Load()))
+                yield _to(node, new, 0.42 if swaps else 0.35 + 0.1 * at, asks=True, chance=swaps)
         case ast.Call(keywords=given) if any(each.arg == "orientation" for each in given):
             kept = [each for each in given if each.arg != "orientation"]
             yield _to(node, ast.unparse(ast.Call(node.func, node.args, kept)), FAR, "without orientation")
@@ -293,7 +294,9 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 def _undefined(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield objects instead of an undefined name."""
     if isinstance(node, ast.Name) and node not in plan.called and plan.is_undefined(node.id):
-        yield from (_to(node, name, 0.2 + 0.01 * at) for at, name in enumerate(sorted(plan.names["Object"])))
+        yield from (
+            _to(node, name, 0.2 + 0.01 * at) for at, name in enumerate(sorted(plan.names["Object"] - plan.fixed))
+        )
 
 
 def _never_held(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -321,7 +324,7 @@ def _copied(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
     """Yield other variables with the same role."""
     fitting = set[str]().union(*(each for each in plan.names.values() if node.id in each))
-    for name in sorted(fitting - {node.id}):
+    for name in sorted(fitting - {node.id} - (set() if node.id in plan.fixed else plan.fixed)):
         chance = bool(_AXIS.fullmatch(name) and _AXIS.fullmatch(node.id))
         yield _to(node, name, 0.6, asks=name in plan.constants, chance=chance)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import builtins
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from typing import Final
@@ -38,19 +39,27 @@ class PlanSyntax:
         self.checks = {name for name, node in self.functions.items() if any(map(asserts, ast.walk(node)))}
         self.called = {node.func for node in self.nodes if isinstance(node, ast.Call)}
         self.constants: set[str] = set()  # variables with a written container
+        self.fixed: set[str] = set()  # names of robots and environments, and their variables
         self.forgotten: set[str] = set()  # names and types of loaded objects without a use
         self.unused: set[str] = set()  # names that the plan defines, but doesn't use for an effect
         self.literals: dict[str, str] = {}  # types of variables with a list, a dictionary or a set
         written = map(written_number, self.nodes)
         #: Numbers that may be lengths and angles, without signs; gravity is none of these.
         self.numbers = [each for each in written if each is not None and not _GRAVITY < each < _GRAVITY + 1]
-        points = map(written_point, self.nodes[::-1])
-        self.bases = [each for each in points if any(each) and not each[2]]  # places on the floor, as those of robots
+        lists = [(node, numbers) for node in self.nodes[::-1] if (numbers := written_numbers(node))]
+        #: Places on the floor, as those of robots.
+        self.bases = [numbers for _, numbers in lists if len(numbers) == 3 and any(numbers) and not numbers[2]]
+        turns = (
+            node for node, numbers in lists if len(numbers) == 4 and math.isclose(math.hypot(*numbers), 1, rel_tol=0.01)
+        )
+        self.turns = {each for node in turns for each in ast.walk(node)}  # numbers of quaternions
         imported = (each for node in self.nodes for each in getattr(node, "names", ()) if isinstance(each, ast.alias))
         self.defined = {each.asname or each.name for each in imported}
         self.local: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
         for node in self.nodes:
             self._note(node)
+            if isinstance(node, ast.Call) and called_name(node) == "Object":
+                self._note_object(node)
             for role, value in _roles(node):
                 if isinstance(value, ast.Constant) and isinstance(value.value, str):
                     self.strings[role].add(value.value)
@@ -63,11 +72,8 @@ class PlanSyntax:
         match node:
             case ast.Subscript() | ast.BinOp() | ast.Compare() | ast.Slice():
                 self.counts |= {*ast.iter_child_nodes(node)}
-            case ast.Call(args=given):
+            case ast.Call():
                 name = ast.unparse(node.func)
-                texts = {each.value for each in given[:2] if isinstance(each, ast.Constant)}
-                is_loose = not {"environment", "robot"} & texts and isinstance(self.parents[node], ast.Expr)
-                self.forgotten |= {*map(str, texts)} if name == "Object" and is_loose else set()
                 self.counts |= {*node.args} if name in ("range", "enumerate") else set()
                 self.scene |= {*ast.walk(node)} if name.endswith("Object") else set()
                 self.goals |= {*ast.walk(node)} if name in _CHECKING else set()
@@ -88,6 +94,15 @@ class PlanSyntax:
                 self.literals |= {} if kind == "tuple" else dict.fromkeys(stored(node), kind)
             case ast.Name(name, ast.Store()) | ast.arg(name):
                 self.local[self.scope(node)].add(name)
+
+    def _note_object(self, node: ast.Call) -> None:
+        """Note whether a loaded object is fixed, or has no variable."""
+        texts = {str(each.value) for each in node.args[:2] if isinstance(each, ast.Constant)}
+        parent = self.parents[node]
+        if not texts.isdisjoint(("environment", "robot")):
+            self.fixed |= texts | (stored(parent) if isinstance(parent, ast.Assign) else set())
+        elif isinstance(parent, ast.Expr):
+            self.forgotten |= texts
 
     def span(self, first: ast.AST, last: ast.AST) -> tuple[int, int]:
         """Return the place of some nodes in the source, in bytes."""
@@ -176,7 +191,7 @@ class PlanSyntax:
         functions = {name for name in {*self.functions} - methods if (self.tree, name) not in used}
         texts = (node for node in self.nodes if isinstance(node, ast.Constant) and node not in self.scene)
         self.forgotten -= {node.value for node in texts if isinstance(node.value, str)}
-        self.unused = variables | functions | self.forgotten | (methods - attributes) - {"_"}
+        self.unused = (variables | functions | self.forgotten | (methods - attributes)) - {"_"} - self.fixed
 
 
 def asserts(node: ast.AST) -> bool:
@@ -190,12 +205,12 @@ def written_number(node: ast.AST) -> int | float | None:
     return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
-def written_point(node: ast.AST) -> list[float]:
-    """Return the numbers of a list of three numbers; [] for another node."""
+def written_numbers(node: ast.AST) -> list[float]:
+    """Return the numbers of a list that has only numbers; [] for another node."""
     items = node.elts if isinstance(node, ast.List) else []
     pairs = [(each, written_number(getattr(each, "operand", each))) for each in items]
     found = [-value if isinstance(each, ast.UnaryOp) else value for each, value in pairs if value is not None]
-    return found if len(found) == len(items) == 3 else []
+    return found if len(found) == len(items) else []
 
 
 def loads(node: ast.AST, names: set[str]) -> bool:

@@ -212,7 +212,10 @@ def _lines(
     inner = (line for stack in (why.call_stack, *stacks) for line in reversed(stack))
     called = [*dict.fromkeys(line.number for line in inner if line.file.endswith(name))]
     flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
-    lines = [*dict.fromkeys((*ranked, *called[:1], *flow))]
+    rows = zip_longest(
+        ranked[::2], ranked[1::2], (*called[:1], *flow)
+    )  # lines that may be wrong, too, by the source alone
+    lines = [*dict.fromkeys(line for row in rows for line in row if line is not None)]
     lines[_LIKELY:_LIKELY] = editor.handlers
     return [*dict.fromkeys(lines)][:_MAX_LINES], guessed, stale
 

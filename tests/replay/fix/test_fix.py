@@ -177,6 +177,10 @@ MISTAKES = {
         'Object("cup", "cup")\nObject("jug", "jug")\nnames = ["cup", \'jug\']\ngo(names)\n',
     ),
     "lost update": ("y = 0\nfor a in b:\n    y = 1\ngo(y)\n", "y = 0\nfor a in b:\n    y += 1\ngo(y)\n"),
+    "lost items": (
+        "found = []\nfor a in b:\n    found = get(a)\ngo(found)\n",
+        "found = []\nfor a in b:\n    found += get(a)\ngo(found)\n",
+    ),
     "lost value": ("fluent.set_value(2)\n", "fluent.set_value(fluent.get_value() + 2)\n"),
     "first item": ("go(box[-1])\n", "go(box[0])\n"),
     "no pick-up": (
@@ -254,6 +258,19 @@ def test_a_position_seen_from_the_robot_becomes_one_in_the_world_and_edits_of_us
     assert next(edit.what for edit in editor.edits(2) if "sign" in edit.what) == "the sign of 0.5"
     editor.points.append([0.6, 0.1, 0.87])
     assert next(edit.what for edit in editor.edits(2) if "sign" in edit.what) == "the sign of 0.6"
+
+
+def test_unlikely_edits_are_left_out_or_come_late() -> None:
+    editor = Editor(
+        'kitchen = Object("kitchen", "environment", "k.urdf")\ncup = Object("cup", "cup", "c.stl")\n'
+        "for _, x in spots:\n    if x < 2:\n        continue\n    y = 1 if x < 2 else 3\n    put(cup, x, y, [0, 0, 0, 1])\n"
+    )
+    put = {edit.what for edit in editor.edits(7)}
+    assert not {"kitchen instead of cup", "1 times 0.01", "the sign of 1"} & put  # a quaternion has no unit
+    assert "[0, 0, 1, 0] instead of [0, 0, 0, 1]" in put
+    assert "_" not in editor.plan.unused
+    likely = {edit.line for edit in editor.structural() if edit.what == "x > 2 instead of x < 2"}
+    assert likely == {4}  # a loop that skips the wrong items
 
 
 def test_counts_are_shifted_not_scaled_and_stale_reads_move_first() -> None:
