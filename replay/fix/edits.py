@@ -148,7 +148,8 @@ class Editor:
             crossed = block[min(at, to) : max(at, to) + 1]
             needed = [(statement, each) if to < at else (each, statement) for each in crossed if each is not statement]
             undefined = any(loads(one, stored(other)) and not isinstance(other, ast.For) for one, other in needed)
-            if 0 <= to < len(block) and not undefined and not any(map(self._is_check, crossed)):
+            evades = any(map(self._is_check, crossed)) or (to > at and not plan.goals.isdisjoint(crossed))
+            if 0 <= to < len(block) and not undefined and not evades:
                 yield self._moved(statement, block[to], 0.7, f"line {block[to].lineno}", after=to > at)
         inner = block[uses[0]] if uses and not any(map(self._is_check, block[at + 1 : uses[0]])) else None
         while inner is not None and isinstance(inner, ast.For | ast.While | ast.With):

@@ -299,6 +299,12 @@ def test_statements_stay_on_their_side_of_an_assertion() -> None:
     ]
 
 
+def test_what_an_assertion_measures_is_done_before_the_measurement() -> None:
+    editor = Editor("a()\ncup.put(1)\noff = cup.get_position()\nb()\nassert off < 1\n")
+    moves = {edit.what for line in (2, 4) for edit in editor.edits(line) if edit.what.startswith("line")}
+    assert moves == {"line 2 before line 1", "line 4 before line 3", "line 4 before line 2"}
+
+
 def test_the_scene_and_keys_of_tables_stay_as_they_are() -> None:
     text = 'cup = Object("cup", "cup", "cup.stl", [1, 2, *rest])\nput({"milk": cup, "cereal": "cup"})\nput({"left": 1, "left": 2})\n'
     editor = Editor(text)
