@@ -84,6 +84,12 @@ class FailureHandling:
         self._recoveries.append((_failure_type(kind), recovery))
         return self
 
+    @property
+    def fields(self) -> dict[str, object]:
+        """The parameters of the handling's node of the task tree; the tries of actions have others."""
+        kinds = [kind.__name__ for kind in self.kinds]
+        return {"retries": self.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
+
     def handles(self, error: BaseException | None) -> bool:
         """Return whether to retry after an error."""
         # in a cancelled branch, the cancellation of the next attempt would hide the failure of a cleanup
@@ -227,9 +233,7 @@ class Attempts:
         """Run the ``with`` block in the handling's node of the task tree; the first call starts that node."""
         with sequential():
             if self._span is None:
-                kinds = [kind.__name__ for kind in self._handling.kinds]
-                fields = {"retries": self._handling.retries} | ({} if kinds == ["PlanFailure"] else {"kinds": kinds})
-                self._span = Span("failure-handling", "failure-handling", parameters=fields)
+                self._span = Span("failure-handling", "failure-handling", parameters=self._handling.fields)
                 self._span.start()
             with self._span.entered():
                 yield

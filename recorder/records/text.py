@@ -307,8 +307,11 @@ def reason_text(candidate: Candidate) -> str:
     """Return the text of the reason for a rejection. The text of a user's own reason is its type and values."""
     data: Mapping[str, Any] = argument_values(candidate.data)
     text = rejection_text(candidate.reason, data)
-    several = " or more" if text and candidate.count > 1 and candidate.reason == "OutOfReach" else ""
-    return text + several or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
+    if text and candidate.count > 1:  # the values are those of the candidate that came nearest
+        text = {"OutOfReach": f"{text} at best", "Misfit": "at best " * text[0].isdigit() + text}.get(
+            candidate.reason, text
+        )
+    return text or f"{candidate.reason}({', '.join(f'{name}={value}' for name, value in data.items())})"
 
 
 def rejection_text(reason: str, data: Mapping[str, Any]) -> str:

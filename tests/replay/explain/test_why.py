@@ -268,7 +268,7 @@ def test_what_a_failed_motion_chose_from_is_told_everywhere(
         assert main([verb[0], str(failed.path), *verb[1:]]) == 0
         shown[verb[0]] = capsys.readouterr().out
     for verb, text in shown.items():
-        assert "out of reach by 0.211 m or more" in text, verb
+        assert "out of reach by 0.211 m at best" in text, verb
     assert "OutOfReach" in shown["show"]
     excerpt = (
         (DOCS / "guides" / "reasoning.md")
