@@ -82,7 +82,8 @@ _CONTAINERS: Final = """\
 ## Drawers and doors
 
 `perform(opening(container="fridge"))` opens a container. `kitchen.get_joint_position(joint)` returns how far the
-container is open: in m for a drawer, and in rad for a door. All containers are closed at 0.
+container is open: in m for a drawer, and in rad for a door. All containers are closed at 0. The link of a handle is
+`kitchen.container("fridge").handle`.
 """
 _GRASPS: Final = """\
 ## Objects and grippers
@@ -147,8 +148,8 @@ def surfaces() -> str:
 def containers() -> str:
     """Return the table of the drawers and doors of the kitchen."""
     found = furniture_of(load.load("kitchen.urdf")).containers.values()
-    rows = [(each.name, each.kind, f"`{each.joint}`", f"{each.open:.2f}", f"`{each.handle}`") for each in found]
-    return _table(("container", "kind", "joint", "open at", "link of the handle"), rows)
+    rows = [(each.name, each.kind, f"`{each.joint}`", f"{each.open:.2f}") for each in found]
+    return _table(("container", "kind", "joint", "open at"), rows)
 
 
 def _extents(urdf: Urdf, surface: Surface) -> Iterator[str]:
