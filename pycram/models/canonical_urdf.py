@@ -29,9 +29,7 @@ _OWN_CHILDREN: Final[dict[str, tuple[str, ...]]] = {
     "joint": ("origin", "parent", "child", "axis", "limit", "dynamics", "mimic"),
 }
 _ANY_CHILD: Final = ("geometry", "contact")  # _check_shape() checks shapes; "contact" is an element of PyBullet
-_MAX_JOINTS: Final = (
-    127  # maximum number of joints, including fixed joints; with more joints, PyBullet returns no states
-)
+_MAX_JOINTS: Final = 127  # maximum number of joints, including fixed joints; with more, PyBullet returns no states
 _MAX_MOVABLE: Final = 121  # maximum number of movable joints: PyBullet's state has 128 values, 7 for the base's pose
 _MAX_NAME: Final = 1000  # maximum length of a name in bytes; PyBullet crashes at about 1,024
 _FAR: Final = "10000"  # limit in m of the chains that replace planar and floating joints

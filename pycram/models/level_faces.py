@@ -41,9 +41,7 @@ _FINE: Final = 0.02  # distance in m of grid lines if edges aren't parallel to t
 _ALONG: Final = 1e-3  # maximum component of a side's unit normal along a grid axis that is parallel to the side
 _WHOLE: Final = 0.97  # minimum free share of a face that keeps its shape
 _PARALLEL: Final = 1e-9  # maximum component along a plane's unit normal of a line that is parallel to the plane
-_SIMPLE: Final = (
-    16  # maximum number of planes of a simple piece; other pieces are only intersected with lines near them
-)
+_SIMPLE: Final = 16  # maximum number of planes of a simple piece; only near lines intersect other pieces
 _ROUNDING: Final = 1e-9  # maximum relative rounding error of an area
 _COLUMNS: Final = 8  # number of columns that BLAS multiplies in one call
 _SAME_PLANE: Final = 6  # decimal places in which planes of triangles on one side of a hull agree

@@ -185,8 +185,6 @@ class Designator(ABC):
         if parent is not None:
             self.equate(parent)
 
-    # --- slots -----------------------------------------------------------------------------------------------------
-
     @property
     def description(self) -> list[tuple[str, Value]]:
         """The slots as the plan wrote them."""
@@ -243,8 +241,6 @@ class Designator(ABC):
         kind = type(self).__name__
         raise DesignatorError(f"a {kind} can't be the value of slot {slot}", slot=slot, value=self)
 
-    # --- chains ------------------------------------------------------------------------------------------------------
-
     def equate(self, other: Self) -> None:
         """Equate this designator with another designator: append it to the chain of ``other``."""
         if not isinstance(other, Designator):
@@ -280,8 +276,6 @@ class Designator(ABC):
     def newest_effective(self) -> Designator | None:
         """Return the newest effective designator of the chain; None if no designator is effective."""
         return next((designator for designator in reversed(self.chain()) if designator.effective), None)
-
-    # --- solutions ---------------------------------------------------------------------------------------------------
 
     @property
     def effective(self) -> bool:

@@ -85,8 +85,6 @@ _inner_queues: ContextVar[dict[ProcessModule, ResourceQueue] | None] = ContextVa
 #: The designator that this branch executes, with the records of its resolution and of the choice of its module.
 _decided: ContextVar[tuple[Designator | None, Decision | None]] = ContextVar("pycram_decided", default=(None, None))
 
-# --- execution environments ------------------------------------------------------------------------------------------
-
 
 class NoProcessModule(UsageError):
     """No process module can execute a designator."""
@@ -245,9 +243,6 @@ def _undescribed(robot: Object) -> str:
     return f"the robot has no description{but}: `pycram describe` writes one for Object(..., description=...); or "
 
 
-# --- motions ---------------------------------------------------------------------------------------------------------
-
-
 class Motion:
     """A motion from its request to its end: it queues for resources, is resolved, and is executed in a world.
 
@@ -321,9 +316,6 @@ def forget_claims() -> None:
     _parts.set(MappingProxyType({}))
     forget_tickets()
     _inner_queues.set({})
-
-
-# --- process modules -------------------------------------------------------------------------------------------------
 
 
 class ProcessModule(ABC):

@@ -108,21 +108,18 @@ def joint_motion(
             space, ends = moved.space(), (moved.start, moved.goal)
             query = path.Query(moved.name, moved.searched, space, *ends, rates, seed, patience=patience)
             failures = _failures.setdefault(robot, {})
-            situation = _situation(robot, query.drawn_seed(1), patience, choice.forced, now, ignored, ignored_links)
+            bodies = [
+                (body.name, body.model.path, take_snapshot(body), body.attachments.values())
+                for body in robot.world.objects
+            ]
+            search = query.drawn_seed(1), patience, choice.forced, now, ignored, ignored_links
+            situation = hashlib.sha256(f"{search} {bodies}".encode()).digest()
             try:
                 found = path.find_path(query, clearance, choice, failures.get(situation), moved.ways(earlier))
             except NoPath as no_path:
                 failures[situation] = copy(no_path)
                 raise
             return _planned(robot, moved, found, clearance.checks)
-
-
-def _situation(robot: Object, *search: object) -> bytes:
-    """Return a hash of all values that affect the result of a search."""
-    bodies = [
-        (body.name, body.model.path, take_snapshot(body), body.attachments.values()) for body in robot.world.objects
-    ]
-    return hashlib.sha256(f"{search} {bodies}".encode()).digest()
 
 
 def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> PlannedMotion:
@@ -240,8 +237,10 @@ def together(paths: Sequence[tuple[Object, Sequence[Mapping[str, float]]]]) -> l
         names.append(joints)
         rates.append(joint_rates(body, joints))
     knots = timing.timed(np.hstack(tables), stacked(rates), timing.SPACINGS[0])
-    parts = timing.split(knots, [len(joints) for joints in names])
-    return [given(joints, part, table) for joints, part, table in zip(names, parts, tables, strict=True)]
+    ends = np.cumsum([len(joints) for joints in names])[:-1]
+    parts = zip(*(np.split(rows, ends, axis=1) for rows in (knots.positions, knots.velocities)), strict=True)
+    every = zip(names, parts, tables, strict=True)
+    return [given(joints, timing.Knots(knots.times, *part), table) for joints, part, table in every]
 
 
 def line(robot: Object, arm: Arm, start: Mapping[str, float], goal: PoseLike) -> list[dict[str, float]]:

@@ -30,11 +30,7 @@ from recorder.tracing.call_stack import call_site
 if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
-SPACINGS: Final = (
-    0.3,
-    0.1,
-    0.03,
-)  # distances in rad or m of the spline's way points; small distances round corners less
+SPACINGS: Final = (0.3, 0.1, 0.03)  # distances in rad or m of the spline's way points; short distances keep corners
 _RATE: Final = 30.0  # number of a trajectory's knots per second; the trajectory is cubic between knots
 _STILL: Final = 1e-4  # a path that is shorter, in rad or m, takes one step
 _GRID: Final = 25  # number of points of toppra's grid between way points, if toppra's own grid fails
@@ -176,13 +172,6 @@ def at(knots: Knots, times: Array) -> Array:
     return rows
 
 
-def split(knots: Knots, widths: Sequence[int]) -> list[Knots]:
-    """Return the knots of several bodies; ``widths`` has each body's number of columns."""
-    ends = np.cumsum(widths)[:-1]
-    parts = zip(np.split(knots.positions, ends, axis=1), np.split(knots.velocities, ends, axis=1), strict=True)
-    return [Knots(knots.times, positions, velocities) for positions, velocities in parts]
-
-
 class NoVelocityLimit(UserWarning):
     """A warning: a URDF has no velocity limits for some joints; the robot's description or a default limits them."""
 
@@ -228,7 +217,7 @@ def base_rates(robot: Object) -> Rates:
 
 
 def stacked(parts: Sequence[Rates]) -> Rates:
-    """Return the limits of several bodies together; with the columns of the bodies in order."""
+    """Return the limits of several bodies together, with the columns of the bodies in order."""
     rows, columns = (sum(part.directions.shape[axis] for part in parts) for axis in (0, 1))
     directions = np.zeros((rows, columns))
     row = column = 0

@@ -218,8 +218,13 @@ class ArmKinematics:
                 pending = [number for number, each in missed if not each.any()]
         chosen = []
         for number, (known, *more) in enumerate(tried):
-            goal, turn = goals[number], None if turns is None else turns[number]
-            chosen.append(self._best(np.vstack([known, *more]), home, goal, turn) if more else known)
+            found = np.vstack([known, *more])
+            if more:  # the distinct postures that reach the goal, or the nearest miss
+                errors = self.chain.errors(found, goals[number], None if turns is None else turns[number])
+                misses = errors / _TOLERANCES
+                reaching = found[(misses < 1.0).all(axis=1)]
+                found = _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
+            chosen.append(found)
         return self._postures(chosen, goals, turns)
 
     def _descend(
@@ -232,12 +237,6 @@ class ArmKinematics:
             known = search_postures(self.chain, start, goals, turns, which, stop_early=stop_early)
             self._latest = key, known
         return known
-
-    def _best(self, found: Array, home: Array, goal: Array, turn: Array | None) -> Array:
-        """Return the distinct postures that reach the goal, or the nearest miss."""
-        misses = self.chain.errors(found, goal, turn) / _TOLERANCES
-        reaching = found[(misses < 1.0).all(axis=1)]
-        return _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
 
     @property
     def in_closed_form(self) -> bool:
