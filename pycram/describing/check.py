@@ -38,10 +38,8 @@ _CLEAR: Final = 1e-3  # distance in m between an object and the table, to avoid 
 def picked_up(robot: Object, arm: Arm, chain: Chain) -> Iterator[tuple[str, int, int, str]]:
     """Try to pick up each object from several places on a table.
 
-    The robot stands before the table; if the robot doesn't drive, the table has the best height for the arm.
-
-    Yields:
-        An object's name, the number of places from which the arm takes it, the number of places, and the first failure.
+    The robot stands before the table; if the robot doesn't drive, the table has the best height for the arm. For each
+    object, the name, the number of places with success, the number of all places and the last failure are yielded.
     """
     world, parked = robot.world, robot.get_joint_positions()
     world.robot = robot

@@ -55,10 +55,8 @@ _FILLED: Final = 110  # opacity of surfaces, 0 to 255
 def draw(body: Object, file: Path) -> None:
     """Draw a robot or furniture into a picture file; the suffix of the file determines the format.
 
-    Surfaces are drawn over the parts that hide them: green, or in drawers orange, or behind doors blue.
-
-    Raises:
-        AssetError: The file can't be written, or no image format has the suffix.
+    Surfaces are drawn over the parts that hide them: green, or in drawers orange, or behind doors blue. AssetError is
+    raised if the file can't be written, or if no image format has the suffix.
     """
     low, high = (np.array(corner) for corner in body.get_AABB())
     surfaces = {

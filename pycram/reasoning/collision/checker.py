@@ -66,12 +66,9 @@ class _Single:
 class CollisionChecker:
     """Checks postures of a robot for collisions, in a ``with`` block; the caller holds the world's lock.
 
-    Args:
-        joints: names of the moving joints; other links of the robot aren't checked.
-        ignored: objects that the robot may touch.
-        ignored_links: links of objects that the robot may touch, such as links that move along.
-        margin: distance in m up to which links that don't touch are checked, too.
-        single_links: whether links are placed one by one: faster for many postures, and as exact up to rounding.
+    Only links that the ``joints`` move are checked, unless ``all_links`` is true. The robot may touch ``ignored``
+    objects and links. Links that don't touch are checked, too, up to a distance of ``margin`` in m. With
+    ``single_links``, links are placed one by one: faster for many postures, and as exact up to rounding.
     """
 
     def __init__(

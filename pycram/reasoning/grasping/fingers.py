@@ -72,11 +72,9 @@ def finger_motion(
 ) -> FingerMotion:
     """Return how far the fingers of an arm can move. Present overlaps stop the fingers only if they get deeper.
 
-    Args:
-        goal: wanted opening of the gripper, from 0 (closed) to 1 (open).
-        posture: joint positions of the arm by name; None for its present posture.
-        release: the released object, which doesn't stop the fingers; objects on it do.
-        pose: pose of the released object; None for its present pose.
+    The ``goal`` is an opening of the gripper, from 0 (closed) to 1 (open). The ``posture`` has joint positions of the
+    arm, and ``pose`` is the pose of the released object; None stands for the present posture or pose. The released
+    object doesn't stop the fingers, but objects on the released object do.
     """
     gripper = arm.gripper
     clone = clone_of(robot.world, "reach")

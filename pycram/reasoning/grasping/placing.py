@@ -44,10 +44,7 @@ _LYING: Final = math.sin(math.radians(10))  # maximum upward component of the z 
 def resting_position(body: Object, target: Sequence[float], orientation: Quaternion) -> Vector:
     """Return the target (xyz, m) at the height at which an object, on its way down, first touches something.
 
-    Robots and their held objects don't support the object.
-
-    Raises:
-        PlaceFailed: There is no room, or no support below the target.
+    Robots and their held objects don't support the object. PlaceFailed is raised without room or support.
     """
     world = body.world
     clone = clone_of(world, "reach")
