@@ -83,16 +83,10 @@ def _apply(trials: Trials, found: SearchResult) -> None:
 
 
 def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
+    names = ("seeds", "elsewhere", "mark")
     repairs = [
-        {
-            "line": each.edit.line,
-            "edit": each.edit.what,
-            "diff": "\n".join(difference(trials, each.edit.text)),
-            "recording": str(each.recording),
-            "seeds": each.seeds,
-            "elsewhere": each.elsewhere,
-            "mark": each.mark,
-        }
+        {"line": each.edit.line, "edit": each.edit.what, "diff": "\n".join(difference(trials, each.edit.text))}
+        | {"recording": str(each.recording), **{name: getattr(each, name) for name in names}}
         for each in found.repairs
     ]
     return {"asked": found.asked, "repairs": repairs, "tried": found.tried, "runs": found.runs, "others": found.others}
