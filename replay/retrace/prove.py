@@ -20,7 +20,7 @@ from recorder.records import Failure, Run, Task, argument_values
 from replay.errors import ReplayError
 from replay.explain.causes.trials import CONFIRMED, REFUTED, UNTESTED, Proof, Trial, TriedTrial
 from replay.file.record_reader import RecordReader
-from replay.history.source import PlanSource, parse_traceback
+from replay.history.source import Line, PlanSource, parse_traceback
 from replay.history.tasks import uncaught_failure
 from replay.report import phrases
 from replay.retrace.fork import changes_of
@@ -116,6 +116,7 @@ class Prover:
         self._kept = kept
         self._reading = threading.Lock()  # only one thread at a time may read the recording
         self._end = _end(log, uncaught_failure(log))
+        self._line = _last_line(log, uncaught_failure(log))
         self._steps = len(log)
         self._checked = why.failure or Failure()  # the failure of a property or a check of the plan
         self._seconds = max(_SECONDS[0], _SECONDS[1] * why.run.seconds)
@@ -197,7 +198,8 @@ class Prover:
             return (UNTESTED, "the fork doesn't start the failed task") if same else (CONFIRMED, "the plan succeeds")
         said = phrases.failure(failure)
         if trial.compares:
-            return self._compared(failure, same=same, later=later)
+            line = _last_line(forked, end) if self._task is None else None
+            return self._compared(failure, line, same=same, later=later)
         if same and failure.type == "TimedOut" and started is not None and finished is not None:
             same = _succeeded(forked, started, finished.seq) <= self._succeeded  # more time helps, and isn't enough
             later = not same
@@ -205,12 +207,18 @@ class Prover:
         text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
         return REFUTED if same else CONFIRMED if later else UNTESTED, text
 
-    def _compared(self, failure: Failure, *, same: bool, later: bool) -> tuple[str, str]:
-        """Return the verdict on a change that wrote a checked value. The former value may fail the check as well."""
-        said = phrases.failure(failure)
+    def _compared(self, failure: Failure, line: Line | None, *, same: bool, later: bool) -> tuple[str, str]:
+        """Return the verdict on a change that wrote a checked value. The former value may fail the check as well.
+
+        ``line`` is the innermost line of the plan's failure in the fork, if the plan's own code makes the check.
+        """
+        said, own = phrases.failure(failure), self._line
+        known = line is not None and own is not None and (line.file, line.function) == (own.file, own.function)
+        same = same or (known and line == own)
         if same and _values(failure) == _values(self._checked):
             return UNTESTED, f"the check fails with the former value as well: {said}"
-        if failure.type != self._checked.type and not later:
+        is_before = known and line is not None and own is not None and line.number < own.number
+        if not (same or later) and (failure.type != self._checked.type or is_before):
             return UNTESTED, f"{said} happens before the check"
         what = "compares another value" if same else "passes, and the plan fails later"
         return CONFIRMED, f"the check {what}: {said}"
@@ -254,8 +262,13 @@ def _end(log: RecordReader, end: Run | None) -> object:
     """Return the signature and the innermost line of a plan's failure; None if the plan succeeded."""
     if end is None:
         return None
-    parsed = list(parse_traceback(end.failure.traceback, PlanSource(log)))
-    return _signature(end.failure), parsed[-1].lines[-1:] if parsed else ()
+    return _signature(end.failure), _last_line(log, end)
+
+
+def _last_line(log: RecordReader, end: Run | None) -> Line | None:
+    """Return the innermost line of the plan in the traceback of its failure."""
+    parsed = list(parse_traceback(end.failure.traceback, PlanSource(log))) if end is not None else []
+    return parsed[-1].lines[-1] if parsed and parsed[-1].lines else None
 
 
 def _alike(log: RecordReader, task: Task, *, exact: bool) -> list[Task]:

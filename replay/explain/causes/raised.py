@@ -212,7 +212,7 @@ _ORDERS: Final = {ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt
 _SUMS: Final = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul}
 _READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("turn",) * 4}
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
-_ASIDE: Final = (0.01, 1.0)  # by so much trials change a compared coordinate, m
+_ASIDE: Final = (0.01, 1.0)  # by so much trials change a compared coordinate or angle, m or rad
 _DEPTH: Final = 3  # definitions of names that are followed
 _MUTATIONS: Final = 200  # maximum number of changes in which moves of other objects are searched
 _OBJECT: Final = re.compile(r"<Object ([^<>]+)>")
@@ -223,7 +223,7 @@ class Written(Cause):
     """A change wrote the value that a property or the plan compares."""
 
     kind = "written"
-    untestable = "a fork can't take back the loading of an object that the plan needs"
+    untestable = "a fork can't take this change back before its value is compared"
     body: str
     part: str  # "x", "y", "z", "turn" or the name of a joint; "" for the whole pose
     value: float | None  # compared value in m or rad; None for "turn" and ""
@@ -260,14 +260,15 @@ class Written(Cause):
             if self.change.how == "command" and self.change.task is None and not self.change.joint:
                 skip = f"set_position(object={written(self.body)})=skip"
                 yield self._comparing(Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,)))
+            if case.data.get("step") == self.change.step:
+                return  # the change itself violated a property
             yield from map(self._comparing, trials.put_back(case, self.change))
         body = None if case.world is None else case.world.bodies.get(self.body)
-        if self.part in ("", *_AXES) and body is not None:
+        if self.part in ("", "turn", *_AXES) and body is not None:
             for aside in _ASIDE:  # no other change wrote the value, so it may be changed just before the check
-                place = [
-                    at + aside * (axis == (self.part or "x")) for axis, at in zip(_AXES, body.position, strict=True)
-                ]
-                yield from map(self._comparing, trials.placed(case, self.body, place))
+                axis, turn = self.part or "x", aside * (self.part not in _AXES)
+                place = [at + aside * (each == axis) for each, at in zip(_AXES, body.position, strict=True)]
+                yield from map(self._comparing, trials.placed(case, self.body, place, turn=turn))
 
     @staticmethod
     def _comparing(trial: Trial) -> Trial:

@@ -129,9 +129,19 @@ def downwards(case: FailureCase, step: int) -> Iterator[Trial]:
     yield _set(case, step, "gravity points down", {"gravity": (0.0, 0.0, -9.81)})
 
 
-def placed(case: FailureCase, body: str, position: Sequence[float], step: int | None = None) -> Iterator[Trial]:
-    """Yield the trial with a body at a position; by default, it is moved there just before the failure."""
-    yield _set(case, step, f"{body} is at {phrases.vector(position)}", {f"{written(body)}.position": position})
+def placed(
+    case: FailureCase, body: str, position: Sequence[float], step: int | None = None, turn: float = 0.0
+) -> Iterator[Trial]:
+    """Yield the trial with a body at a position; by default, it is moved there just before the failure.
+
+    ``turn`` is the angle in rad by which the body is also turned about the vertical.
+    """
+    words, pose = f"{body} is at {phrases.vector(position)}", [*position]
+    if turn and case.world is not None:
+        words += f", turned by {turn:g} rad"
+        turning = (0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, turn)
+        pose += geometry.multiply(turning, (position, case.world.bodies[body].orientation))[1]
+    yield _set(case, step, words, {f"{written(body)}.position": pose})
 
 
 def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Trial]:
