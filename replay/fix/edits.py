@@ -151,7 +151,10 @@ class Editor:
             evades = any(map(self._is_check, crossed)) or (to > at and not plan.goals.isdisjoint(crossed))
             if 0 <= to < len(block) and not undefined and not evades:
                 yield self._moved(statement, block[to], 0.7, f"line {block[to].lineno}", after=to > at)
-        inner = block[uses[0]] if uses and not any(map(self._is_check, block[at + 1 : uses[0]])) else None
+        stays = getattr(statement, "value", None) in plan.scene or any(
+            map(self._is_check, block[at + 1 : (uses or [0])[0]])
+        )
+        inner = block[uses[0]] if uses and not stays else None
         while inner is not None and isinstance(inner, ast.For | ast.While | ast.With):
             moved = self._moved(statement, inner.body[0], 0.4, "")
             yield moved._replace(what=f"line {statement.lineno} into the block of line {inner.lineno}")

@@ -269,6 +269,8 @@ def test_unlikely_edits_are_left_out_or_come_late() -> None:
     assert not {"kitchen instead of cup", "1 times 0.01", "the sign of 1"} & put  # a quaternion has no unit
     assert "[0, 0, 1, 0] instead of [0, 0, 0, 1]" in put
     assert "_" not in editor.plan.unused
+    loads = {edit.what for edit in editor.edits(2) if edit.what.startswith("line")}
+    assert loads == {"line 2 before line 1"}  # not into the loop
     likely = {edit.line for edit in editor.structural() if edit.what == "x > 2 instead of x < 2"}
     assert likely == {4}  # a loop that skips the wrong items
 
