@@ -64,7 +64,9 @@ class Editor:
         sets = [set(each) for each in alternatives]
         plan = self.plan
         nodes = [node for node in plan.nodes if getattr(node, "lineno", 0) == line and node not in plan.goals]
-        for node in sorted(nodes, key=lambda node: not self._is_used(node)):
+        points = [each for each in plan.nodes if self.points and written_numbers(each) in self.points]
+        used = {each for point in points for each in ast.walk(point)}
+        for node in sorted(nodes, key=lambda node: node not in used):
             for change in (*self._names(node, sets), *changes(node, plan)):
                 likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
                 yield self._edit(change, line, _SCENE * (node in plan.scene) - likely)
@@ -113,12 +115,6 @@ class Editor:
         for text, cost in found.items():
             if {each.id for each in ast.walk(ast.parse(text)) if isinstance(each, ast.Name)} <= known:
                 yield text, cost
-
-    def _is_used(self, node: ast.AST) -> bool:
-        """Return whether a node is, or is in, one of the points."""
-        return bool(self.points) and any(
-            written_numbers(each) in self.points for each in (node, *self.plan.around(node))
-        )
 
     def _is_forgotten(self, change: Change) -> bool:
         """Return whether a change uses a name that the plan defines, but doesn't use."""

@@ -293,7 +293,7 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 
 def _undefined(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield objects instead of an undefined name."""
-    if isinstance(node, ast.Name) and node not in plan.called and plan.is_undefined(node.id):
+    if isinstance(node, ast.Name) and node not in plan.called and node.id not in plan.known.union(*plan.local.values()):
         yield from (
             _to(node, name, 0.2 + 0.01 * at) for at, name in enumerate(sorted(plan.names["Object"] - plan.fixed))
         )

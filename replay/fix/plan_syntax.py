@@ -55,6 +55,8 @@ class PlanSyntax:
         self.turns = {each for node in turns for each in ast.walk(node)}  # numbers of quaternions
         imported = (each for node in self.nodes for each in getattr(node, "names", ()) if isinstance(each, ast.alias))
         self.defined = {each.asname or each.name for each in imported}
+        named = (getattr(node, "name", "") for node in self.nodes)  # functions, classes and caught errors
+        self.known = self.defined.union(named, vars(builtins))  # names that have a value, besides local ones
         self.local: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
         for node in self.nodes:
             self._note(node)
@@ -141,11 +143,6 @@ class PlanSyntax:
         """Return whether a statement belongs to a loop of its function."""
         kinds = (each for each in self.around(node) if isinstance(each, ast.For | ast.While | Function))
         return isinstance(next(kinds, None), ast.For | ast.While)
-
-    def is_undefined(self, name: str) -> bool:
-        """Return whether nothing defines a name."""
-        named = (getattr(node, "name", "") for node in self.nodes)  # functions, classes and caught errors
-        return name not in self.defined.union(named, *self.local.values()) and not hasattr(builtins, name)
 
     def block(self, statement: ast.AST) -> list[ast.stmt]:
         """Return the statements of a statement's block."""
