@@ -83,11 +83,8 @@ def _cause(log: RecordReader, verdict: PropertyVerdict) -> Record | None:
             about.add(task.task)
         if task.status == Task.FAILED and start <= task.seq:
             failed.append(task)
-    return max(
-        (each for each in failed if not at_end or each.task in about),
-        key=lambda each: (each.task in about, each.seq),
-        default=None,
-    )
+    known = (each for each in failed if not at_end or each.task in about)
+    return max(known, key=lambda each: (each.task in about, each.seq), default=None)
 
 
 @report.data.register(CheckedProperty)

@@ -80,10 +80,8 @@ def good_run(log: RecordReader, why: Why) -> GoodRun | None:
     now = log.path.stat()
     if now.st_size > MAX_CHECKED:  # such a comparison would cost more than the explanation
         return None
-    files = sorted(
-        (file for file in log.path.parent.glob("*.mcap") if not file.samefile(log.path)),
-        key=lambda file: abs(file.stat().st_mtime - now.st_mtime),
-    )
+    others = (file for file in log.path.parent.glob("*.mcap") if not file.samefile(log.path))
+    files = sorted(others, key=lambda file: abs(file.stat().st_mtime - now.st_mtime))
     found = []
     for file in files[:_OPENED]:
         try:

@@ -128,9 +128,7 @@ class Why:
     path: str = ""  # path of the recording in printed commands
 
     def __repr__(self) -> str:
-        from replay.explain import why_report  # noqa: PLC0415  that module imports this one
-
-        return f"<Why: {next(why_report.lines(self))}>"
+        return f"<Why: {next(self._lines())}>"
 
     def __str__(self) -> str:
         return self.text
@@ -138,14 +136,15 @@ class Why:
     @property
     def text(self) -> str:
         """The explanation as ``pycram-replay why`` prints it."""
-        from replay.explain import why_report  # noqa: PLC0415  that module imports this one
-
-        return "\n".join(why_report.lines(self, self.path))
+        return "\n".join(self._lines(self.path))
 
     def _repr_html_(self) -> str:
-        from replay.explain import why_report  # noqa: PLC0415  as above
+        return html.report(self._lines())
 
-        return html.report(why_report.lines(self))
+    def _lines(self, path: str = "") -> Iterator[str]:
+        from replay.explain import why_report  # noqa: PLC0415  that module imports this one
+
+        return why_report.lines(self, path)
 
     @property
     def is_python_error(self) -> bool:
@@ -326,12 +325,8 @@ def _is_alike(log: RecordReader, task: Node, failed: Node, objects: Iterable[tup
         return False
     own = set(bodies_in(task.parameters))
     now, then = failed.started.seq, task.started.seq
-    common = own.intersection(objects)
-    return (
-        not objects
-        or not own
-        or any(log.lifetime_at(world, now) == log.lifetime_at(world, then) for _, world in common)
-    )
+    worlds = {world for _, world in own.intersection(objects)}
+    return not objects or not own or any(log.lifetime_at(each, now) == log.lifetime_at(each, then) for each in worlds)
 
 
 def _attempts(log: RecordReader, tasks: Sequence[Node], world: World | None) -> Iterator[FailedAttempt]:
@@ -359,12 +354,8 @@ def _queries(
     for query in log.backwards(stop - 1, Query) if stop > start else ():
         if query.seq < start:
             break
-        if is_choice(query):
-            continue
-        if not names or query.task in ids or any(mentions(query, name) for name in names):
-            question = hash(
-                (query.name, query.world, *((argument.name, argument.json) for argument in query.arguments))
-            )
+        if not is_choice(query) and (not names or query.task in ids or any(mentions(query, name) for name in names)):
+            question = hash((query.name, query.world, *((each.name, each.json) for each in query.arguments)))
             if question not in asked and len(queries) < _MAX_QUERIES:
                 queries.append(query)
             asked.add(question)
@@ -381,11 +372,9 @@ def _with_changes(log: RecordReader, query: Query, world: World | None) -> Relev
     moved, removed = [], []
     for name, _ in dict.fromkeys(bodies_in(argument_values(query.arguments))):
         before, after = then.bodies.get(name), world.bodies.get(name)
-        if before is None:
-            continue
-        if after is None:
+        if before is not None and after is None:
             removed.append(name)
-        elif math.dist(before.position, after.position) > _MOVED:
+        elif before is not None and after is not None and math.dist(before.position, after.position) > _MOVED:
             moved.append(name)
     return RelevantQuery(query, tuple(moved), tuple(removed))
 
@@ -458,23 +447,15 @@ def tried(log: RecordReader, failed: Node) -> TriedAction | None:
     parts = [part for task in handling for part in task.children]
     imagined = [part for part in (*action.children, *parts) if part.kind == "projection"]
     ids = {node.id for _, node in action.walk()}
-    stop = action.last_step + 1
-    asked = [
-        query for query in log.records(Query, action.started.seq, stop) if query.HasField("grid") and query.task in ids
-    ]
+    queries = log.records(Query, action.started.seq, action.last_step + 1)
+    asked = [query for query in queries if query.HasField("grid") and query.task in ids]
     data = {} if action.failure is None else argument_values(action.failure.data)
     last = data.get("last")
     if isinstance(last, dict):  # an exception
         last = last.get("repr") or next(iter(last.values()), "")
-    error = "" if last is None else str(last)
-    return TriedAction(
-        action,
-        tuple(part for part in parts if part.kind == "attempt"),
-        tuple(imagined),
-        tuple(asked[-_MAX_PLACES:]),
-        data.get("spent") is True,
-        error,
-    )
+    attempts = tuple(part for part in parts if part.kind == "attempt")
+    places, error = tuple(asked[-_MAX_PLACES:]), "" if last is None else str(last)
+    return TriedAction(action, attempts, tuple(imagined), places, data.get("spent") is True, error)
 
 
 def _choice(task: Node) -> str:
@@ -519,10 +500,8 @@ class InvolvedBody:
     def _line(self) -> str:
         text = f"{self.body.name} at {phrases.vector(self.body.position)}"
         if self.is_robot:
-            held = [
-                held.body + (f" in the {self.hands[held.body]} gripper" if held.body in self.hands else "")
-                for held in self.holds
-            ]
+            names = [each.body for each in self.holds]
+            held = [name + (f" in the {self.hands[name]} gripper" if name in self.hands else "") for name in names]
             text += f", facing {facing(self.body)}, holding {phrases.names(held)}"
         elif self.distance is not None and self.bearing is not None:
             side = math.degrees(self.bearing)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import builtins
 import shlex
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from typing import Final
 
 from recorder.records import Query, format_failure
@@ -193,9 +193,8 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = (), good: GoodRun |
     removed = [f"{name} had been removed" for name in why.removed]
     yield from section(f"State{where} at step {why.step}", bodies + removed)
     for branch in why.branches:
-        yield from section(
-            f"Also failed: {phrases.node(branch.task.motion)}, at step {branch.task.last_step}", branch.lines()
-        )
+        failed = f"{phrases.node(branch.task.motion)}, at step {branch.task.last_step}"
+        yield from section(f"Also failed: {failed}", branch.lines())
     yield from section("Attempts", _attempts(why))
     yield from section("Queries on which the plan relied", _queries(why))
     yield from section("Changes since the last success", _changes(why))
@@ -224,9 +223,7 @@ def _headline(why: Why) -> Iterator[str]:
     if run.outcome == "failed":
         message, failure = run.failure, why.failure
         if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            # The type of the error is left out of PyCRAM's messages, which are clear without it; Python's messages need
-            # it.
-            message = failure.message
+            message = failure.message  # PyCRAM's messages are clear without the error's type; Python's messages need it
         yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
     elif run.outcome == "succeeded":
         failed = "a task failed."
@@ -283,12 +280,8 @@ def _where(why: Why) -> Iterator[str]:
 
 def _exceptions_lead_to_task(why: Why) -> bool:
     """Return whether the tracebacks contain the way to the task. The traceback of a failed block ends at the block."""
-    lines = [line for error in why.exceptions for line in error.lines]
-    return any(
-        line.file == call_site.file and call_site.function in ("", line.function)
-        for call_site in why.call_stack[-1:]
-        for line in lines
-    )
+    raised = {(line.file, name) for error in why.exceptions for line in error.lines for name in ("", line.function)}
+    return any((line.file, line.function) in raised for line in why.call_stack[-1:])
 
 
 def _line(line: Line, why: Why) -> Iterator[str]:
@@ -311,8 +304,7 @@ def _tasks(why: Why) -> Iterator[str]:
             yield f"no task: this was raised outside of tasks{f', in thread {why.thread}' if why.thread else ''}"
             yield from (f"  {line}" for line in format_failure(why.failure).splitlines())
         return
-    path = list(why.task.around())
-    path.reverse()
+    path = list(why.task.around())[::-1]
     for depth, task in enumerate(path):
         if task.finished is None and task is not why.task:
             state = "not finished"
@@ -328,12 +320,8 @@ def _tasks(why: Why) -> Iterator[str]:
     if why.task.failure is not None:
         yield from (f"{'  ' * len(path)}{line}" for line in format_failure(why.task.failure).splitlines())
     attempted = {attempt.task for attempt in why.attempts}  # attempts are listed in their own section
-    siblings = [
-        part
-        for part in why.task.outermost_failed.children
-        if part.failed and part not in path and part.origin not in attempted
-    ]
-    for part in siblings[:_LAST]:
+    siblings = (part for part in why.task.outermost_failed.children if part.failed and part not in path)
+    for part in islice((part for part in siblings if part.origin not in attempted), _LAST):
         yield f"also failed: {phrases.node(part)}: {phrases.one_line(part.error[1]) if part.error else ''}"
 
 
@@ -394,10 +382,9 @@ def _changes(why: Why) -> Iterator[str]:
             yield f"No {phrases.task(motion.kind, motion.name, {})} succeeded before."
         else:
             yield from _since(why.since_same_success)
-    if why.since_last_success is not None and (
-        why.since_same_success is None or why.since_same_success.task is not why.since_last_success.task
-    ):
-        yield from _since(why.since_last_success)
+    same, last = why.since_same_success, why.since_last_success
+    if last is not None and (same is None or same.task is not last.task):
+        yield from _since(last)
 
 
 def _since(since: ChangesSince) -> Iterator[str]:
@@ -455,11 +442,9 @@ def _movable(why: Why) -> list[InvolvedBody]:
 
 def _nearer(why: Why) -> str:
     """Return the command-line option that moves the object nearer to the robot; "" if there is no robot."""
-    if not why.bodies:  # the bodies may be missing in a damaged recording
-        return ""
     robot = next((involved.body for involved in why.bodies if involved.is_robot), None)
-    last = _movable(why)[-1]
-    if robot is None or last.distance is None or last.distance <= _NEARER:
+    last = next(reversed(_movable(why)), None)  # the bodies may be missing in a damaged recording
+    if robot is None or last is None or last.distance is None or last.distance <= _NEARER:
         return ""
     share = _NEARER / last.distance
     target = [a + (b - a) * share for a, b in zip(last.body.position[:2], robot.position[:2], strict=True)]

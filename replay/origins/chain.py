@@ -156,12 +156,12 @@ class Tracer:
 
     def _path(self, node: ast.AST, place: Evaluation, outer: Note | None) -> Facts:
         """Yield the conditions around a node, and what the statements before it did; then the same for outer calls."""
-        yield from self._conditions(node, place)
-        yield from self._before(node, place)
-        while outer is not None:
-            node, place, outer = self._node(outer), Evaluation(outer.frame, outer.time), outer.parent
+        while True:
             yield from self._conditions(node, place)
             yield from self._before(node, place)
+            if outer is None:
+                return
+            node, place, outer = self._node(outer), Evaluation(outer.frame, outer.time), outer.parent
 
     def _before(self, node: ast.AST, place: Evaluation) -> Facts:
         """Yield facts about the statements just before a node in its function, nearest first."""
@@ -249,10 +249,9 @@ class Tracer:
                 yield from self._condition(around.test, place)
             elif isinstance(around, ast.With | ast.AsyncWith) and isinstance(inner, ast.stmt):
                 for each in (item.context_expr for item in around.items):
-                    if not ast.unparse(each).startswith("BulletWorld") and not self._is_known(id(each), "block"):
-                        yield self._fact(
-                            "condition", each, ast.unparse(each), None, place.time, self._inputs(each, place)
-                        )
+                    text, parts = ast.unparse(each), self._inputs(each, place)
+                    if not text.startswith("BulletWorld") and not self._is_known(id(each), "block"):
+                        yield self._fact("condition", each, text, None, place.time, parts)
             inner = around
 
     def _condition(self, test: ast.expr, place: Evaluation) -> Facts:
@@ -536,8 +535,7 @@ class Tracer:
                 yield from changed
                 parts = [node.slice]
             elif element is not None and not self._is_known(self._numbers[id(element)], ast.unparse(node)):
-                name = ast.unparse(node)
-                remark = ""
+                name, remark = ast.unparse(node), ""
                 if not isinstance(node.slice, ast.Constant | ast.UnaryOp):
                     name += f", {ast.unparse(node.slice)} = {shown(key.copy)}"
                     backwards = type(key.copy) is int and key.copy < 0

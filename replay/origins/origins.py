@@ -12,7 +12,7 @@ import math
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 from recorder import geometry
 from recorder.records import Mutation, Plain
 from replay.explain.causes import decides, lacks_step
-from replay.explain.causes.case import Cause, CausingChange, hands, joints_of
+from replay.explain.causes.case import Cause, hands, joints_of
 from replay.explain.causes.out_of_reach import ObstructingBody
 from replay.explain.causes.raised import Written
 from replay.file.record_reader import RecordReader
@@ -122,21 +122,15 @@ def _steps(log: RecordReader, why: Why) -> dict[int, bool]:
     """Return the steps that led to the failure, and whether they decided it; deciding steps come first."""
     causes = [(each, why.case is not None and decides(why.case, each)) for each in why.causes[:_MAX_CAUSES]]
     causes.sort(key=lambda each: not each[1])
-    found = [(step, decided) for cause, decided in causes for step in (*_made_by(cause), *_moved_joints(why, cause))]
+    found = []
+    for cause, decided in causes:
+        made = (each.step for each in cause.causing_changes())
+        found += [(step, decided) for step in (*made, *cause.steps, *_moved_joints(why, cause))]
     steps: dict[int, bool] = {}
     for step, decided in (*found, *((step, False) for step in _made_state(log, why))):
         if step < why.step:
             steps.setdefault(step, decided)
     return steps
-
-
-def _made_by(cause: Any) -> Iterator[int]:
-    for each in fields(cause):
-        value = getattr(cause, each.name)
-        for item in value if isinstance(value, tuple) else (value,):
-            if isinstance(item, CausingChange):
-                yield item.step
-    yield from cause.steps
 
 
 def _moved_joints(why: Why, cause: Cause) -> Iterator[int]:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
-from replay.explain.causes.case import CausingChange, about
+from replay.explain.causes.case import about
 from replay.explain.causes.changed import (
     ClosedContainer,
     ForkedChange,
@@ -91,8 +91,6 @@ def lacks_step(case: FailureCase, causes: Sequence[Cause]) -> bool:
 
 def _with_events(cause: Cause) -> Cause:
     """Return a cause with the steps of the events whose handlers made its changes."""
-    values = [getattr(cause, each.name) for each in fields(cause)]
-    changes = [each for value in values for each in (value if isinstance(value, tuple) else (value,))]
-    events = {each.handler.cause for each in changes if isinstance(each, CausingChange) and each.handler is not None}
+    events = {each.handler.cause for each in cause.causing_changes() if each.handler is not None}
     events.discard(0)  # before the recording
     return replace(cause, steps=tuple(sorted({*cause.steps, *events}))) if events else cause

@@ -12,7 +12,7 @@ import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
@@ -62,6 +62,12 @@ class Cause:
     def trials(self, case: FailureCase) -> Iterator[Trial]:  # noqa: ARG002  most kinds need this argument
         """Yield trials: forks that take the cause away, the most direct fork first."""
         yield from ()
+
+    def causing_changes(self) -> Iterator[CausingChange]:
+        """Yield the changes in the cause's fields."""
+        values = [getattr(self, each.name) for each in fields(self)]
+        every = (each for value in values for each in (value if isinstance(value, tuple) else (value,)))
+        return (each for each in every if isinstance(each, CausingChange))
 
     def lines(self) -> Iterator[str]:
         """Yield the text of the cause, with indented details."""
@@ -131,9 +137,8 @@ class FailureCase:
     failed: Failures  # failed and successful tasks before the failure
     state: State  # states of all worlds at the failure
     world: World | None  # world of the failure; None without an open world
-    exceptions: tuple[ParsedException, ...] = field(
-        default=(), repr=False
-    )  # exceptions that led to the failure, the causes first
+    #: Exceptions that led to the failure, the causes first.
+    exceptions: tuple[ParsedException, ...] = field(default=(), repr=False)
 
     # --- the failed task ---------------------------------------------------------------------------------------------
 
@@ -306,13 +311,7 @@ class FailureCase:
         return None if last is None or last.how != "load" else self.change(last.record, body, "load")
 
     def change(
-        self,
-        record: Mutation | Keyframe,
-        body: str,
-        how: str,
-        *,
-        joint: str = "",
-        size: tuple[float, float] = (0.0, 0.0),
+        self, record: Mutation | Keyframe, body: str, how: str, joint: str = "", size: tuple[float, float] = (0.0, 0.0)
     ) -> CausingChange:
         """Return a record as the change of a body, with its task, handler and line."""
         because = causing_tasks(self.log, record)

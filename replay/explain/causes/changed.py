@@ -215,14 +215,9 @@ class HandState(Cause):
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether a removal of the object, or an earlier failure or refusal, explains the state."""
-        return any(
-            (isinstance(each, Gone) and each.body == self.body)
-            or (
-                isinstance(each, Swallowed | RefusedRequest)
-                and (each.precondition, each.subject) == (self.precondition, self.body)
-            )
-            for each in found
-        )
+        lacked = [(each.precondition, each.subject) for each in found if isinstance(each, Swallowed | RefusedRequest)]
+        removed = [each.body for each in found if isinstance(each, Gone)]
+        return self.body in removed or (self.precondition, self.body) in lacked
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trial with the hand in the required state."""
@@ -237,11 +232,10 @@ class HandState(Cause):
             hand = f"the {self.holder} gripper" if " (" not in self.holder else self.holder
             yield f"{hand} held {self.body} {step}{since(self.change, 'taken')}"
             return
+        end = since(self.change, "released") if self.change is not None else ": no hand had taken it"
         if self.holder:
-            end = f": the {self.holder} gripper did" if " " not in self.holder else f": {self.holder} did"
-            end += since(self.change, "taken")
-        else:
-            end = since(self.change, "released") if self.change is not None else ": no hand had taken it"
+            hand = f"the {self.holder} gripper" if " " not in self.holder else self.holder
+            end = f": {hand} did{since(self.change, 'taken')}"
         yield f"the {self.arm} gripper didn't hold {self.body} {step}{end}"
 
 
@@ -275,10 +269,8 @@ def _question(query: Query) -> tuple[object, ...]:
 
 def _last_perception(case: FailureCase) -> Node | None:
     names = set(case.subjects or case.mentioned)
-    for motion in case.motions("detecting", "world-state-detecting"):
-        if motion.status is State.SUCCEEDED and names.intersection(objects_in(result(motion))):
-            return motion
-    return None
+    found = (each for each in case.motions("detecting", "world-state-detecting") if each.status is State.SUCCEEDED)
+    return next((each for each in found if names.intersection(objects_in(result(each)))), None)
 
 
 def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
@@ -287,14 +279,12 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
     then = state_at(case.log, step).worlds.get(case.world.name) if case.world is not None else None
     if then is None or case.world is None:
         return
-    names = list(
-        objects_in(list(argument_values(asked.arguments).values()) if isinstance(asked, Query) else result(asked))
-    )
     named = isinstance(asked, Query)
+    given = list(argument_values(asked.arguments).values()) if isinstance(asked, Query) else result(asked)
     obstacles = [pair.get("body", "") for pair in case.pairs]
     hiders = case.mentioned if case.failure.type == "PerceptionError" else ()
     robot = case.world.robot
-    for name in dict.fromkeys((*names, *obstacles, *hiders, *([robot] if named else []))):
+    for name in dict.fromkeys((*objects_in(given), *obstacles, *hiders, *([robot] if named else []))):
         before, after = then.bodies.get(name), case.world.bodies.get(name)
         if after is None:
             continue
@@ -335,20 +325,17 @@ def _moved_in_hand(case: FailureCase) -> Iterator[NoLonger]:
         if held.body not in moved:
             continue
         grasp = next((each for each in case.motions("pick-up") if about(each, body=held.body)), None)
-        changes = (
-            tuple(_commanded_moves(case, held.body, grasp.last_step)) if grasp is not None and not grasp.failed else ()
-        )
-        if grasp is not None and changes:
-            yield NoLonger(case.steps(grasp.last_step, *changes), grasp, changes)
+        if grasp is not None and not grasp.failed:
+            changes = tuple(_commanded_moves(case, held.body, grasp.last_step))
+            yield from [NoLonger(case.steps(grasp.last_step, *changes), grasp, changes)] if changes else []
 
 
 def _commanded_moves(case: FailureCase, name: str, start: int) -> Iterator[CausingChange]:
     for record in case.log.records(Mutation, start + 1, case.began):
         if not record.HasField("move_body") or record.move_body.body != name or not case.is_here(record):
             continue
-        before, after = (
-            state_at(case.log, step).worlds[record.world].bodies[name] for step in (record.seq - 1, record.seq)
-        )
+        states = (state_at(case.log, step) for step in (record.seq - 1, record.seq))
+        before, after = (state.worlds[record.world].bodies[name] for state in states)
         distance = math.dist(before.position, after.position)
         if distance > _IN_HAND:
             yield case.change(record, name, "in-hand", size=(distance, turn(before.orientation, after.orientation)))

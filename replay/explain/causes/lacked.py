@@ -41,10 +41,8 @@ _NEARER: Final = 0.05  # difference in m below which two places are equally near
 _IN: Final = 0.03  # distance in m from the drawer's boxes within which an object is in the drawer
 _PERCEIVING: Final = ("detecting", "world-state-detecting")
 _UNSUCCESSFUL: Final = (State.FAILED, State.CANCELLED)
-_MISSING_VALUE: Final = (
-    "DesignatorError",
-    "BadArgument",
-)  # errors that a value None in the plan may cause, in addition to Python's errors
+#: Errors that a value None in the plan may cause, in addition to Python's errors.
+_MISSING_VALUE: Final = ("DesignatorError", "BadArgument")
 _EMPTY: Final = ("IndexError", "KeyError", "StopIteration")  # errors that a missing item of a container may cause
 _MAX_ALSO: Final = 3
 _MAX_SETTING: Final = 100  # maximum number of motions that may have filled a list
@@ -289,20 +287,16 @@ def _freed(case: FailureCase, held: Attachment) -> Lacking:
 
 def _clear(case: FailureCase) -> Iterator[Lacking]:
     """Yield the obstacles that should have been moved: colliding links, and bodies that hide the object."""
-    if case.world is None or case.robot is None or ("rest" in case.data and case.data["rest"] is not None):
+    if case.world is None or case.robot is None or case.data.get("rest") is not None:
         return
-    known: set[tuple[str, str]] = set()
     ends = [(pair.get("body", ""), pair.get("body_link", "")) for pair in case.pairs]
     if case.failure.type == "PerceptionError":
         wanted = case.data.get("reasons")
         ends += [(name, "") for name in case.mentioned if not isinstance(wanted, dict) or name not in wanted]
-    for name, link in ends:
-        if (name, link) in known or name == case.robot.name:
-            continue
-        known.add((name, link))
+    for name, link in dict.fromkeys(ends):
         if case.free_body(name) is not None and name not in case.subjects:
             yield Lacking("clear", name, "", ("pick-up", "place"), partial(about, body=name))
-        elif name in case.world.bodies:
+        elif name in case.world.bodies and name != case.robot.name:
             yield from _joint_moved(case, name, link)
     for pair in case.pairs:
         yield from _of_robot(case, pair.get("mover", ""), pair.get("link", ""))
@@ -503,7 +497,7 @@ def _motions_setting_variables(case: FailureCase) -> Iterator[tuple[Node, list[s
 def _lacks_value(case: FailureCase) -> bool:
     """Return whether a line of the plan failed because a value was missing."""
     failed, message = case.failure.type, case.failure.message
-    if failed in _EMPTY or failed in ("NameError", "UnboundLocalError"):
+    if failed in (*_EMPTY, "NameError", "UnboundLocalError"):
         return True
     own_mistake = hasattr(builtins, failed) or failed in _MISSING_VALUE
     texts = (message, *(case.motion.parameters.values() if case.motion is not None else ()))
@@ -596,7 +590,7 @@ def _missing_effects(case: FailureCase, refusal: Refusal) -> Iterator[tuple[str,
         other = next(objects_in(given.get("other")), "")
         if case.robot is not None and case.robot.name in (subject, other):  # attachments to other bodies don't matter
             yield from {(held, name) for name in (other, subject) if (held, name) in by_hands}
-    elif is_mistake(case):  # the state of the world doesn't matter here
+    elif is_mistake(case.failure.type):  # the state of the world doesn't matter here
         names = _variables_from(case, case.source.call_stack(refusal)) if _lacks_value(case) else []
         yield from [("result", ", ".join(names))] if names else []
     elif by_hands:

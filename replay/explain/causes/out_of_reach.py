@@ -102,15 +102,10 @@ class UnreachedTarget(Cause):
         torso = (f"{case.robot.name}.{joint}" for joint in lift)
         changed = (case.changed(name) for name in (case.robot.name, taken, *torso) if name)
         changes = tuple(sorted((each for each in changed if each is not None), key=lambda change: change.step))
-        yield UnreachedTarget(
-            case.steps(*changes),
-            str(case.data.get("arm") or case.given.get("arm") or ""),
-            taken,
-            distance,
-            float(miss) if isinstance(miss, int | float) else None,
-            tuple(float(str(part)) for part in turned) if isinstance(turned, list) else (),
-            changes,
-        )
+        arm = str(case.data.get("arm") or case.given.get("arm") or "")
+        gap = float(miss) if isinstance(miss, int | float) else None
+        orientation = tuple(float(str(part)) for part in turned) if isinstance(turned, list) else ()
+        yield UnreachedTarget(case.steps(*changes), arm, taken, distance, gap, orientation, changes)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
         """Return whether a change since an earlier success, or a swallowed failure, explains the distance."""
@@ -181,10 +176,8 @@ def _pairs(recorded: Plain) -> Iterator[str]:
 
 
 def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> ObstructingBody:
-    change: CausingChange | None = None
     if case.free_body(body) is not None:
         change = case.changed(body) or case.loaded(body)
     else:
-        for joint in case.joints_to(body, link):
-            change = change or case.changed(f"{body}.{joint}")
+        change = next(filter(None, (case.changed(f"{body}.{joint}") for joint in case.joints_to(body, link))), None)
     return ObstructingBody(case.steps(change), body, link, mover, change)

@@ -155,36 +155,22 @@ class _Fate:
             return
         distance, fall = math.dist(before[0], after[0]), before[0][2] - after[0][2]
         tilt = geometry.lean(after[1], before[1])
-        is_outcome = (
-            self._name in self._case.subjects and self._case.data.get("rest") is not None
-        )  # a motion that placed the object has let it settle
+        # a motion that placed the object has let it settle
+        is_outcome = self._name in self._case.subjects and self._case.data.get("rest") is not None
         if distance < _MOVED and tilt < _TILTED and not is_outcome:
             return
-        shifts = []
-        for record in self.moves:
-            now = self._pose(record.seq)
-            shifts.append(_shift(self._pose(record.seq - 1), now) if now is not None else 0.0)
+        shifts = [_shift(self._pose(record.seq - 1), self._pose(record.seq)) for record in self.moves]
         first = next(record for record, shift in zip(self.moves, shifts, strict=True) if shift >= _PART * max(shifts))
         lets, support = self._lets(first), self._support(first)
         if support:
             lets = tuple(change for change in lets if change.body == support)
         released = next((change for change in lets if change.how == "detached"), None)
         speed, spin = self._velocity(released.step, first) if released is not None else (None, None)
+        hand = self._case.holder(self._name, released.step - 1) if released is not None else ""
+        how = "fell" if fall > _FELL else "tipped" if tilt >= _TILTED else "moved"
+        steps, line = self._case.steps(self.since, first.seq, *lets), self._case.line_of(first)
         yield Physics(
-            self._case.steps(self.since, first.seq, *lets),
-            self._name,
-            "fell" if fall > _FELL else "tipped" if tilt >= _TILTED else "moved",
-            distance,
-            fall,
-            tilt,
-            first.seq,
-            self._case.line_of(first),
-            self.since,
-            support,
-            lets,
-            speed,
-            spin,
-            self._case.holder(self._name, released.step - 1) if released is not None else "",
+            steps, self._name, how, distance, fall, tilt, first.seq, line, self.since, support, lets, speed, spin, hand
         )
 
     def _lets(self, first: Mutation) -> tuple[CausingChange, ...]:
@@ -192,20 +178,16 @@ class _Fate:
         assert self.base is not None  # noqa: S101  for mypy
         case, start, candidates = self._case, self.base.seq, []
         for record in case.log.backwards(first.seq - 1, Mutation):
-            if record.world != self._world or record.seq < start:
-                if record.seq < start:
-                    break
+            if record.seq < start:
+                break
+            if record.world != self._world:
                 continue
             if record.seq == start:
                 candidates.append(case.change(record, self._name, _HOW.get(record.WhichOneof("command"), "command")))
-            elif record.HasField("simulate") and record.simulate.steps >= _QUIET and record not in self.moves:
+            elif record.simulate.steps >= _QUIET and not (record in self.moves and self._is_moving(record)):
                 break  # after the change, the object was at rest
-            elif record in self.moves and record.simulate.steps >= _QUIET and not self._is_moving(record):
-                break
-            else:
-                change = self._change_near(record)
-                if change is not None:
-                    candidates.append(change)
+            elif (change := self._change_near(record)) is not None:
+                candidates.append(change)
         if any(each.how == "detached" for each in candidates):
             candidates = [each for each in candidates if each.how == "detached"]
         return tuple(candidates[:_MAX_LETS][::-1])
@@ -287,8 +269,8 @@ class _Fate:
         return body.pose if body is not None else None
 
 
-def _shift(before: Pose | None, after: Pose) -> float:
+def _shift(before: Pose | None, after: Pose | None) -> float:
     """Return the size of the change of a pose in m. An angle of 1 rad counts as 0.1 m."""
-    if before is None:
+    if before is None or after is None:
         return 0.0
     return math.dist(before[0], after[0]) + 0.1 * geometry.angle(before[1], after[1])

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
-from recorder import geometry, notebook
+from recorder import geometry
 from recorder.plan_lines import syntax_nodes
 from recorder.records import Fluent, Mutation, Query, Refusal, Task, argument_values, from_json
 from recorder.records.text import is_choice
@@ -70,7 +70,7 @@ class Raised(Cause):
         if error is None or not lines or case.failure.type in (*_INTERRUPTS, "PropertyViolated"):
             return
         in_motion = case.motion is not None
-        refused = case.failure.type in USAGE_ERRORS or (is_mistake(case) and not in_motion)
+        refused = case.failure.type in USAGE_ERRORS or (is_mistake(case.failure.type) and not in_motion)
         if (in_motion and not error.own and not refused) or not (error.own or refused or case.task is None):
             return
         line = lines[-1] if error.own else case.line(lines) or lines[-1]
@@ -107,7 +107,7 @@ class Raised(Cause):
         if self.own:
             what = "the plan raised the failure"
         else:
-            what = f"a mistake in the plan: {self.type}" if _is_mistake(self.type) else f"{self.type} came from a call"
+            what = f"a mistake in the plan: {self.type}" if is_mistake(self.type) else f"{self.type} came from a call"
         inside = f", in {phrases.node(self.task)}" if self.task is not None else ""
         yield f"{what} at {phrases.place(self.line)}{inside}: {phrases.short(self.line.text)}"
         for answer in self.answers:
@@ -119,9 +119,7 @@ def _answer(record: Query | Task | Fluent) -> str:
         reasons = phrases.reasons(record) if record.candidates else ""
         return f"{phrases.question(record)}: {phrases.answer(record)}" + (f"; {reasons}" if reasons else "")
     if isinstance(record, Fluent):
-        at = (
-            f", at {notebook.place(phrases.path(record.source_file), record.source_line)}" if record.source_line else ""
-        )
+        at = phrases.at(Line(record.source_file, record.source_line)) if record.source_line else ""
         return f"{record.name} became {phrases.value(from_json(record.after_json))}{at}"
     if record.kind != "wait":
         return f"{record.name} failed: {phrases.short(phrases.one_line(record.failure.message))}"
@@ -142,17 +140,13 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
         return
     if last.type == "DeadlockedBranches":
         return  # the other branches waited for the failed branch
-    if last.own if _is_raise(last.lines[-1]) else _is_mistake(last.type):
+    if last.own if _is_raise(last.lines[-1]) else is_mistake(last.type):
         line = last.lines[-1] if last.own else case.line(last.lines) or last.lines[-1]
         yield Raised((end.seq,), last.type, line, last.own and _is_raise(line), None, (end,))
 
 
-def is_mistake(case: FailureCase) -> bool:
-    """Return whether Python or PyCRAM rejects the plan's code in every state of the world."""
-    return _is_mistake(case.failure.type)
-
-
-def _is_mistake(failure: str) -> bool:
+def is_mistake(failure: str) -> bool:
+    """Return whether a type of failure means that Python or PyCRAM rejects the code in every state of the world."""
     return failure in USAGE_ERRORS or hasattr(builtins, failure)
 
 
@@ -181,18 +175,15 @@ def _watched(case: FailureCase) -> Iterator[Fluent]:
     """Yield the last change of a fluent of a failed ``whenever``."""
     if case.task is None or case.task.kind != "whenever":
         return
-    for record in islice(case.log.backwards(case.step, Fluent), _SEARCHED):
-        if record.name in case.task.name:
-            yield record
-            return
+    searched = islice(case.log.backwards(case.step, Fluent), _SEARCHED)
+    yield from islice((record for record in searched if record.name in case.task.name), 1)
 
 
 def answers(case: FailureCase) -> Iterator[Query | Task]:
     """Yield the last queries and waits of the same task before the failure, in order."""
     inside = {0} if case.task is None else {case.task.id}
-    start = (
-        case.task.started.seq if case.task is not None else max((m.last_step for m in case.failed.motions), default=0)
-    )
+    last = max((motion.last_step for motion in case.failed.motions), default=0)
+    start = last if case.task is None else case.task.started.seq
     found: list[Query | Task] = []
     for record in case.log.backwards(case.step, (Query, Task)):
         if record.seq < start or len(found) == _MAX_ANSWERS:
@@ -200,10 +191,9 @@ def answers(case: FailureCase) -> Iterator[Query | Task]:
         if isinstance(record, Query) and record.task in inside and not is_choice(record):
             found.append(record)
         elif isinstance(record, Task) and record.phase == Task.FINISHED and record.parent in inside:
-            if record.kind == "wait":
-                found.append(record)
-            else:
+            if record.kind != "wait":
                 break
+            found.append(record)
     yield from reversed(found)
 
 
@@ -353,17 +343,14 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
 
 def _reads(nodes: Sequence[ast.AST], line: Line, values: Mapping[str, str]) -> Iterator[tuple[ast.expr, str]]:
     """Yield the owner and the coordinate of each pose that a check of the plan reads, without conditions that hold."""
-    around = [
-        each for each in nodes if isinstance(each, ast.stmt) and each.lineno <= line.number <= (each.end_lineno or 0)
-    ]
+    statements = [each for each in nodes if isinstance(each, ast.stmt)]
+    around = [each for each in statements if each.lineno <= line.number <= (each.end_lineno or 0)]
     outer = [at for at, each in enumerate(around) if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)]
     around = around[outer[-1] :] if outer else around
     if not around or not isinstance(around[-1], ast.Assert | ast.Raise):
         return
-    functions = [
-        each for each in nodes if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef) and each not in around
-    ]
-    others = {id(each) for function in functions for each in ast.walk(function)}
+    functions = (each for each in statements if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef))
+    others = {id(each) for function in functions if function not in around for each in ast.walk(function)}
     scope = [each for each in (ast.walk(around[0]) if outer else nodes) if isinstance(each, ast.Assign)]
     scope = sorted((each for each in scope if outer or id(each) not in others), key=lambda each: each.lineno)
     tests = [each.test for each in around if isinstance(each, ast.Assert | ast.If)][-1:]
@@ -380,12 +367,9 @@ def _reads(nodes: Sequence[ast.AST], line: Line, values: Mapping[str, str]) -> I
                 yield from ((given, "") for given in each.args if isinstance(given, ast.Name))
             elif isinstance(each, ast.Name) and (each.id, _item(node, each)) not in seen and depth:
                 seen.add((each.id, _item(node, each)))
-                made = [other for other in scope if other.lineno < line.number and _binds(other, each.id)]
-                last = made[-1:]
-                waiting += [
-                    (_given(other, each.id), _unpacked(other, each.id) or _item(node, each), depth - 1)
-                    for other in last
-                ]
+                for made in [other for other in scope if other.lineno < line.number and _binds(other, each.id)][-1:]:
+                    part = _unpacked(made, each.id) or _item(node, each)
+                    waiting.append((_given(made, each.id), part, depth - 1))
 
 
 def _holds(test: ast.expr, values: Mapping[str, str]) -> bool:

@@ -249,10 +249,8 @@ def skipped(refusal: Refusal) -> Iterator[Trial]:
     """Yield the trial in which a refused call isn't made, if calls of this kind have no result."""
     if refusal.name.startswith("set_") or refusal.name in _WITHOUT_RESULT:
         subject = argument_values(refusal.arguments).get("object")
-        given = (
-            f"object={written(str(subject['object']))}" if isinstance(subject, dict) and "object" in subject else "..."
-        )
-        answers = (f"{refusal.name}({given})=skip",)
+        name = subject.get("object") if isinstance(subject, dict) else None
+        answers = (f"{refusal.name}({'...' if name is None else f'object={written(str(name))}'})=skip",)
         yield Trial(refusal.seq - 1, f"{phrases.refused(refusal)} isn't called", answers=answers)
 
 

@@ -6,7 +6,7 @@ import ast
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import groupby
 from typing import TYPE_CHECKING, Final
@@ -93,16 +93,14 @@ class PendingTask:
             return f"waiting for {self.task.name}" + (f" in {branch}" if branch else "")
         return f"{'in' if self.began else 'waiting for the turn of'} {phrases.node(self.task)}"
 
-    def steps(self) -> Iterator[int]:
-        """Yield the steps of the task's records."""
+    def steps(self) -> Iterator[int | None]:
+        """Yield the steps of the task's records; None for records that don't exist."""
         yield self.task.started.seq
         yield from self.changed
         for each in self.fulfillers:
-            if each.step is not None:
-                yield each.step
+            yield each.step
             yield from (task.last_step for task in (each.task, each.failed) if task is not None)
-            if each.refused is not None:
-                yield each.refused.seq
+            yield each.refused.seq if each.refused is not None else None
 
     def details(self) -> Iterator[str]:
         """Yield why the task waited: fluents with their values and setters, or running motions."""
@@ -162,26 +160,27 @@ class Timeout(Cause):
             tree = _tree(case, case.task.last_step + 1)
             scope = tree.nodes[case.task.id]
             doing = tuple(_pending(case, node, tree, case.step) for node in _stopped(tree, scope))
-            seconds, clock = case.task.parameters.get("seconds"), str(case.task.parameters.get("clock"))
+            seconds, clock = _limit(case.task.parameters.get("seconds")), str(case.task.parameters.get("clock"))
             took = sorted(_ended(scope), key=lambda node: -_duration(node, clock))[:_MAX_TOOK]
             simulated = _longest_simulated(case, scope) if clock == _SIMULATED_TIME else ()
             stop = next((error for error in case.traced if error.type == "Cancelled" and error.lines), None)
             line = case.line(stop.lines) if stop is not None else None  # the deadline stopped this line
-            yield _timeout(case, seconds, clock, doing, tuple(took), line, simulated)
+            yield _with_steps(case, Timeout((), seconds, clock, doing, line, tuple(took), simulated))
             return
         if case.failure.type == "DeadlockedBranches":
             tree = _tree(case, case.step + 1)
             waits = _stopped(tree, tree.nodes[case.task.id] if case.task is not None else None)
             pending = tuple(_pending(case, node, tree, case.step) for node in waits if node.kind == "wait")
             moved = tuple(_awaited_joints(case))
-            yield from [_timeout(case, 0, "", pending, (), None, joints=moved)] if pending or moved else []
+            deadlock = _with_steps(case, Timeout((), 0.0, "", pending, None, joints=moved))
+            yield from [deadlock] if pending or moved else []
             return
         for wait in list(answers(case))[-1:]:
             if isinstance(wait, Task) and from_json(wait.result_json) is False:
                 tree = _tree(case, case.step + 1)
                 node = tree.nodes[wait.task]
-                single = _pending(case, node, tree, wait.seq)
-                yield _timeout(case, node.parameters.get("timeout"), "wall", (single,), (), case.line_of(node.started))
+                seconds, single = _limit(node.parameters.get("timeout")), _pending(case, node, tree, wait.seq)
+                yield _with_steps(case, Timeout((), seconds, "wall", (single,), case.line_of(node.started)))
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with a longer limit, and with other values of the awaited fluents."""
@@ -197,8 +196,7 @@ class Timeout(Cause):
             f"after {self.seconds:g} s{simulated} the plan was still" if self.clock else "in a deadlock, the plan was"
         )
         yield f"{limit} {_doing(self.pending)}{phrases.at(self.line)}"
-        for pending in self.pending:
-            yield from pending.details()
+        yield from (line for pending in self.pending for line in pending.details())
         for position, change in self.joints:
             now = phrases.number(position)
             yield f"a branch waits for {change.joint} of {change.body}, which is at {now}; {change.row}"
@@ -238,8 +236,7 @@ class Interruption(Cause):
     def _words(self) -> Iterator[str]:
         by = f"interrupted by {self.by}" if self.by else "its process ended without closing the recording"
         yield f"{by} while {_doing(self.pending)}{phrases.at(self.line)}"
-        for pending in self.pending:
-            yield from pending.details()
+        yield from (line for pending in self.pending for line in pending.details())
 
 
 # --- pending tasks ---------------------------------------------------------------------------------------------------
@@ -367,10 +364,9 @@ def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
     """Return the last failed motion with an object or parameter whose name the fluent's name contains."""
     words = set(name.replace("(", " ").replace(")", " ").split())
     for motion in reversed(case.failed.motions):
-        if motion.last_step <= step and motion.failed:
-            given = {*objects_in(list(motion.parameters.values())), *map(str, motion.parameters.values())}
-            if words & given:
-                return motion
+        given = {*objects_in(list(motion.parameters.values())), *map(str, motion.parameters.values())}
+        if motion.last_step <= step and motion.failed and words & given:
+            return motion
     return None
 
 
@@ -410,7 +406,6 @@ def _task_of(tree: Tree, function: str, step: int) -> Node | None:
 
 
 def _failed_in(case: FailureCase, task: Node | None) -> Node | None:
-    """Return the last motion that failed in a task."""
     if task is None:
         return None
     inside = (motion for motion in reversed(case.failed.motions) if motion.failed)
@@ -418,7 +413,6 @@ def _failed_in(case: FailureCase, task: Node | None) -> Node | None:
 
 
 def _refused_in(case: FailureCase, task: Node | None, step: int) -> Refusal | None:
-    """Return the last refusal in a task."""
     if task is None or not case.log.counts().get("refusal"):
         return None
     refusals = case.log.records(Refusal, task.started.seq, step + 1)
@@ -460,17 +454,11 @@ def _longest_simulated(case: FailureCase, scope: Node) -> tuple[SimulatedLine, .
     return tuple(sorted(found, key=lambda each: -each.seconds)[:_MAX_TOOK])
 
 
-def _timeout(
-    case: FailureCase,
-    seconds: object,
-    clock: str,
-    doing: tuple[PendingTask, ...],
-    took: tuple[Node, ...],
-    line: Line | None,
-    simulated: tuple[SimulatedLine, ...] = (),
-    joints: tuple[tuple[float, CausingChange], ...] = (),
-) -> Timeout:
-    limit = float(seconds) if isinstance(seconds, int | float) else 0.0
-    shown = [*(step for each in doing for step in each.steps()), *(node.last_step for node in took)]
-    steps = case.steps(*shown, *(each.steps[-1] for each in simulated), *(change for _, change in joints))
-    return Timeout(steps, limit, clock, doing, line, took, simulated, joints)
+def _limit(seconds: object) -> float:
+    return float(seconds) if isinstance(seconds, int | float) else 0.0
+
+
+def _with_steps(case: FailureCase, found: Timeout) -> Timeout:
+    shown = [*(step for each in found.pending for step in each.steps()), *(node.last_step for node in found.took)]
+    steps = case.steps(*shown, *(each.steps[-1] for each in found.simulated), *(change for _, change in found.joints))
+    return replace(found, steps=steps)
