@@ -110,7 +110,6 @@ def _compared(log: RecordReader, why: Why, other: RecordReader) -> GoodRun:
         return GoodRun(name)
     queries = [(a.record, b.record) for a, b in pairs if isinstance(a.record, Query) and isinstance(b.record, Query)]
     here, there = pairs[-1][0].record, pairs[-1][1].record
-    values = _values(here, there)
     return GoodRun(
         name,
         last=_line(source, pairs[-1][0]),
@@ -118,7 +117,7 @@ def _compared(log: RecordReader, why: Why, other: RecordReader) -> GoodRun:
         there=_line(source, *good[len(pairs) :][:1]),
         steps=(here.seq, there.seq),
         answers=tuple(pair for pair in queries if _is_other(*pair))[-_LISTED:],
-        values=dict(islice(values, _LISTED)),
+        values=dict(islice(_values(here, there), _LISTED)),
     )
 
 

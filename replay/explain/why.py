@@ -181,8 +181,7 @@ def why(log: RecordReader, step: int | None = None) -> Why:
         step = log.final_step()
         cut = FailureCase(log, step, Failure(), None, failed, state_at(log, step), None)
         causes = find(cut) if run.outcome == "cut off" and not endless else ()
-        found = Why(run, step, None, causes, unfinished=unfinished, endless=endless, path=str(log.path))
-        return replace(found, case=cut)
+        return Why(run, step, None, causes, unfinished=unfinished, endless=endless, case=cut, path=str(log.path))
     if root.task is None:
         explained = _plan_failure(log, run, failures(log, root.step) if root.thread else failed, root)
     else:
@@ -281,7 +280,6 @@ def _task_failure(
 
 
 def _plan_failure(log: RecordReader, run: Summary, failed: Failures, cause: RootCause) -> Why:
-    """Explain a failure in the plan's own code."""
     state, last = state_at(log, cause.step), failed.last_success
     window = last.started.seq if last is not None else 0
     queries, earlier = _queries(log, window, cause.step if cause.thread else len(log), (), ())

@@ -13,7 +13,7 @@ from recorder.records.text import chosen_name, decision_text, fates_text, forese
 from recorder.tasks import Node
 from replay.compare import difference_lines
 from replay.explain.causes.case import Cause
-from replay.explain.causes.trials import Proof, TriedTrial
+from replay.explain.causes.trials import TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.good_run import GoodRun
 from replay.explain.why import ChangesSince, InvolvedBody, TriedAction, Why, facing
@@ -51,7 +51,7 @@ def data(why: Why, good: GoodRun | None = None) -> dict[str, object]:
         ],
         "causes": [
             report.data(cause) | ({"proof": report.data(proof)} if proof is not None else {})  # type: ignore[operator]
-            for cause, proof in _with_proofs(why)
+            for cause, proof in zip_longest(why.causes, why.proofs)
         ],
         "task": report.data(why.task),
         "around": report.data(list(why.task.around()) if why.task else []),
@@ -87,10 +87,6 @@ def data(why: Why, good: GoodRun | None = None) -> dict[str, object]:
         "running": report.data(why.unfinished),
         "endless": report.data(why.endless),
     }
-
-
-def _with_proofs(why: Why) -> Iterator[tuple[Cause, Proof | None]]:
-    return zip_longest(why.causes, why.proofs)
 
 
 @report.data.register(TriedTrial)
@@ -159,7 +155,7 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = (), good: GoodRun |
     """
     causes = [
         line
-        for cause, proof in _with_proofs(why)
+        for cause, proof in zip_longest(why.causes, why.proofs)
         for line in (*cause.lines(), *([f"  {proof.text}"] if proof is not None else []))
     ]
     yield from _headline(why)
@@ -266,7 +262,10 @@ def _unfinished(tasks: Sequence[Node]) -> Iterator[str]:
 
 def _where(why: Why) -> Iterator[str]:
     shown: set[tuple[str, int]] = set()
-    for line in () if _exceptions_lead_to_task(why) else why.call_stack:
+    # The call stack isn't needed if the tracebacks lead to the task. The traceback of a failed block ends at the block.
+    raised = {(line.file, name) for error in why.exceptions for line in error.lines for name in ("", line.function)}
+    leads = any((line.file, line.function) in raised for line in why.call_stack[-1:])
+    for line in () if leads else why.call_stack:
         shown.add((line.file, line.number))
         yield from _line(line, why)
     for error in why.exceptions:
@@ -276,12 +275,6 @@ def _where(why: Why) -> Iterator[str]:
         for line in fresh:
             shown.add((line.file, line.number))
             yield from _line(line, why)
-
-
-def _exceptions_lead_to_task(why: Why) -> bool:
-    """Return whether the tracebacks contain the way to the task. The traceback of a failed block ends at the block."""
-    raised = {(line.file, name) for error in why.exceptions for line in error.lines for name in ("", line.function)}
-    return any((line.file, line.function) in raised for line in why.call_stack[-1:])
 
 
 def _line(line: Line, why: Why) -> Iterator[str]:

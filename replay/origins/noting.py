@@ -148,7 +148,6 @@ class ValueNotes:
         return values[-1] if values else None
 
     def _noted_call(self, number: int, function: Any, /, *args: Any, **kwargs: Any) -> Any:
-        """Call a function on behalf of the plan."""
         note = self._note("call", number, self.frame_of(sys._getframe(1)))  # noqa: SLF001  as above
         note.function = function
         self._current.set(note)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
@@ -63,7 +62,7 @@ def find(case: FailureCase) -> tuple[Cause, ...]:
     if ended:
         return ended
     found = [cause for kind in KINDS for cause in kind.find(case)]
-    return tuple(_with_events(cause) for cause in found if not cause.is_explained(found))
+    return tuple(cause.with_events() for cause in found if not cause.is_explained(found))
 
 
 def decides(case: FailureCase, cause: Cause) -> bool:
@@ -87,10 +86,3 @@ def lacks_step(case: FailureCase, causes: Sequence[Cause]) -> bool:
     arrived = max((each.step for each in first.changes if each.body == case.robot.name and not each.joint), default=0)
     done = (each for each in case.failed.motions if not each.failed and arrived < each.started.seq < case.began)
     return any(about(each, body=body) for each in done for body in case.subjects)
-
-
-def _with_events(cause: Cause) -> Cause:
-    """Return a cause with the steps of the events whose handlers made its changes."""
-    events = {each.handler.cause for each in cause.causing_changes() if each.handler is not None}
-    events.discard(0)  # before the recording
-    return replace(cause, steps=tuple(sorted({*cause.steps, *events}))) if events else cause

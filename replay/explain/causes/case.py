@@ -12,7 +12,7 @@ import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
@@ -68,6 +68,12 @@ class Cause:
         values = [getattr(self, each.name) for each in fields(self)]
         every = (each for value in values for each in (value if isinstance(value, tuple) else (value,)))
         return (each for each in every if isinstance(each, CausingChange))
+
+    def with_events(self) -> Self:
+        """Return the cause with the steps of the events whose handlers made its changes."""
+        events = {each.handler.cause for each in self.causing_changes() if each.handler is not None}
+        events.discard(0)  # before the recording
+        return replace(self, steps=tuple(sorted({*self.steps, *events}))) if events else self
 
     def lines(self) -> Iterator[str]:
         """Yield the text of the cause, with indented details."""

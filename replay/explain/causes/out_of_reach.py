@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from recorder.records import Plain, Query, argument_values
+from recorder.records import Query, argument_values
 from recorder.records.text import link_text, rejection_lines
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, joints_of, since
@@ -151,7 +151,9 @@ class NoCandidate(Cause):
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials without the free bodies that the candidates would touch, and with the robot nearer."""
-        touched = [pair for each in self.asked.candidates for pair in _pairs(argument_values(each.data).get("pairs"))]
+        recorded = [argument_values(each.data).get("pairs") for each in self.asked.candidates]
+        pairs = [pair for found in recorded if isinstance(found, list) for pair in found]
+        touched = [str(pair.get("body", "")) for pair in pairs if isinstance(pair, dict)]
         reasons = [str(argument_values(each.data).get("reason") or "") for each in self.asked.candidates]
         bodies = case.world.bodies if case.world is not None else ()
         touched += [name for name in bodies if any(each.startswith(f"{name} is there") for each in reasons)]
@@ -167,12 +169,6 @@ class NoCandidate(Cause):
         asked = self.asked
         yield f"{phrases.question(asked)} rejected all {phrases.plural(self.count, 'candidate')} at step {asked.seq}:"
         yield from rejection_lines(asked)
-
-
-def _pairs(recorded: Plain) -> Iterator[str]:
-    for pair in recorded if isinstance(recorded, list) else ():
-        if isinstance(pair, dict):
-            yield str(pair.get("body", ""))
 
 
 def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> ObstructingBody:

@@ -235,7 +235,6 @@ class _Fate:
         return None
 
     def _moved_link_near(self, bodies: Sequence[tuple[State, Body]], own: Pose) -> bool:
-        """Return whether a change moved a link near the object."""
         try:
             poses = [
                 {link: geometry.multiply(body.pose, pose) for link, pose in links.items()}

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from recorder import geometry
 from recorder.plan_lines import syntax_nodes
@@ -24,9 +24,6 @@ from replay.history.blame import Blame, blame, commanded
 from replay.history.source import Line
 from replay.report import phrases
 from replay.report.question import written
-
-if TYPE_CHECKING:
-    from recorder.geometry import Pose
 
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # number of changes of fluents that are searched
@@ -235,7 +232,8 @@ class Written(Cause):
                 change = replace(change, line=case.line_of(last.record))
             others = tuple(_others(case, change.step)) if last.how == "load" else ()
             now = case.world.bodies.get(name) if case.world is not None and last.how == "load" else None
-            value = _coordinate(last.after if now is None else now.pose, part)  # it has settled a little since then
+            pose = last.after if now is None else now.pose  # it has settled a little since then
+            value = pose if isinstance(pose, float) else pose[0][_AXES.index(part)] if pose and part in _AXES else None
             steps = case.steps(change, *others)
             if (name, change.step) not in [(each.body, each.change.step) for each in found]:
                 found.append(Written(steps, name, part, value, change, others))
@@ -293,10 +291,6 @@ def _wrote(change: Blame, part: str) -> bool:
     turned = geometry.angle(before[1], after[1]) if part in ("turn", "") else 0.0
     moved = [abs(a - b) for axis, a, b in zip(_AXES, before[0], after[0], strict=True) if part in (axis, "")]
     return max([turned, *moved]) >= _WROTE
-
-
-def _coordinate(pose: Pose | float | None, part: str) -> float | None:
-    return pose if isinstance(pose, float) else pose[0][_AXES.index(part)] if pose and part in _AXES else None
 
 
 def _others(case: FailureCase, since: int) -> Iterator[CausingChange]:

@@ -391,7 +391,6 @@ def _setters(text: str, name: str) -> tuple[tuple[int, bool], ...]:
 
 
 def _assigned(target: ast.expr, value: ast.expr) -> Iterator[tuple[str, ast.expr]]:
-    """Yield the variables of an assignment with their expressions."""
     if isinstance(target, ast.Tuple | ast.List) and isinstance(value, ast.Tuple | ast.List):
         for each, of in zip(target.elts, value.elts, strict=False):
             yield from _assigned(each, of)
