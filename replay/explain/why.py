@@ -236,14 +236,12 @@ def _variables(cause: RootCause) -> dict[tuple[str, int], dict[str, str]]:
 
 def _failed_at(log: RecordReader, failed: Failures, step: int) -> Node:
     """Return the failed task around a step, or else the last task that failed before."""
-    record = log[step]
+    within = log[step].task
     until = [task for task in failed.origins if task.finished is not None and task.finished.seq <= step]
-    of_step = [task for task in failed.origins if any(each.id == record.task for each in task.around())]
-    if record.task and of_step:
-        return of_step[-1]
-    if not until:
+    of_step = [task for task in failed.origins if within and any(each.id == within for each in task.around())]
+    if not of_step and not until:
         raise NoSuchStep(step, len(log), "no task had failed up to this step")
-    return until[-1]
+    return (of_step or until)[-1]
 
 
 def _task_failure(

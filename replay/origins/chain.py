@@ -118,9 +118,8 @@ class Tracer:
         weight = 0.5 * bool(own)
         if numbers:
             weight = 1.0 if any(getattr(each, "value", 2) not in _TRIVIAL for each in own) else 0.75
-        function = next(
-            (each.name for each in self._parents(node) if isinstance(each, FUNCTIONS) and hasattr(each, "name")), ""
-        )
+        named = (each.name for each in self._parents(node) if isinstance(each, FUNCTIONS) and hasattr(each, "name"))
+        function = next(named, "")
         return Origin(kind, name, words, number, file, line, text, step, weight, body, remark, tuple(parts), function)
 
     # --- where a run was ------------------------------------------------------------------------------------------
@@ -292,7 +291,7 @@ class Tracer:
         return None if note is None else note.result
 
     def _bind(self, node: ast.Name, place: Evaluation) -> tuple[Note, int] | None:
-        """Return the note that contains a name's value, and the index of the value in it."""
+        """Return the note that contains a name's value, and the value's index in the note."""
         for around in self._parents(node):
             if isinstance(around, _COMPREHENSIONS):
                 for each in around.generators:

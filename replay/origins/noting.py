@@ -59,12 +59,12 @@ class Note:
     """The values of a node of the plan's source at a moment."""
 
     kind: str  # kind of the note: "call", "value", "bind", "store" or "return"
-    number: int  # of the node
+    number: int  # number of the node
     frame: int  # number of the frame in which the node was evaluated
-    parent: Note | None  # the call of the plan around it
-    step: int  # the last recorded step before it
-    time: int  # its index
-    values: tuple[Held, ...] = ()  # one value; of "bind": for each name; of "store": the object and the key
+    parent: Note | None  # the innermost running call of the plan at that moment
+    step: int  # the last recorded step before the note
+    time: int  # index of the note
+    values: tuple[Held, ...] = ()  # "bind": a value for each name; "store": the object and the key; else one value
     function: Any = None  # the function that is called, for a "call"
     end: int = sys.maxsize  # time at which a call ended
     last_step: int = -1  # the last recorded step before a call ended

@@ -143,7 +143,7 @@ def _moved_joints(why: Why, cause: Cause) -> Iterator[int]:
 
 
 def _made_state(log: RecordReader, why: Why) -> Iterator[int]:
-    """Yield the steps of the last changes of the objects, of the robot and of its arms, and of an unusual gravity."""
+    """Yield the steps of the last changes of objects, robot and arms; and of gravity, if it isn't downwards."""
     world = why.world
     if world is None:
         return

@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 _REACH: Final = ("reachable", "reachable_object", "reachable_pose", "reachable_position")
-#: Queries whose answer yes contradicts a failure; for those in ``_NOTHING``, an empty answer does.
+#: Queries whose answer yes contradicts a failure. For queries in ``_NOTHING``, an empty answer contradicts the failure.
 _YES: Final = {
     "Unreachable": _REACH,
     "HandleUnreachable": _REACH,
@@ -246,9 +246,7 @@ def _contradicted_query(case: FailureCase) -> Query | None:
     question = _question(no) if no is not None else None
     yes, nothing = _YES.get(case.failure.type, ()), _NOTHING.get(case.failure.type, ())
     start = no.seq if no is not None else case.began
-    for number, query in enumerate(case.log.backwards(start - 1, Query)):
-        if number == _SEARCHED:
-            break
+    for query in islice(case.log.backwards(start - 1, Query), _SEARCHED):
         answer = from_json(query.answer_json)
         if question is not None:
             if _question(query) == question:

@@ -73,7 +73,7 @@ _REFUSED: Final = _LACKED | {
 
 @dataclass(frozen=True, slots=True)
 class Swallowed(Cause):
-    """An earlier task failed or was cancelled, the plan continued, and a later task failed without its effect."""
+    """An earlier task failed or was cancelled, the plan continued, and a later task needed the missing effect."""
 
     kind = "swallowed-failure"
     #: The missing precondition: "held" (the arm holds the object), "hand-free" (the arm holds nothing), "clear" (the
@@ -104,7 +104,7 @@ class Swallowed(Cause):
         yield from _results(case)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial in which the failed motion has its effect, then the trial with another arm."""
+        """Yield the trial with the effect of the earlier task, then the trial in which that task uses another arm."""
         yield from _effect(case, self.precondition, self.subject, self.arm, self.failed)
         yield from trials.other_arm(case, self.failed)
 
@@ -126,7 +126,7 @@ class Swallowed(Cause):
 
 @dataclass(frozen=True, slots=True)
 class RefusedRequest(Cause):
-    """A request of the plan was refused, the plan continued, and a later motion failed without its effect."""
+    """A request of the plan was refused, the plan continued, and a later motion needed the missing effect."""
 
     kind = "refused"
     #: The missing precondition: "held", "hand-free", "clear", "joint-moved" and "result" as in :class:`Swallowed`,
@@ -140,13 +140,11 @@ class RefusedRequest(Cause):
 
     @classmethod
     def find(cls, case: FailureCase) -> Iterator[RefusedRequest]:
-        """Yield, for each subject, the last refusal whose missing effect made the motion or line fail."""
+        """Yield, for each subject, the last refusal without whose effect the motion or line failed."""
         if not case.log.counts().get("refusal"):
             return
         found: set[tuple[str, str]] = set()
-        for number, refusal in enumerate(case.log.backwards(case.began - 1, Refusal)):
-            if number == _REFUSALS:
-                return
+        for refusal in islice(case.log.backwards(case.began - 1, Refusal), _REFUSALS):
             if (refusal.failure.type, refusal.failure.message) == (case.failure.type, case.failure.message):
                 continue  # the refusal is the failure itself, or belongs to the same attempt
             if not case.is_here(refusal):
@@ -157,7 +155,7 @@ class RefusedRequest(Cause):
                     yield _refusal(case, refusal, *missed)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trial in which the refused request has its effect, if that is possible."""
+        """Yield the trial with the effect of the refused request, if a fork can make that effect."""
         given, failure = argument_values(self.asked.arguments), argument_values(self.asked.failure.data)
         hands = [arm for arm in case.hands if arm == case.given.get("arm")] or list(case.hands)
         position = given.get("position")

@@ -199,13 +199,11 @@ class _Fate:
         if own is None or world is None:
             return ""
         names = {change.body for change in self._lets(first)} & world.bodies.keys() - {self._name, world.robot}
-        below = [
-            body.name
-            for name in names
-            if (body := world.bodies[name]) and 0 < own[0][2] - body.position[2] < _NEAR
-            if math.dist(own[0][:2], body.position[:2]) < _ABOVE
-        ]
-        return min(below, key=lambda name: own[0][2] - world.bodies[name].position[2], default="")
+        bodies = (world.bodies[name] for name in names)
+        near = (each for each in bodies if math.dist(own[0][:2], each.position[:2]) < _ABOVE)
+        heights = {each.name: own[0][2] - each.position[2] for each in near}
+        below = (name for name, height in heights.items() if 0 < height < _NEAR)
+        return min(below, key=heights.__getitem__, default="")
 
     def _is_moving(self, record: Mutation) -> bool:
         """Return whether the object moves at the end of a simulation."""
