@@ -333,7 +333,7 @@ def test_fingers_that_were_moved_during_a_motion_are_named_with_what_to_do(share
     step = IN_SIMULATED_TIME.pull(robot, robot, "head_pan_joint", [0.0, 0.1], [{finger: now}, {finger: now + 0.1}])
     robot.set_joint_position(finger, now + 0.3)
     begun = shared_scene.sim_step
-    with pytest.raises(Displaced, match=f"{finger} of pr2 is at .* instead of {now:.3f}, .* again") as error:
+    with pytest.raises(Displaced, match=f"{finger} of pr2 is at .* instead of {now:.3f}: .* again") as error:
         step()
     assert (error.value.coordinate, error.value.expected) == (finger, pytest.approx(now))
     assert shared_scene.sim_step == begun
