@@ -126,8 +126,12 @@ class Editor:
             return
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
             fitting = set[str]().union(*(each for each in (*sets, *plan.strings.values()) if node.value in each))
+            around = plan.parents[node]
+            listed = [*ast.iter_child_nodes(around)] if isinstance(around, ast.List | ast.Tuple | ast.IfExp) else []
+            others = {each.value for each in listed if isinstance(each, ast.Constant)}
             for text in sorted(fitting - {node.value} - plan.fixed):
-                yield Change(f"{text!r} instead of {node.value!r}", 0.4, ((node, repr(text)),), asks=True)
+                what = f"{text!r} instead of {node.value!r}"  # perhaps by chance if two alternatives become one
+                yield Change(what, 0.4, ((node, repr(text)),), asks=True, chance=text in others)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield from similar_name(node, plan)
 

@@ -125,6 +125,13 @@ def test_edits_stay_at_one_place_and_leave_no_statement_out() -> None:
         assert all("do(" in each and "go(" in each and "x = " in each for each in texts)
 
 
+def test_an_edit_that_makes_two_alternatives_equal_is_marked() -> None:
+    edits = [*Editor('arm = "left" if near else "right"\nother = "left"\n').edits(1, [["left", "right"]])]
+    found = {each.text.splitlines()[0]: each.chance for each in edits}
+    assert found["arm = 'right' if near else \"right\""]
+    assert not any(each.chance for each in Editor('arm = "left"\n').edits(1, [["left", "right"]]))
+
+
 #: A plan with a mistake, and the same plan without it.
 MISTAKES = {
     "aliasing": ("slots = [[1, y]] * count\n", "slots = [[1, y] for _ in range(count)]\n"),
