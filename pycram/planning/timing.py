@@ -73,22 +73,7 @@ def timed(path: Array, rates: Rates, spacing: float) -> Knots:
             return Knots(np.zeros(1), path[:1], np.zeros_like(path[:1]))
         return slowed(Knots(np.array([0.0, 1 / _RATE]), path[[0, -1]], np.zeros((2, path.shape[1]))), rates)
     kept[-1] = path[-1]
-    return slowed(_line(kept[0], kept[1], rates) if len(kept) == 2 else _fastest(np.array(kept), rates, spacing), rates)
-
-
-def _line(start: Array, end: Array, rates: Rates) -> Knots:
-    """Return the fastest motion on a straight line: it speeds up, keeps its greatest speed, and slows down."""
-    moved = np.abs(rates.directions @ (end - start))
-    with np.errstate(divide="ignore"):
-        fastest, strongest = (float((limits / moved).min()) for limits in (rates.velocities, rates.accelerations))
-    fastest = min(fastest, math.sqrt(strongest))  # a short line ends before the greatest speed is reached
-    gain, duration = fastest / strongest, 1 / fastest + fastest / strongest
-    times = np.array([0.0, gain, duration - gain, duration])
-    shares, speeds = np.array([0.0, gain * fastest / 2, 1 - gain * fastest / 2, 1.0]), fastest * np.array([0, 1, 1, 0])
-    wanted = np.append(np.diff(times) > 1e-9, True)
-    positions, velocities = start + np.outer(shares, end - start), np.outer(speeds, end - start)
-    positions[-1] = end
-    return Knots(times[wanted], positions[wanted], velocities[wanted])
+    return slowed(_fastest(np.array(kept), rates, spacing), rates)
 
 
 def stopping(path: Array, rates: Rates) -> Knots:

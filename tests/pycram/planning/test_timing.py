@@ -58,7 +58,7 @@ def test_a_straight_line_is_about_as_fast_as_possible() -> None:
 
 def test_nearer_way_points_stay_nearer_to_the_path_and_stops_stay_on_it() -> None:
     path = np.array([[0, 0, 0], [1.0, 0, 0], [1.0, 1.0, 0], [0, 1.0, 0.2]])
-    slow = Rates(-ENDLESS, ENDLESS, np.eye(3), np.ones(3), np.full(3, 4.0))
+    slow = Rates(-ENDLESS, ENDLESS, np.eye(3), np.ones(3), np.ones(3))
 
     def away(knots: Knots) -> float:
         rows = timing.at(knots, np.linspace(0, knots.times[-1], 500))
