@@ -252,9 +252,11 @@ class DoesNotFit(GraspFailed):
         between = f"{gap * 1e3:.{max(digits, 1)}f}-" if gap else "up to "
         between += f"{widest * 1e3:.{digits}f} mm"
         measured = ", ".join(dict.fromkeys(f"{width * 1e3:.{digits}f}" for width in self.widths))
-        tells = f"it is {size} for the gripper from every allowed side: it measures {measured} mm, {between} fit"
-        none = "no part of it is between the fingers from any allowed side"
-        super().__init__(arm, body, f"{how}{f'{tells} between the fingers' if widths else none}")
+        reason = "no part of it is between the fingers from any allowed side"
+        if widths:
+            reason = f"it is {size} for the gripper from every allowed side: it measures {measured} mm, {between}"
+            reason += " fit between the fingers"
+        super().__init__(arm, body, f"{how}{reason}")
 
 
 @dataclass_error

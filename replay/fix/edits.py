@@ -15,7 +15,7 @@ from typing import Final
 
 from recorder.plan_lines import called_name, stored
 from replay.fix.operators import FAR, Change, changes, similar_name
-from replay.fix.plan_syntax import PlanSyntax, asserts, loads, written_numbers
+from replay.fix.plan_syntax import PlanSyntax, asserts, loads
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
@@ -64,8 +64,7 @@ class Editor:
         sets = [set(each) for each in alternatives]
         plan = self.plan
         nodes = [node for node in plan.nodes if getattr(node, "lineno", 0) == line and node not in plan.goals]
-        points = [each for each in plan.nodes if self.points and written_numbers(each) in self.points]
-        used = {each for point in points for each in ast.walk(point)}
+        used = {each for point, numbers in plan.lists if numbers in self.points for each in ast.walk(point)}
         for node in sorted(nodes, key=lambda node: node not in used):
             for change in (*self._names(node, sets), *changes(node, plan)):
                 likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
@@ -130,8 +129,8 @@ class Editor:
             listed = [*ast.iter_child_nodes(around)] if isinstance(around, ast.List | ast.Tuple | ast.IfExp) else []
             others = {each.value for each in listed if isinstance(each, ast.Constant)}
             for text in sorted(fitting - {node.value} - plan.fixed):
-                what = f"{text!r} instead of {node.value!r}"  # perhaps by chance if two alternatives become one
-                yield Change(what, 0.4, ((node, repr(text)),), asks=True, chance=text in others)
+                what, is_equal = f"{text!r} instead of {node.value!r}", text in others  # two alternatives become one
+                yield Change(what, 0.4, ((node, repr(text)),), asks=True, chance=is_equal)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield from similar_name(node, plan)
 
@@ -151,9 +150,8 @@ class Editor:
             evades = any(map(self._is_check, crossed)) or (to > at and not plan.goals.isdisjoint(crossed))
             if 0 <= to < len(block) and not undefined and not evades:
                 yield self._moved(statement, block[to], 0.7, f"line {block[to].lineno}", after=to > at)
-        stays = getattr(statement, "value", None) in plan.scene or any(
-            map(self._is_check, block[at + 1 : (uses or [0])[0]])
-        )
+        between = block[at + 1 : uses[0]] if uses else []
+        stays = getattr(statement, "value", None) in plan.scene or any(map(self._is_check, between))
         inner = block[uses[0]] if uses and not stays else None
         while inner is not None and isinstance(inner, ast.For | ast.While | ast.With):
             moved = self._moved(statement, inner.body[0], 0.4, "")

@@ -46,12 +46,12 @@ class PlanSyntax:
         written = map(written_number, self.nodes)
         #: Numbers that may be lengths and angles, without signs; gravity is none of these.
         self.numbers = [each for each in written if each is not None and not _GRAVITY < each < _GRAVITY + 1]
-        lists = [(node, numbers) for node in self.nodes[::-1] if (numbers := written_numbers(node))]
+        #: Lists of numbers, the last first.
+        self.lists = [(node, numbers) for node in self.nodes[::-1] if (numbers := written_numbers(node))]
         #: Places on the floor, as those of robots.
-        self.bases = [numbers for _, numbers in lists if len(numbers) == 3 and any(numbers) and not numbers[2]]
-        turns = (
-            node for node, numbers in lists if len(numbers) == 4 and math.isclose(math.hypot(*numbers), 1, rel_tol=0.01)
-        )
+        self.bases = [numbers for _, numbers in self.lists if len(numbers) == 3 and any(numbers) and not numbers[2]]
+        fours = ((node, numbers) for node, numbers in self.lists if len(numbers) == 4)
+        turns = (node for node, numbers in fours if math.isclose(math.hypot(*numbers), 1, rel_tol=0.01))
         self.turns = {each for node in turns for each in ast.walk(node)}  # numbers of quaternions
         imported = (each for node in self.nodes for each in getattr(node, "names", ()) if isinstance(each, ast.alias))
         self.defined = {each.asname or each.name for each in imported}

@@ -20,7 +20,7 @@ from recorder.properties import BadProperty, Property, parse
 from recorder.records import Check, Mutation, Plain
 from recorder.tasks import Node, State
 from replay.errors import ReplayError
-from replay.explain.causes.case import hands
+from replay.explain.causes.case import hands, objects_in
 from replay.file.record_reader import RecordReader
 from replay.fix.edits import Edit, Editor
 from replay.fix.trials import Trials, Version, alike
@@ -212,9 +212,9 @@ def _lines(
     inner = (line for stack in (why.call_stack, *stacks) for line in reversed(stack))
     called = [*dict.fromkeys(line.number for line in inner if line.file.endswith(name))]
     flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
-    thing = why.task.motion.parameters.get("object") if why.task is not None else None
-    subject = thing.get("object") if isinstance(thing, dict) else None
-    loads = (each for each in log.records(Mutation) if each.HasField("load_body") and each.load_body.body == subject)
+    subject = next(objects_in(why.task.motion.parameters.get("object")), "") if why.task is not None else ""
+    records = log.records(Mutation) if subject else ()
+    loads = (each for each in records if each.HasField("load_body") and each.load_body.body == subject)
     loaded = [line.number for each in loads for line in source.call_stack(each)[-1:] if line.file.endswith(name)]
     rows = zip_longest(ranked[::2], ranked[1::2], (*called[:1], *loaded, *flow))
     lines = [*dict.fromkeys(line for row in rows for line in row if line is not None)]

@@ -14,7 +14,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder.records import Failure, Run, Task, argument_values
 from replay.errors import ReplayError
@@ -36,6 +36,7 @@ _MAX_TRIALS: Final = 3  # maximum number of forks for one cause
 _SECONDS: Final = (30.0, 10.0)  # maximum duration of a fork: in s, and as a multiple of the original run
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?")
 _STEPS: Final = re.compile(r"at step \d+ \([\d.]+ s\)|since step \d+")
+_End: TypeAlias = "tuple[tuple[str, str], Line | None]"  # signature and innermost line of a plan's failure
 _RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
 
 
@@ -116,7 +117,6 @@ class Prover:
         self._kept = kept
         self._reading = threading.Lock()  # only one thread at a time may read the recording
         self._end = _end(log, uncaught_failure(log))
-        self._line = _last_line(log, uncaught_failure(log))
         self._steps = len(log)
         self._checked = why.failure or Failure()  # the failure of a property or a check of the plan
         self._seconds = max(_SECONDS[0], _SECONDS[1] * why.run.seconds)
@@ -181,6 +181,7 @@ class Prover:
         if needed is not None and needed.status != Task.SUCCEEDED:
             return UNTESTED, f"{trial.needs} still fails: {phrases.failure(needed.failure)}"
         end = uncaught_failure(forked)
+        plan_end = _end(forked, end)
         started, finished = self._same_task(forked)
         if started is not None and finished is not None:
             name = phrases.task(started.kind, started.name, {})
@@ -189,7 +190,7 @@ class Prover:
             later = finished.status == Task.FAILED and finished.seq - started.seq > self._size
         else:
             name, failure = "the plan", None if end is None else end.failure
-            same = _end(forked, end) == self._end
+            same = plan_end == self._end
             later = end is not None and end.seq - added > self._steps - 1
         if failure is None and finished is not None:
             after = "and the plan succeeds" if end is None else f"later the plan fails: {phrases.failure(end.failure)}"
@@ -198,8 +199,7 @@ class Prover:
             return (UNTESTED, "the fork doesn't start the failed task") if same else (CONFIRMED, "the plan succeeds")
         said = phrases.failure(failure)
         if trial.compares:
-            line = _last_line(forked, end) if self._task is None else None
-            return self._compared(failure, line, same=same, later=later)
+            return self._compared(failure, plan_end if self._task is None else None, same=same, later=later)
         if same and failure.type == "TimedOut" and started is not None and finished is not None:
             same = _succeeded(forked, started, finished.seq) <= self._succeeded  # more time helps, and isn't enough
             later = not same
@@ -207,17 +207,17 @@ class Prover:
         text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
         return REFUTED if same else CONFIRMED if later else UNTESTED, text
 
-    def _compared(self, failure: Failure, line: Line | None, *, same: bool, later: bool) -> tuple[str, str]:
+    def _compared(self, failure: Failure, end: _End | None, *, same: bool, later: bool) -> tuple[str, str]:
         """Return the verdict on a change that wrote a checked value. The former value may fail the check as well.
 
-        ``line`` is the innermost line of the plan's failure in the fork, if the plan's own code makes the check.
+        ``end`` is the end of the fork, if the plan's own code makes the check.
         """
-        said, own = phrases.failure(failure), self._line
-        known = line is not None and own is not None and (line.file, line.function) == (own.file, own.function)
-        same = same or (known and line == own)
+        said, is_before = phrases.failure(failure), False
+        if end is not None and self._end is not None and (line := end[1]) and (own := self._end[1]):
+            same = same or line == own
+            is_before = (line.file, line.function) == (own.file, own.function) and line.number < own.number
         if same and _values(failure) == _values(self._checked):
             return UNTESTED, f"the check fails with the former value as well: {said}"
-        is_before = known and line is not None and own is not None and line.number < own.number
         if not (same or later) and (failure.type != self._checked.type or is_before):
             return UNTESTED, f"{said} happens before the check"
         what = "compares another value" if same else "passes, and the plan fails later"
@@ -258,17 +258,12 @@ def _values(failure: Failure) -> list[str]:
     return _NUMBER.findall(_STEPS.sub("", failure.message))
 
 
-def _end(log: RecordReader, end: Run | None) -> object:
+def _end(log: RecordReader, end: Run | None) -> _End | None:
     """Return the signature and the innermost line of a plan's failure; None if the plan succeeded."""
     if end is None:
         return None
-    return _signature(end.failure), _last_line(log, end)
-
-
-def _last_line(log: RecordReader, end: Run | None) -> Line | None:
-    """Return the innermost line of the plan in the traceback of its failure."""
-    parsed = list(parse_traceback(end.failure.traceback, PlanSource(log))) if end is not None else []
-    return parsed[-1].lines[-1] if parsed and parsed[-1].lines else None
+    parsed = list(parse_traceback(end.failure.traceback, PlanSource(log)))
+    return _signature(end.failure), parsed[-1].lines[-1] if parsed and parsed[-1].lines else None
 
 
 def _alike(log: RecordReader, task: Task, *, exact: bool) -> list[Task]:

@@ -225,7 +225,7 @@ class Written(Cause):
             last = _writer(case, name, part)
             if last is None or last.how in ("before", "removed") or not isinstance(last.record, Mutation):
                 continue
-            if last.how == "physics" and not last.record.simulate.driven:  # it fell; in a motion, it was carried
+            if last.how == "physics" and not last.record.simulate.driven:  # no motion carried the body
                 continue
             change = case.blamed(last)
             if change.task is None or change.task.kind not in ("motion", HANDLER):

@@ -364,9 +364,10 @@ def _failed_about(case: FailureCase, name: str, step: int) -> Node | None:
     """Return the last failed motion with an object or parameter whose name the fluent's name contains."""
     words = set(name.replace("(", " ").replace(")", " ").split())
     for motion in reversed(case.failed.motions):
-        given = {*objects_in(list(motion.parameters.values())), *map(str, motion.parameters.values())}
-        if motion.last_step <= step and motion.failed and words & given:
-            return motion
+        if motion.last_step <= step and motion.failed:
+            given = {*objects_in(list(motion.parameters.values())), *map(str, motion.parameters.values())}
+            if words & given:
+                return motion
     return None
 
 
