@@ -10,11 +10,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from contextvars import ContextVar
 from functools import partial
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias, TypeVar
 from weakref import WeakKeyDictionary
 
 from pycram import planning
@@ -32,6 +32,7 @@ from recorder import geometry
 from recorder.geometry import Pose, Vector
 from recorder.records import STEPS_PER_SECOND
 
+_Candidate = TypeVar("_Candidate")
 Step: TypeAlias = Callable[[], None]  # a function that moves parts of the robot by a plan
 
 TIMEOUT: Final = 5  # maximum simulated time in s until all objects are at rest
@@ -39,8 +40,6 @@ TIMEOUT: Final = 5  # maximum simulated time in s until all objects are at rest
 LEVEL: Final[ContextVar[bool]] = ContextVar("pycram_level", default=False)
 """Whether motions keep held objects upright; see :func:`pycram.motions.process_module.execution_environment`."""
 
-#: Patience of a search after the failure of another search: the same obstacle is mostly in the way of both.
-LESS_PATIENCE: Final = 0.25
 LEAN: Final = math.radians(15)  # maximum angle by which the tool leans more than at the start of a level motion
 _STRAIGHT: Final = (0.1, 0.06, 0.03)  # tried lengths of straight lines, m
 _BACK: Final = (-1.0, 0.0, 0.0)  # backward direction of the hand, in the tool frame
@@ -49,6 +48,9 @@ _DETOURS: Final = tuple(itertools.product((0.0, 0.1, 0.2, 0.3), (0.0, 0.15, 0.3)
 _SAMPLES: Final = 15  # checks per second for contacts between moving parts of a robot
 _THERE: Final = 0.01  # maximum distance in rad or m of joints from their goal in an arm that needn't move
 _PATIENCE: Final = 5  # budget of the last search for a path, as a multiple of the usual budget
+_LESS_PATIENCE: Final = 0.25  # budget of the first searches for paths to postures of which one is enough
+_MAX_QUICK: Final = 12  # maximum number of postures to which paths are first searched
+_MAX_PATIENT: Final = 3  # maximum number of postures to which paths are then searched with the usual budget
 _REMEMBERED: Final = 16  # number of motions of joints around obstacles whose paths are tried again
 _SAME: Final = 1e-4  # maximum difference in rad or m of equal joint positions
 
@@ -308,6 +310,23 @@ class ContinuousExecution(Execution):
         if world.exiting:
             raise WorldClosed(world.name, "continue its simulation")
         return detector.restless
+
+
+def with_patience(candidates: Iterable[_Candidate]) -> Iterator[tuple[_Candidate, float]]:
+    """Yield candidates, the best first, each with the patience of the search for a path to it.
+
+    A search mostly finds a path soon or never, so many candidates are first tried with little patience.
+    """
+    tried = []
+    for candidate in itertools.islice(candidates, _MAX_QUICK):
+        tried.append(candidate)
+        yield candidate, _LESS_PATIENCE
+    yield from ((candidate, 1.0) for candidate in tried[:_MAX_PATIENT])
+
+
+def most_patient(failures: Iterable[NoPath]) -> NoPath:
+    """Return the failure of the search with the most checks: the one that says most about what is in the way."""
+    return max(failures, key=lambda failure: failure.checks)
 
 
 def level(robot: Object, arm: Arm) -> bool:

@@ -20,7 +20,7 @@ from pycram.foundation.failures import (
 )
 from pycram.models.robots.description import Arm
 from pycram.motions.designator import Designator
-from pycram.motions.execution import LESS_PATIENCE, Step
+from pycram.motions.execution import Step, most_patient, with_patience
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
@@ -35,7 +35,6 @@ from pycram.world.world import BulletWorld
 from recorder import geometry
 from recorder.geometry import PoseLike
 
-_MAX_SEARCHED: Final = 3  # number of grasps without a path after which the module gives up
 _MOVING: Final = (0.3, 3.0)  # speeds in m/s and rad/s above which an object falls or rolls; a rocking object is slower
 _JAMMED: Final = 0.015  # overlap in m above which free objects can't rest
 _STILL: Final = (0.005, math.radians(5))  # maximum motion in m and rad of the object while the hand approaches
@@ -173,24 +172,22 @@ def _plan(
 ) -> tuple[Step, Mapping[str, float]]:
     """Return the step to the best grasp of an object that touches no giving hand, and the closed gripper's posture."""
     failures: list[PlanFailure] = []
-    searched = 0
-    for grasp, posture, closing in holding_grasps(robot, arm, body, names, failures, choice):
+    grasps = holding_grasps(robot, arm, body, names, failures, choice)
+    for (grasp, posture, closing), patience in with_patience(grasps):
         if giver is not None and (pairs := _meeting(robot, arm, giver, posture.positions)):
             failures.append(Blocked(arm.name, center(body), pairs))
             choice.reject(str(grasp), Touching(pairs))
             continue
         try:
-            reach = approach(posture.positions, LESS_PATIENCE if searched else 1.0)
+            reach = approach(posture.positions, patience)
         except NoPath as no_path:
             failures.append(no_path)
             choice.reject(str(grasp), Unreached(no_path.checks, no_path.distance, no_path.pairs))
-            searched += 1
-            if searched == _MAX_SEARCHED:
-                break
         else:
             choice.take(str(grasp), position=short(grasp.position), orientation=short(grasp.orientation))
             return reach, closing.positions
-    raise failures[0]  # the failure of the best grasp
+    first, *_ = failures  # the failure of the best grasp
+    raise most_patient([each for each in failures if isinstance(each, NoPath)]) if isinstance(first, NoPath) else first
 
 
 def _is_held_up(body: Object) -> bool:

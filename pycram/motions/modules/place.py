@@ -19,7 +19,7 @@ from pycram.foundation.failures import (
 )
 from pycram.models.robots.description import Arm
 from pycram.motions.designator import Designator
-from pycram.motions.execution import LESS_PATIENCE, TIMEOUT, Step
+from pycram.motions.execution import TIMEOUT, Step, most_patient, with_patience
 from pycram.motions.process_module import FOLLOWING, SimulatedModule
 from pycram.reasoning.choosing import Choice, choosing
 from pycram.reasoning.collision import checker
@@ -40,7 +40,6 @@ _FALL: Final = 0.1  # distance in m by which a neighbour must drop to count as f
 _SKEW: Final = math.radians(1)  # minimum turn of an object that a message mentions
 _TOUCHING: Final = 1e-3  # maximum gap in m between touching objects
 _LOAD: Final = 0.01  # share of an object's weight above which it leans on the hand that it rests on
-_MAX_SEARCHED: Final = 3  # number of postures without a path after which the module gives up
 _ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which the object is lowered
 
 
@@ -130,14 +129,13 @@ def _plan(
 ) -> tuple[Step, Placement]:
     """Return the step to the first placement that the arm reaches without a collision, and this placement."""
     refusals = Refusals()
-    for placement in placements(robot, arm, body, target, orientation, refusals, choice):
+    ways = placements(robot, arm, body, target, orientation, refusals, choice)
+    for placement, patience in with_patience(ways):
         try:
-            step = lower(placement.posture, placement.tool, LESS_PATIENCE if refusals.no_path else 1.0)
+            step = lower(placement.posture, placement.tool, patience)
         except NoPath as no_path:
             choice.reject(placement.name, Unreached(no_path.checks, no_path.distance, no_path.pairs))
             refusals.no_path.append(no_path)
-            if len(refusals.no_path) == _MAX_SEARCHED:
-                break
         else:
             position, turn = placement.pose
             choice.take(placement.name, position=short(position), orientation=short(turn))
@@ -154,7 +152,7 @@ def _refused(
     refusals: Refusals,
 ) -> PlanFailure:
     if refusals.no_path:
-        return refusals.no_path[0]
+        return most_patient(refusals.no_path)
     if not (refusals.pairs or refusals.misses):
         taken = refusals.no_room[0]
         pairs = [replace(pair, gripper=arm.name) for pair in taken.pairs]
