@@ -109,6 +109,12 @@ def test_every_robot_in_the_box_sets_the_table(tmp_path: Path, robot: str, goals
     assert replay_command(["verify", str(file)]) == 0
 
 
+@pytest.mark.costly
+def test_a_place_is_reached_in_another_posture_if_no_path_leads_to_the_best_ones(tmp_path: Path) -> None:
+    ended = pycram("demo", "--motion", "continuous", "--seed", "21", cwd=tmp_path)  # beside the bowl, with the left arm
+    assert ended.returncode == 0, ended.stderr
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "robot", ["panda", *(pytest.param(robot, marks=pytest.mark.long) for robot in ("ur5", "pr2", "tiago_pro"))]
