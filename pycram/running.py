@@ -16,6 +16,7 @@ import sys
 import threading
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from linecache import getline
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -145,7 +146,7 @@ def _tell_next(log: str, code: int, error: BaseException | None) -> None:
 def _report(error: BaseException) -> int:
     from pycram.foundation.failures import PlanFailure, PropertyViolated, PycramError  # noqa: PLC0415  heavy
     from recorder.properties import BadProperty  # noqa: PLC0415  heavy
-    from recorder.records import format_error  # noqa: PLC0415  heavy
+    from recorder.records import format_assertion, format_error  # noqa: PLC0415  heavy
     from recorder.records.tracebacks import entries  # noqa: PLC0415  heavy
     from recorder.tracing.call_stack import is_plan  # noqa: PLC0415  heavy
     from recorder.tracing.folding import format_folded  # noqa: PLC0415  heavy
@@ -169,7 +170,12 @@ def _report(error: BaseException) -> int:
         tell(format_folded(error, PycramError).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
     how = "failed" if isinstance(error, PlanFailure) else kind
-    tell(f"\npycram: the plan {how}: {format_error(error).partition(chr(10))[0]}")
+    text = f"the plan {how}: {format_error(error)}"
+    innermost = entries(error.__traceback__)[-1:]
+    if type(error) is AssertionError and innermost and is_plan(innermost[0].tb_frame):
+        line = getline(innermost[0].tb_frame.f_code.co_filename, innermost[0].tb_lineno)
+        text = format_assertion(format_error(error).partition(": ")[2], line.strip())
+    tell(f"\npycram: {text.partition(chr(10))[0]}")
     return FAILED
 
 

@@ -26,6 +26,7 @@ from pycram.world.attachment import BodyAttachment
 from pycram.world.transaction import ReadOnlyAttributes, update
 from recorder import geometry, records
 from recorder.geometry import Pose, Quaternion, Vector
+from recorder.records.text import overlap_texts
 from recorder.tracing.call_stack import call_site
 from recorder.urdf import Urdf
 
@@ -141,8 +142,8 @@ class Object(ReadOnlyAttributes):
         if model is not None:  # the user saw these warnings during the recording
             return
         if self.overlaps:
-            others = ", ".join(f"{each.depth * 1e3:.0f} mm inside of {each.body}" for each in self.overlaps)
-            text = f"{self.name} is {others}; world.settle() lifts free objects apart before a simulation"
+            inside = ", ".join(overlap_texts(self.name, self.overlaps, fixed=self.fixed))
+            text = f"{inside}; world.settle() lifts free objects apart before a simulation"
             warnings.warn_explicit(text, overlaps.Overlapping, *call_site())
         _warn_of_shape(self)
 

@@ -34,6 +34,7 @@ from recorder.records.values import (
     arguments as arguments,
     escaped as escaped,
     failure as failure,
+    format_assertion as format_assertion,
     format_error as format_error,
     format_failure as format_failure,
     from_json as from_json,

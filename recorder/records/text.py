@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
@@ -27,6 +27,7 @@ from recorder.records import (
     Keyframe,
     Mutation,
     Output,
+    Overlap,
     Query,
     Record,
     Refusal,
@@ -101,6 +102,12 @@ def _task(record: Task) -> Line:
     if status == Task.SUCCEEDED:
         return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
     return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
+
+
+def overlap_texts(body: str, overlaps: Iterable[Overlap], *, fixed: bool) -> list[str]:
+    """Return a text for each overlap of a loaded body. A free body is inside of a fixed body, in either order."""
+    pairs = [(each, (each.body, body) if fixed else (body, each.body)) for each in overlaps]
+    return [f"{inner} is {each.depth * 1e3:.0f} mm inside of {outer}" for each, (inner, outer) in pairs]
 
 
 def is_timed_out(record: Task) -> bool:
@@ -213,7 +220,7 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # details by command
     "load_body": lambda command: (
         f"{command.body} {_numbers(command.position)}"
         + (f", scale {command.scale:g}" if command.scale else "")
-        + "".join([f", {each.depth * 1e3:.0f} mm inside of {each.body}" for each in command.overlaps[:]])
+        + "".join([f", {text}" for text in overlap_texts(command.body, command.overlaps[:], fixed=command.fixed_base)])
     ),
     "remove_body": lambda command: command.body,
     "move_body": lambda command: f"{command.body} {_numbers(command.position)}",

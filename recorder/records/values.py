@@ -153,6 +153,11 @@ def format_failure(failure: Failure) -> str:
     return f"{failure.type}: {failure.message}" if failure.message else failure.type
 
 
+def format_assertion(message: str, line: str) -> str:
+    """Return a text for a plan's assertion that failed: its message, or else its line of code."""
+    return f"the plan's assertion doesn't hold: {message or line}"
+
+
 def without_addresses(text: str) -> str:
     """Return a text without addresses of objects, because these differ in each process."""
     return _ADDRESS.sub("", text)

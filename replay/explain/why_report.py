@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice, zip_longest
 from typing import Final
 
-from recorder.records import Query, format_failure
+from recorder.records import Query, format_assertion, format_failure
 from recorder.records.text import chosen_name, decision_text, fates_text, foreseen, rejection_lines
 from recorder.tasks import Node
 from replay.compare import difference_lines
@@ -217,10 +217,7 @@ def _headline(why: Why) -> Iterator[str]:
         yield f"{name} was {next(interrupted.lines())}, after {run.seconds:.1f} s."
         return
     if run.outcome == "failed":
-        message, failure = run.failure, why.failure
-        if why.exceptions and failure is not None and " " in failure.message and not hasattr(builtins, failure.type):
-            message = failure.message  # PyCRAM's messages are clear without the error's type; Python's messages need it
-        yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(message)}"
+        yield f"{name} failed after {run.seconds:.1f} s: {phrases.one_line(_message(why))}"
     elif run.outcome == "succeeded":
         failed = "a task failed."
         if why.thread and why.failure is not None:
@@ -238,6 +235,16 @@ def _headline(why: Why) -> Iterator[str]:
     warning = why.warning
     if warning is not None and not why.is_python_error:
         yield f"The plan could have known: {_asked_again(warning)} was answered no at step {warning.seq}."
+
+
+def _message(why: Why) -> str:
+    if not why.exceptions:
+        return why.run.failure
+    error = why.exceptions[-1]
+    if error.own and error.type == AssertionError.__name__:
+        return format_assertion(error.message, error.lines[-1].text)
+    # PyCRAM's messages are clear without the error's type; Python's messages need it
+    return error.message if " " in error.message and not hasattr(builtins, error.type) else why.run.failure
 
 
 def _summary(why: Why, task: Node) -> Iterator[str]:
