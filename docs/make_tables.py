@@ -17,7 +17,7 @@ import trimesh
 from pycram.bullet_world import BulletWorld, Object
 from pycram.models import files, load
 from pycram.models.furniture import furniture_of
-from pycram.reasoning.grasping.grasps import candidates
+from pycram.reasoning.grasping.grasps import FREE, candidates
 from recorder import geometry
 
 if TYPE_CHECKING:
@@ -74,9 +74,9 @@ lists all bundled models.
 
 `Object("kitchen", "environment", "kitchen.urdf")` has the following surfaces; drawers and doors are closed. Each name
 is a destination of an action, as in `transporting(object=milk, target="counter")`. x and y are the ranges of the
-surface. An object rests half its height above the surface: on the counter, the milk rests at z = 0.85 + 0.097. The
-front edge of the counter is at x = 1.247. In the tutorial, the PR2 stands at x = 0.6 when it works at the counter. The
-last row is the table of `table.urdf`.
+surface. The position of an object is its middle, so a standing object is half its height above the surface: the milk
+on the counter is at z = {counter} + {half}. The [tutorial](../tutorial/2_a_plan_of_motions.md) shows where the PR2
+stands when it works at the counter. The last row is the table of `table.urdf`.
 """
 _CONTAINERS: Final = """\
 ## Drawers and doors
@@ -88,10 +88,10 @@ container is open: in m for a drawer, and in rad for a door. All containers are 
 _GRASPS: Final = """\
 ## Objects and grippers
 
-A two-finger gripper can hold an object along a horizontal axis on which the object is at least 4 mm narrower than the
-opening. The last four columns list the sides from which a hand can grasp the upright object; the PR2 and TIAGo Pro use
-the left hand. The robot looks along the object's x axis. `rim` is a grasp from the top over the rim. The columns ignore
-other objects and the reach of the arm. Sizes are in mm.
+A two-finger gripper can hold an object along a horizontal axis on which the object is at least {free} mm narrower
+than the opening. The last four columns list the sides from which a hand can grasp the upright object; the PR2 and
+TIAGo Pro use the left hand. The robot looks along the object's x axis. `rim` is a grasp from the top over the rim. The
+columns ignore other objects and the reach of the arm. Sizes are in mm.
 """
 _ROBOTS: Final = {"pr2": "PR2", "tiago_pro": "TIAGo Pro", "panda": "Panda", "ur5": "UR5"}
 
@@ -130,11 +130,19 @@ def _first_paragraph(text: str) -> str:
 
 def bundled() -> str:
     """Return the page of the sizes and places of bundled models, as Markdown."""
-    return f"{_BUNDLED}\n{surfaces()}\n{_CONTAINERS}\n{containers()}\n{_GRASPS}\n{grasps()}"
+    (counter,) = (row[3] for row in _surfaces() if row[0] == "counter")
+    intro = _BUNDLED.format(counter=counter, half=f"{float(sizes()['milk'][2]) / 2000:.3f}")
+    grippers = _GRASPS.format(free=f"{1000 * FREE:g}")
+    return f"{intro}\n{surfaces()}\n{_CONTAINERS}\n{containers()}\n{grippers}\n{grasps()}"
 
 
 def surfaces() -> str:
     """Return the table of the surfaces of the bundled furniture."""
+    return _table(("surface", "x", "y", "height", "free above", "in"), _surfaces())
+
+
+def _surfaces() -> list[tuple[str, ...]]:
+    """Return the rows of the table of surfaces."""
     rows = []
     for name in ("kitchen.urdf", "table.urdf"):
         model = load.load(name)
@@ -142,7 +150,7 @@ def surfaces() -> str:
             found = (surface.name, *_extents(model.urdf, surface), _free(surface.clearance), surface.container)
             rows.append((found, name, bool(surface.container)))
     rows.sort(key=lambda row: row[1:])
-    return _table(("surface", "x", "y", "height", "free above", "in"), (row for row, *_ in rows))
+    return [row for row, *_ in rows]
 
 
 def containers() -> str:

@@ -152,7 +152,7 @@ def detecting(
     *,
     object_type: str | Object | ObjectDesignator,
 ) -> MotionDesignator:
-    """Finds an object of a type in the camera's view; of several objects, the most visible object.
+    """Finds the most visible object of a type in the camera's present view; perform ``looking`` first.
 
     Args:
         object_type: A type of objects, or an object of that type.

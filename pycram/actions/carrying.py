@@ -300,7 +300,7 @@ def transporting(
     Args:
         object: An Object, an ObjectDesignator, or a type of objects.
         target: New place of the object: a LocationDesignator, the name of a surface, an Object to put it on, or
-            [x, y, z] in m, world frame.
+            [x, y, z] in m, world frame, with a support as for the motion ``place``.
         arm: Name of the arm; by default all free arms are tried.
         grasp: The side from which the gripper approaches: "front", "top", "left" or "right"; by default the freest
             side.

@@ -107,7 +107,11 @@ _SLOTS: Final = SlotTable(
         ),
         Slot("in", ValueKind("", _inside, _IN), text="A container, its name, or an object with containers"),
         Slot("for", ValueKind("", thing, _THING), text="the object to put down; by default the object of the action"),
-        Slot("near", ValueKind("", _near, _POINT), text="[x, y] or [x, y, z] in m, world frame, or an object"),
+        Slot(
+            "near",
+            ValueKind("", _near, _POINT),
+            text="[x, y] or [x, y, z] in m, world frame, or an object; nearer is better, up to 1 m (the robot: 1.5 m)",
+        ),
         Slot(
             "side",
             ValueKind("", _side, f"Side | tuple[Side, {_THING}]"),

@@ -234,28 +234,15 @@ class GraspFailed(PlanFailure):
     _template = "{arm} gripper can't grasp {body}: {reason}"
 
 
-def elsewhere(sides: Sequence[str] | None) -> str:
-    """Return a text: the gripper fits from these other sides, or from none; "" for None."""
-    return "" if sides is None else f"; it fits from {' or '.join(f'the {side}' for side in sides) or 'no other side'}"
-
-
 class DoesNotFit(GraspFailed):
     """From every allowed side, the object is too big or too thin for the gripper."""
 
     def __init__(
-        self,
-        arm: str,
-        body: str,
-        widths: Sequence[float],
-        gap: float,
-        widest: float,
-        how: str = "",
-        others: Sequence[str] | None = None,
+        self, arm: str, body: str, widths: Sequence[float], gap: float, widest: float, how: str = "", others: str = ""
     ) -> None:
         self.widths = tuple(sorted(widths))  # widths in m of the sides and rims that were tried
         self.gap = gap  # gap in m between the closed fingers: thinner objects slip through
         self.widest = widest  # gap in m between the open fingers: thicker objects don't fit
-        self.others = None if others is None else tuple(others)  # other sides that fit; None if all sides were allowed
         thin = any(width < gap for width in widths)
         big = any(width >= gap for width in widths)
         size = "too big or too thin" if thin and big else "too thin" if thin else "too big"
@@ -271,7 +258,7 @@ class DoesNotFit(GraspFailed):
         if widths:
             reason = f"it is {size} for the gripper from every allowed side: it measures {measured} mm, {between}"
             reason += " fit between the fingers"
-        super().__init__(arm, body, f"{how}{reason}{elsewhere(others)}")
+        super().__init__(arm, body, f"{how}{reason}{others}")
 
 
 @dataclass_error

@@ -22,7 +22,7 @@ RECOGNISABLE: Final = 0.5  # minimum visible share of an object that the robot c
 
 
 class Detecting(SimulatedModule):
-    """Finds an object of a type in the camera's view; of several objects, the most visible object."""
+    """Finds the most visible object of a type in the camera's present view; perform ``looking`` first."""
 
     failures = (PerceptionError, MissingPart)
 

@@ -46,6 +46,9 @@ _ABOVE: Final = (0.0, 0.0, 1.0)  # direction from which the object is lowered
 class Place(SimulatedModule):
     """Puts a held object down on a support; without a given orientation, the object is upright.
 
+    The object rests on the first support on its way down, such as the bottom of a pot, at most 5 cm above and 10 cm
+    below the target. Without support or room, PlaceFailed is raised before anything moves.
+
     The motion succeeds if all objects come to rest, the object stands where the hand released it, and neither its
     neighbours nor objects on the robot have moved. If the object leans on the hand, the hand moves back, and the object
     must still stand.

@@ -9,15 +9,7 @@ from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Final
 
-from pycram.foundation.failures import (
-    Blocked,
-    CollisionPair,
-    DoesNotFit,
-    GraspFailed,
-    PlanFailure,
-    Unreachable,
-    elsewhere,
-)
+from pycram.foundation.failures import Blocked, CollisionPair, DoesNotFit, GraspFailed, PlanFailure, Unreachable
 from pycram.physics.body import ClosestPoint
 from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision.checker import CollisionChecker
@@ -297,17 +289,17 @@ def _nothing(
     if plan.posture is None:
         tilt = geometry.angle(leaning(body.get_orientation()), geometry.IDENTITY[1])
         lies = f"because it leans by {math.degrees(tilt):.0f} degrees, " if tilt > _LEANING else ""
-        others = None
-        if names is not None:
-            others = list(dict.fromkeys(grasp.name for grasp in candidates(body, robot, arm, base=base)))
+        others = () if names is None else candidates(body, robot, arm, base=base)
+        fitting = " or ".join(dict.fromkeys(f"the {grasp.name}" for grasp in others)) or "no other side"
+        elsewhere = "" if names is None else f"; it fits from {fitting}"
         if arm.gripper.suction:
-            flat = "no part of the object is flat enough for the suction cup"
-            return GraspFailed(arm.name, body.name, f"{lies}{flat}{elsewhere(others)}")
+            reason = f"{lies}no part of the object is flat enough for the suction cup{elsewhere}"
+            return GraspFailed(arm.name, body.name, reason)
         sides = Choice("grasp", {})  # receives the reasons, even if nothing is recorded
         candidates(body, robot, arm, names, base=base, choice=sides)
         misfits = [reason for reason in sides.reasons() if isinstance(reason, Misfit)]
         widths = [misfit.width for misfit in misfits if misfit.width is not None]
-        return DoesNotFit(arm.name, body.name, widths, arm.gripper.gap, arm.gripper.aperture - FREE, lies, others)
+        return DoesNotFit(arm.name, body.name, widths, arm.gripper.gap, arm.gripper.aperture - FREE, lies, elsewhere)
     if plan.self_collisions:
         return Blocked(arm.name, center(body), plan.self_collisions)
     return Unreachable(arm.name, center(body), plan.posture.position_error)

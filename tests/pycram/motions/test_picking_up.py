@@ -171,7 +171,33 @@ def test_what_leans_and_fits_from_no_side_says_both(scene: BulletWorld) -> None:
     with pytest.raises(DoesNotFit, match="because it leans by 20 degrees, it is too big for the gripper") as refused:
         perform(type="pick-up", object=pot, arm="left", grasp="front")
     assert min(refused.value.widths) > refused.value.widest == pytest.approx(0.086)
-    assert "up to 86 mm fit between the fingers" in str(refused.value)
+    assert str(refused.value).endswith("up to 86 mm fit between the fingers; it fits from the top")
+
+
+def test_a_side_that_does_not_fit_is_answered_with_the_sides_that_fit(scene: BulletWorld, tmp_path: Path) -> None:
+    crate = box(tmp_path, "crate", (0.12, 0.12, 0.12))
+    for model, fitting in (("breakfast_cereal.stl", "the front or the top"), (crate, "no other side")):
+        thing = Object("thing", "thing", model, [1.36, 0.5, 0.96])
+        assert scene.settle()
+        with pytest.raises(DoesNotFit, match=f"; it fits from {fitting}$"):
+            perform(type="pick-up", object=thing, arm="left", grasp="left")
+        thing.remove()
+
+
+@pytest.mark.slow
+def test_an_object_is_put_into_a_pot(scene: BulletWorld) -> None:
+    milk, pot = scene.get_object("milk"), Object("pot", "pot", "pot.stl", [-0.8, 1.0, 0.93])
+    assert scene.settle()
+    perform(type="move-arm-joints", left_arm="park", right_arm="park")
+    perform(type="pick-up", object=milk, arm="left", grasp="top")
+    perform(type="move-arm-joints", left_arm="park")
+    perform(type="moving", target=[-0.1, 1.0, 0], orientation=[0, 0, 1, 0])
+    perform(type="place", object=milk, target=pot.get_position(), arm="left")
+    stood = milk.get_position()
+    assert scene.engine.deepest(milk.handle, pot.handle).distance > -1e-3, "its collision shape is hollow"
+    assert milk.get_AABB()[0][2] < pot.get_AABB()[0][2] + 0.01, "it stands on the pot's bottom"
+    scene.simulate(2)
+    assert milk.get_position() == pytest.approx(stood, abs=1e-3)
 
 
 def test_what_is_hardly_too_big_is_not_said_to_be_as_big_as_what_fits() -> None:

@@ -44,6 +44,13 @@ def test_overlapping_things_are_warned_of_when_they_are_loaded(world: BulletWorl
     assert not loaded(sink, "spoon").load_body.overlaps
 
 
+def test_a_free_object_is_inside_of_furniture_that_is_loaded_later(world: BulletWorld, sink: MemorySink) -> None:
+    Object("cup", "cup", "cup.stl", [1.3, 0.9, 0.85])
+    with pytest.warns(Overlapping, match=r"^cup is \d+ mm inside of kitchen; world\.settle\(\) lifts"):
+        Object("kitchen", "environment", "kitchen.urdf")
+    assert mutation_text(loaded(sink, "kitchen")).endswith("mm inside of kitchen")
+
+
 def test_what_touches_or_is_built_in_is_not_warned_of(scene: BulletWorld, sink: MemorySink) -> None:
     x, y, z = scene.get_object("milk").get_position()
     Object("on it", "cup", "cup.stl", [x, y, z + 0.1 + 0.048])

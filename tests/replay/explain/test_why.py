@@ -12,6 +12,7 @@ from PIL import Image
 
 import recorder
 import replay
+from pycram import cli
 from pycram.bullet_world import BulletWorld, Object
 from pycram.failures import PlanFailure
 from pycram.language import par
@@ -137,6 +138,32 @@ def test_file_paths_are_relative_to_the_working_directory(
     monkeypatch.chdir(Path(__file__).parent)
     assert main(["why", str(tmp_path / "x.mcap")]) == 0
     assert f"\n  {tmp_path}/plans/plan.py:2 in <module>\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("message", "said"),
+    [("", 'assert 2 < 1 or not "two"'), (', "two is too much"', "two is too much"), (', "two\\nlines"', "two")],
+)
+def test_an_assertion_of_the_plan_is_no_error_of_the_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], message: str, said: str
+) -> None:
+    file, plan = tmp_path / "x.mcap", tmp_path / "plan.py"
+    plan.write_text(f'assert 2 < 1 or not "two"{message}')
+    assert cli.main(["run", str(plan), "--log", str(file)]) == 1
+    assert f"pycram: the plan's assertion doesn't hold: {said}\n" in capsys.readouterr().err
+    assert main(["why", str(file)]) == 0
+    assert f" s: the plan's assertion doesn't hold: {said}" in capsys.readouterr().out.splitlines()[0]
+
+
+def test_a_failed_assertion_of_a_library_is_an_error_of_the_plan(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, plan = tmp_path / "x.mcap", tmp_path / "plan.py"
+    plan.write_text("import numpy.testing\nnumpy.testing.assert_equal(1, 2)")
+    assert cli.main(["run", str(plan), "--log", str(file)]) == 1
+    assert "the plan has an error: AssertionError" in capsys.readouterr().err
+    assert main(["why", str(file)]) == 0
+    assert " s: AssertionError" in capsys.readouterr().out.splitlines()[0]
 
 
 def gives_up(error: BaseException) -> None:
