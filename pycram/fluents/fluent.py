@@ -40,8 +40,7 @@ from pycram.language.nesting import await_turn
 from pycram.scheduling.cancellation import Deadline, checkpoint, raise_if_cancelled, wait_until
 from pycram.scheduling.future import unwrap
 from pycram.scheduling.schedule import Condition, scheduler
-from recorder.tracing.call_stack import call_site
-from recorder.tracing.span import span
+from recorder.tracing.span import current_call_stack, span
 
 __all__ = ["Behavior", "FalseEndsWait", "Fluent", "NotSettable", "NotTrueOrFalse", "network"]
 
@@ -188,7 +187,7 @@ class Fluent:
                 f"{self.name} is False, which is a value, so wait_for() returns immediately; "
                 f"to wait for a true value, wait for ({self.name} == True), or make None the first value"
             )
-            warnings.warn_explicit(text, FalseEndsWait, *call_site())
+            warnings.warn_explicit(text, FalseEndsWait, *current_call_stack().line)
         values = {leaf.text(): held for leaf, held in state.items() if not isinstance(held, Ended)}
         with span("wait", self.name, values | ({} if limit is None else {"timeout": limit})) as task:
             task.result = happened = first_value(self.expression, limit) is not None

@@ -23,6 +23,7 @@ from pycram.language.failures import BlockClosed, BranchesFailed, OutlivesTimeou
 from pycram.language.nesting import Scope, in_block, leave_body
 from pycram.scheduling.cancellation import CancelScope, current_scope, enter, entered, join, raise_if_cancelled, wait
 from pycram.scheduling.future import Future, branch_of
+from pycram.scheduling.order import DeadlockedBranches
 from pycram.scheduling.schedule import Condition, LockHeld, refuse_held, scheduler
 from recorder.tasks import State
 from recorder.tracing import interrupts
@@ -71,6 +72,7 @@ class Block:
         self._joined = 0  # number of branches at the beginning of ``branches`` that have ended
         self._decided = False  # whether a branch or a failure of the body has decided the block
         self._body_failures: list[PlanFailure] = []
+        self._deadlock: DeadlockedBranches | None = None  # if branches waited for ever
         self._entered = ExitStack()  # the contexts that end with the body
         self._span = Span("block", policy.name)
 
@@ -268,7 +270,7 @@ class Block:
             return None
         failed = BranchesFailed(self.name, failures)
         if self._collected is None:
-            return failed
+            return chained(failed, [self._deadlock] if self._deadlock else [])
         self._span.error = failed  # this error appears only in the task tree
         return None
 
@@ -279,7 +281,7 @@ class Block:
         if self.decider is not None:
             return self.decider.state
         cancelled = isinstance(error, Cancelled) or any(branch.state is State.CANCELLED for branch in self.branches)
-        if cancelled and not self._body_failures:  # an outer block cancelled this block
+        if cancelled and not (self._body_failures or self._deadlock):  # an outer block cancelled this block
             return State.CANCELLED
         return State.FAILED if failures else State.SUCCEEDED
 
@@ -300,6 +302,12 @@ class Block:
                 join(self._changed, self._all_ended, self._reason)
             except LockHeld:  # after another wait, the same failure would follow
                 raise
+            except DeadlockedBranches as deadlock:
+                self._deadlock = deadlock
+                if not self.failures:  # otherwise the others wait for what a failed branch would have done
+                    interrupt = deadlock
+                self.scope.cancel()
+                continue
             except BaseException as error:  # noqa: BLE001  the interrupt is returned after the end of the branches
                 interrupt = error
                 self.scope.cancel()

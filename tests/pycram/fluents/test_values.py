@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from contextlib import nullcontext
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
@@ -76,6 +77,12 @@ def test_waiting_ends_with_any_value_but_none(value: object) -> None:
         else nullcontext()
     ):
         assert fluent.wait_for()
+
+
+def test_a_branch_that_only_waits_is_warned_about_at_the_line_that_added_it() -> None:
+    with pytest.warns(FalseEndsWait) as warned, par as s:
+        s(Fluent(False).wait_for)
+    assert (Path(warned[0].filename).name, warned[0].lineno > 0) == (Path(__file__).name, True)
 
 
 def test_networks_follow_their_operands() -> None:

@@ -8,17 +8,20 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 from typing import TYPE_CHECKING
 
 import pytest
 
 import replay
 from pycram.bullet_world import BulletWorld, Object
-from pycram.failures import DeadlockedBranches
+from pycram.failures import DeadlockedBranches, PlanFailure
 from pycram.fluent import Fluent
 from pycram.fluents.world import contact
 from pycram.language import finally_, par
+from pycram.scheduling.cancellation import checkpoint
 from pycram.scheduling.schedule import Scheduler, scheduler, seed_order
+from recorder.tasks import State
 from tests.measures import seeded
 from tests.pycram.scheduling.random_waits import Waits
 
@@ -109,6 +112,25 @@ def test_what_waits_outside_of_branches_is_told_too() -> None:
         s(Fluent(name="x").wait_for)
         Fluent(name="y").wait_for()
     assert [each.reason for each in raised.value.waits] == ["x, which nobody has set", "y, which nobody has set"]
+
+
+def test_branches_that_wait_for_a_failed_branch_end_with_its_failure() -> None:
+    class Spilled(PlanFailure):
+        pass
+
+    poured = Fluent(name="poured")
+
+    def pour() -> None:
+        checkpoint()
+        raise Spilled("the milk is on the floor")
+
+    with pytest.raises(Spilled, match="the milk is on the floor") as raised, par as s:
+        s(poured.wait_for)
+        s(pour)
+    assert [branch.state for branch in s.branches] == [State.CANCELLED, State.FAILED]
+    printed = "".join(traceback.format_exception(raised.value))
+    assert "waits for poured, which nobody has set" in printed
+    assert not scheduler().branches
 
 
 def test_a_cleanup_that_waits_for_ever_ends_too() -> None:
