@@ -252,12 +252,11 @@ class DoesNotFit(GraspFailed):
         ):
             digits += 1  # otherwise 73.04 mm and 72.96 mm would look equal
         between = f"{gap * 1e3:.{max(digits, 1)}f}-" if gap else "up to "
-        between += f"{widest * 1e3:.{digits}f} mm"
+        between += f"{widest * 1e3:.{digits}f} mm fit between the fingers"
         measured = ", ".join(dict.fromkeys(f"{width * 1e3:.{digits}f}" for width in self.widths))
         reason = "no part of it is between the fingers from any allowed side"
         if widths:
             reason = f"it is {size} for the gripper from every allowed side: it measures {measured} mm, {between}"
-            reason += " fit between the fingers"
         super().__init__(arm, body, f"{how}{reason}{others}")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol, TypeAlias
 
 import numpy as np
@@ -20,7 +21,7 @@ from pycram.foundation.failures import (
     Unreachable,
 )
 from pycram.models.robots.description import Arm, RobotDescription
-from pycram.reasoning.choosing import UNRECORDED
+from pycram.reasoning.choosing import UNRECORDED, Choice
 from pycram.reasoning.collision.checker import DEPTH, CollisionChecker
 from pycram.reasoning.collision.ray_cast import center
 from pycram.reasoning.collision.simulation_clone import clone_of
@@ -168,14 +169,14 @@ class TakeGoal:
         """Return the side of the first grasp that would hold the object, or why there is no grasp."""
         if self.body.fixed:
             return Unfit(f"{self.body.name} is fixed")
-        unfit = _no_free_hand(self._robot, arm)
-        if unfit is not None:
+        if (unfit := _no_free_hand(self._robot, arm)) is not None:
             return unfit
         solver = Solver(self._robot, arm.tool_frame)  # a cheap test first, because most places are out of reach
-        grasps = [
-            *candidates(self.body, self._robot, arm, self._grasps, base=base),
-            *candidates(self.body, self._robot, arm, self._grasps, base=base, off_center=True),
-        ]
+        sides = Choice("grasp", {})  # receives the reasons against sides
+        take = partial(candidates, self.body, self._robot, arm, self._grasps, base=base)
+        grasps = [*take(choice=sides), *take(off_center=True)]
+        if not grasps:
+            return min(sides.reasons(), key=lambda reason: reason.miss())
         near = solver.search([(grasp.position, grasp.orientation, base) for grasp in grasps], quick=True)
         if not any(postures[0].reaches() for postures in near):
             return OutOfReach(min((postures[0].position_error for postures in near), default=None))

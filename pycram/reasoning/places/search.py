@@ -207,7 +207,7 @@ class Reasons:
         group = self._found.get(constraint)
         if group is None:
             return self._maps
-        _, reason = max(group.values(), key=lambda each: each[0])
+        _, reason = max(group.values(), key=lambda each: (each[1].miss() < math.inf, each[0]))  # inf: a hasty check
         words = rejection_text(type(reason).__name__, reason.data())
         if isinstance(reason, OutOfReach):
             by = "" if reason.distance is None else f" by {_centimetres(reason)} cm or more"

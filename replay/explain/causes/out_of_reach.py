@@ -166,9 +166,9 @@ class NoCandidate(Cause):
             yield from trials.nearer(case, [float(str(each)) for each in goal], min(known))
 
     def _words(self) -> Iterator[str]:
-        asked = self.asked
-        yield f"{phrases.question(asked)} rejected all {phrases.plural(self.count, 'candidate')} at step {asked.seq}:"
-        yield from rejection_lines(asked)
+        rejected = "its only candidate" if self.count == 1 else f"all {self.count} candidates"
+        yield f"{phrases.question(self.asked)} rejected {rejected} at step {self.asked.seq}:"
+        yield from rejection_lines(self.asked)
 
 
 def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> ObstructingBody:
