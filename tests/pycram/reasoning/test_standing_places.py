@@ -231,5 +231,5 @@ def test_a_robot_that_cannot_drive_has_its_present_place() -> None:
 
 def test_an_object_that_does_not_fit_from_the_wanted_side_is_not_called_out_of_reach(scene: BulletWorld) -> None:
     pot = Object("pot", "pot", "pot.stl", [1.4, 0.4, 0.92])
-    with pytest.raises(NoPlace, match="most often: 1[56]. mm wide, the fingers hold 0 to 86 mm"):
+    with pytest.raises(NoPlace, match=r"most often: 1[56]\d mm wide, the fingers hold 0 to 86 mm"):
         next(standing_places(scene.robot, reach=[pot], grasp="front", quickly=True, seed=1))
