@@ -200,11 +200,7 @@ def _fingers(robot: Object, arm: Arm, gripper: Gripper) -> Iterator[Finding]:
     ):
         text = f"{name} is described as {1e3 * said:.1f} mm, measured {1e3 * measured:.1f} mm"
         yield Finding(abs(said - measured) <= _APERTURE, about, text)
-    yield from _hull(arm, gripper, corners)
-
-
-def _hull(arm: Arm, gripper: Gripper, corners: Corners) -> Iterator[Finding]:
-    """Check the underside and the depth of a hand; both are wrong if the x axis of the tool frame points sideways."""
+    # the underside and the depth are wrong if the x axis of the tool frame points sideways
     about = f"{arm.name} gripper"
     links = (gripper.palm, *gripper.fingers)
     hand = np.vstack([corners.of(links, gripper.at(share), arm.tool_frame, arm.tool_offset) for share in (1.0, 0.0)])

@@ -168,7 +168,12 @@ def _fingers(
     there = [corners.of([link], closed, palm, IDENTITY).mean(axis=0) for link in links]
     for opened in _openings(closed, widest):
         here = [corners.of([link], opened, palm, IDENTITY).mean(axis=0) for link in links]
-        axes = _axes(corners, palm, there, here)
+        ways = [b - a for a, b in zip(there, here, strict=True)]
+        apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)
+        out = np.mean([*there, *here], axis=0)
+        body = corners.of([palm], {}, palm, IDENTITY)
+        out -= body.mean(axis=0) if len(body) else 0.0
+        axes = _frame(out, apart)
         if axes is None:
             return None
         hand = _fitted(tree, corners, palm, (np.mean(there, axis=0), axes), links, (closed, opened))
@@ -277,19 +282,6 @@ def _ends(
                 low, high = limits(joint)
                 values[name] = min(max(mimic.multiplier * values[mimic.leader] + mimic.offset, low), high)
     return closed, opened
-
-
-def _axes(corners: Corners, palm: str, closed: Sequence[Array], opened: Sequence[Array]) -> Quaternion | None:
-    """Return the orientation of the tool frame in the palm: x points out of the hand, the fingers close along y.
-
-    ``closed`` and ``opened`` are the middles of closed and of open fingers, in the palm's frame, m.
-    """
-    ways = [b - a for a, b in zip(closed, opened, strict=True)]
-    apart = np.sum([way if way @ ways[0] >= 0 else -way for way in ways], axis=0)
-    out = np.mean([*closed, *opened], axis=0)
-    body = corners.of([palm], {}, palm, IDENTITY)
-    out -= body.mean(axis=0) if len(body) else 0.0
-    return _frame(out, apart)
 
 
 def _frame(out: Array, apart: Array) -> Quaternion | None:

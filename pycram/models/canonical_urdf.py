@@ -203,7 +203,15 @@ def write(source: Path, root: ET.Element) -> tuple[bytes, Urdf]:
     for link in root.findall("link"):
         give_inertia(link, moved=link.get("name") in moved)
     for joint in root.findall("joint"):
-        _normalize(joint, tree)
+        # PyBullet multiplies joint values by the axis, so its length must be 1
+        known = tree.joints[joint.get("name", "")]
+        axis, limit = joint.find("axis"), joint.find("limit")
+        if known.movable:
+            axis = ET.SubElement(joint, "axis") if axis is None else axis  # without an axis, PyBullet prints a warning
+            axis.set("xyz", " ".join(map(repr, known.axis)))
+        if limit is not None and known.type == "continuous":
+            for bound in ("lower", "upper"):
+                limit.attrib.pop(bound, None)
     check_size(source, tree)
     ET.indent(root, " ")
     content = ET.tostring(root)
@@ -245,18 +253,6 @@ def _make_chain(root: ET.Element, element: ET.Element, tree: Urdf) -> None:
             ET.SubElement(root, "link", name=child)
         root.insert(place + number, joint)
         parent = child
-
-
-def _normalize(element: ET.Element, tree: Urdf) -> None:
-    """Scale an axis to length 1, because PyBullet multiplies joint values by it; remove limits of continuous joints."""
-    joint = tree.joints[element.get("name", "")]
-    axis, limit = element.find("axis"), element.find("limit")
-    if joint.movable:
-        axis = ET.SubElement(element, "axis") if axis is None else axis  # without an axis, PyBullet prints a warning
-        axis.set("xyz", " ".join(map(repr, joint.axis)))
-    if limit is not None and joint.type == "continuous":
-        for bound in ("lower", "upper"):
-            limit.attrib.pop(bound, None)
 
 
 def give_inertia(link: ET.Element, *, moved: bool) -> None:

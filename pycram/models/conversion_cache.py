@@ -61,9 +61,17 @@ def kept(kind: str, sources: Iterable[bytes], convert: Callable[[], Sequence[Pie
         digest.update(b"%d:" % len(part) + part)
     entry = where / f"{digest.hexdigest()}.mesh"
     with suppress(OSError, ValueError, LookupError, TypeError):  # the entry is missing or damaged
-        pieces = _read(entry.read_bytes())
+        head, _, contents = entry.read_bytes().partition(b"\n")
+        table = json.loads(head)
+        if sha256(contents).hexdigest() != table["sha256"]:
+            raise ValueError(table["sha256"])
+        known: list[Piece] = []
+        start = 0
+        for name, size, rgba in table["pieces"]:
+            known.append((name, contents[start : start + size], rgba))
+            start += size
         os.utime(entry)
-        return pieces
+        return known
     pieces = convert()
     with suppress(OSError):
         _write(entry, pieces)
@@ -105,20 +113,6 @@ def _content(file: Path) -> bytes:
         return file.read_bytes()
     except (OSError, ValueError):
         return b""
-
-
-def _read(entry: bytes) -> Sequence[Piece]:
-    """Return the pieces in an entry of the cache; raise ValueError if the entry is incomplete."""
-    head, _, contents = entry.partition(b"\n")
-    table = json.loads(head)
-    if sha256(contents).hexdigest() != table["sha256"]:
-        raise ValueError(table["sha256"])
-    pieces = []
-    start = 0
-    for name, size, rgba in table["pieces"]:
-        pieces.append((name, contents[start : start + size], rgba))
-        start += size
-    return pieces
 
 
 def _write(entry: Path, pieces: Sequence[Piece]) -> None:

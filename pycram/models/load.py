@@ -147,7 +147,11 @@ def _cached_model(
                 element.set("filename", used.setdefault(asset.key, asset).key)
         for visual in link.findall("visual"):
             shown = visual.find("geometry/mesh")
-            picture = _texture(visual, named, files)
+            material = visual.find("material")
+            if material is not None and len(material) == 0:
+                material = named.get(material.get("name"))
+            texture = None if material is None else material.find("texture")
+            picture = None if texture is None else files.get(texture.get("filename", ""))
             if shown is not None:
                 _color(link, visual, shown, _visual_meshes(files[shown.get("filename", "")], picture), used)
             elif picture is not None:
@@ -159,16 +163,6 @@ def _cached_model(
     path, asset = store.write_urdf(f"{stem}.urdf", text)
     piece_bounds(path)  # fill the cache, so that the first query is fast
     return Model(path, tree, (asset, *used.values()), meshes=tuple(meshes))
-
-
-def _texture(
-    visual: ET.Element, named: Mapping[str | None, ET.Element], files: Mapping[str, _FileVersion]
-) -> _FileVersion | None:
-    material = visual.find("material")
-    if material is not None and len(material) == 0:
-        material = named.get(material.get("name"))
-    texture = None if material is None else material.find("texture")
-    return None if texture is None else files.get(texture.get("filename", ""))
 
 
 def _cover(link: ET.Element, visual: ET.Element, picture: _FileVersion, used: dict[str, AssetFile]) -> None:

@@ -34,7 +34,17 @@ _LOCK: Final = "lock"  # name of a file in each store
 @cache
 def folder() -> Path:
     """Return the folder of the store, which is removed at the end of the process."""
-    _remove_abandoned(Path(tempfile.gettempdir()))
+    for found in Path(tempfile.gettempdir()).glob(f"{_PREFIX}*"):  # abandoned stores are removed
+        with suppress(OSError):  # another user owns the store, or another process was faster
+            of = found.lstat()
+            if not stat.S_ISDIR(of.st_mode) or of.st_uid != system.user():
+                continue
+            lock = os.open(found / _LOCK, os.O_RDWR | system.OPENED | system.NO_LINK)
+            try:
+                system.lock(lock)
+                shutil.rmtree(found, ignore_errors=True)
+            finally:
+                os.close(lock)
     made, owner = _make(), os.getpid()
 
     def remove() -> None:
@@ -65,20 +75,6 @@ def _holds(lock: int) -> bool:
     except OSError as error:
         return not isinstance(error, BlockingIOError)
     return True
-
-
-def _remove_abandoned(where: Path) -> None:
-    for found in where.glob(f"{_PREFIX}*"):
-        with suppress(OSError):  # another user owns the store, or another process was faster
-            of = found.lstat()
-            if not stat.S_ISDIR(of.st_mode) or of.st_uid != system.user():
-                continue
-            lock = os.open(found / _LOCK, os.O_RDWR | system.OPENED | system.NO_LINK)
-            try:
-                system.lock(lock)
-                shutil.rmtree(found, ignore_errors=True)
-            finally:
-                os.close(lock)
 
 
 def write(name: str, content: bytes) -> Path:

@@ -422,7 +422,11 @@ class Engine:
         keys = bullet.getKeyboardEvents(physicsClientId=self._client)
         if any(keys.get(key, 0) & bullet.KEY_IS_DOWN for key in (bullet.B3G_ALT, bullet.B3G_CONTROL)):
             return None
-        start, end = _pick_ray(bullet.getDebugVisualizerCamera(physicsClientId=self._client), x, y)
+        camera = bullet.getDebugVisualizerCamera(physicsClientId=self._client)
+        width, height, *_ = camera  # x and y begin at the upper left corner
+        forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))
+        eye = target - camera[10] * forward
+        start, end = eye, eye + _FAR * forward + (x / width - 0.5) * horizontal + (0.5 - y / height) * vertical
         body, link, *_ = bullet.rayTest(start, end, physicsClientId=self._client)[0]
         return (body, link) if body >= 0 else None
 
@@ -482,14 +486,3 @@ def _named(a: LoadedBody, b: LoadedBody, points: Sequence[tuple[Any, ...]] | Non
     names_a = {index: name for name, index in a.links.items()}
     names_b = {index: name for name, index in b.links.items()}
     return [ClosestPoint(names_a[p[3]], names_b[p[4]], *p[6:10]) for p in points]
-
-
-def _pick_ray(camera: Sequence[Any], x: float, y: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return both ends (m, in the world) of the line of sight through a pixel; x and y begin at the upper left corner.
-
-    ``camera`` has PyBullet's order of values: width, height, ..., forward, horizontal, vertical, ..., distance, target.
-    """
-    width, height, *_ = camera
-    forward, horizontal, vertical, target = (np.array(camera[index], float) for index in (5, 6, 7, 11))
-    eye = target - camera[10] * forward
-    return eye, eye + _FAR * forward + (x / width - 0.5) * horizontal + (0.5 - y / height) * vertical

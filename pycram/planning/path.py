@@ -88,7 +88,12 @@ def find_path(
     reached = [query.start]  # the start, followed by the nearest configuration of each search
     most = int(query.patience * MAX_CHECKS)
     rooms = (True, query.space, most // 2), (False, query.wider or query.space, most)
-    ways = _nearest(query, earlier)
+    # ways along earlier paths whose middle parts are the nearest
+    candidates = [np.vstack([query.start, way, query.goal]) for path in earlier for way in (path, path[::-1])]
+    gaps = {id(way): query.space.distance(way[[0, -1]], way[[1, -2]]).sum() for way in candidates}
+    direct = query.space.distance(query.start, query.goal)
+    near = [way for way in candidates if gaps[id(way)] < direct]
+    ways = sorted(near, key=lambda way: gaps[id(way)])[:_MAX_EARLIER]
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
         if touch is None and choice.admits(STRAIGHT):
@@ -116,15 +121,6 @@ def find_path(
         failure = NoPath(query.mover, goal, clearance.checks, nearest, float(distances.min()), pairs)
     choice.reject(RRT_CONNECT, Unreached(failure.checks, failure.distance, failure.pairs))
     raise copy(failure)
-
-
-def _nearest(query: Query, paths: Iterable[Array]) -> list[Array]:
-    """Return the paths (n, d) from the query's start to its goal whose middle parts are nearest earlier paths."""
-    found = [np.vstack([query.start, way, query.goal]) for path in paths for way in (path, path[::-1])]
-    gaps = {id(way): query.space.distance(way[[0, -1]], way[[1, -2]]).sum() for way in found}
-    direct = query.space.distance(query.start, query.goal)
-    near = [way for way in found if gaps[id(way)] < direct]
-    return sorted(near, key=lambda way: gaps[id(way)])[:_MAX_EARLIER]
 
 
 def _shortest_free(query: Query, clearance: Clearance, ways: Iterable[Array], fine: float) -> Array | None:

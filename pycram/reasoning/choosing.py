@@ -67,24 +67,20 @@ class Question:
             raise
         finally:
             if journal.recording() and not isinstance(error, UsageError):
-                record = self._record(error, trace=trace)
+                record = records.Query(
+                    name=self.name,
+                    arguments=records.arguments(self.arguments),
+                    answer_json=records.to_json(self.answer),
+                    evidence=records.arguments(self.evidence),
+                    failure=records.failure(error, trace=trace) if error is not None else None,
+                    picture=self.picture,
+                )
+                if self.considered is not None:
+                    self.considered.add_candidates(record)
+                    record.by_fork = bool(self.considered.forced)
                 record.duration_ns = time.perf_counter_ns() - start
                 world, sim_step = where()
                 self.steps = span.emit(record, world=world, sim_step=sim_step)
-
-    def _record(self, error: BaseException | None, *, trace: bool) -> records.Query:
-        record = records.Query(
-            name=self.name,
-            arguments=records.arguments(self.arguments),
-            answer_json=records.to_json(self.answer),
-            evidence=records.arguments(self.evidence),
-            failure=records.failure(error, trace=trace) if error is not None else None,
-            picture=self.picture,
-        )
-        if self.considered is not None:
-            self.considered.add_candidates(record)
-            record.by_fork = bool(self.considered.forced)
-        return record
 
 
 class Choice(Question):

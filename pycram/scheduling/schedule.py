@@ -416,7 +416,13 @@ class Scheduler:
                 elif (patient := self._next_patient()) is not None:
                     chosen = patient
                 elif not self.can_be_woken():
-                    self._fail_deadlocked()
+                    error = DeadlockedBranches(self._blocked())
+                    inside = next((each for each in self._parked if each.branch is not None), None)
+                    if not self._deadlocked or inside is None:
+                        self._deadlocked = True
+                        raise error
+                    self.running = inside.branch
+                    inside.fail(error)
                     continue
                 else:
                     self._sleep()
@@ -426,7 +432,12 @@ class Scheduler:
                 chosen.resume()
             self._deadlocked = False
         finally:
-            self._resume_all()
+            # after an error in the loop, a wake-up may be lost
+            for branch in list(self.branches):
+                if branch.ended:
+                    self.branches.pop(branch, None)
+                else:
+                    self.add(branch)
             self._loop = None
             self.running = None
 
@@ -442,14 +453,6 @@ class Scheduler:
         """Return whether a branch or wait is ready, or a Ctrl-C is deferred; a patient wait then returns."""
         self.poll()
         return bool(self._ready) or (interrupts.is_pending() and self._is_outside() and not self.joining)
-
-    def _resume_all(self) -> None:
-        """Schedule all branches again, because an error has interrupted the loop and may have lost a wake-up."""
-        for branch in list(self.branches):
-            if branch.ended:
-                self.branches.pop(branch, None)
-            else:
-                self.add(branch)
 
     def _sleep_alone(self) -> None:
         self.poll()
@@ -477,16 +480,6 @@ class Scheduler:
         if self.awaits_strike() or threads_of_plan() or interrupts.has_handlers():
             return True
         return not self._bell.locked()  # checked last, because another thread may wake this thread and end
-
-    def _fail_deadlocked(self) -> None:
-        """Raise DeadlockedBranches outside of the branches, or in a branch if cleanup code of branches still waits."""
-        error = DeadlockedBranches(self._blocked())
-        inside = next((each for each in self._parked if each.branch is not None), None)
-        if not self._deadlocked or inside is None:
-            self._deadlocked = True
-            raise error
-        self.running = inside.branch
-        inside.fail(error)
 
     def _blocked(self) -> list[BlockedWait]:
         """Return the waits of the branches, and of the code outside if that code doesn't only wait for the branches."""

@@ -242,21 +242,16 @@ def follow(world: BulletWorld, motions: Sequence[tuple[Object, FollowableMotion]
                 joint, error = each.lost
                 raise TrackingLost(each.body.name, each.number, joint, error, each.time, _touching(each.body, joint))
     finally:
-        _stop_all(world, begun)
+        with shielded(), uninterruptible():  # all trajectories end, even if the branch is cancelled
+            with world.lock:
+                for each in begun:
+                    if not (each.ended or each.following.stopped or world.closed):
+                        stop(world, each.number)
+            if not world.closed:
+                simulation.wait(world, lambda: all(each.ended for each in begun))
     for each in begun:
         if each.time < each.trajectory.duration:
             raise TrajectoryEnded(each.body.name, each.number, each.time, each.trajectory.duration)
-
-
-def _stop_all(world: BulletWorld, begun: Sequence[Followed]) -> None:
-    """Stop the trajectories, and let simulated time pass until all have ended, even if the branch is cancelled."""
-    with shielded(), uninterruptible():
-        with world.lock:
-            for each in begun:
-                if not (each.ended or each.following.stopped or world.closed):
-                    stop(world, each.number)
-        if not world.closed:
-            simulation.wait(world, lambda: all(each.ended for each in begun))
 
 
 def begin(

@@ -188,27 +188,23 @@ def wait(world: BulletWorld, predicate: Callable[[], bool]) -> None:
     with world.lock:
         over = waiting.sample()
     if not over:
-        _pass_time(world, waiting)
+        scope = current_scope()
+        sources = () if scope is None else scope.sources
+        awaited = f"simulated time of {world.name}", "", ()
+        with Waiter(sources, patience=lambda: not world.realtime, reason=lambda: awaited) as waiter:
+            waiting.waiter = waiter
+            world.waits.append(waiting)
+            try:
+                while not waiting.held:
+                    raise_if_cancelled()
+                    if world.closed:
+                        raise WorldClosed(world.name, "wait in simulated time")
+                    if waiter.sleep():
+                        _simulate_until_needed(world, scope, lambda: bool(world.time_listeners))
+            finally:
+                world.waits.remove(waiting)
     if waiting.error is not None:
         raise waiting.error
-
-
-def _pass_time(world: BulletWorld, waiting: Wait) -> None:
-    scope = current_scope()
-    sources = () if scope is None else scope.sources
-    awaited = f"simulated time of {world.name}", "", ()
-    with Waiter(sources, patience=lambda: not world.realtime, reason=lambda: awaited) as waiter:
-        waiting.waiter = waiter
-        world.waits.append(waiting)
-        try:
-            while not waiting.held:
-                raise_if_cancelled()
-                if world.closed:
-                    raise WorldClosed(world.name, "wait in simulated time")
-                if waiter.sleep():
-                    _simulate_until_needed(world, scope, lambda: bool(world.time_listeners))
-        finally:
-            world.waits.remove(waiting)
 
 
 class WorldClock:

@@ -122,7 +122,14 @@ class TransactionManager:
             self._world.beliefs.follow(transaction, steps)
             due = self._since_keyframe >= TRANSACTIONS_PER_KEYFRAME
             if due and self._changed_since_keyframe >= len(self._world.objects) and not self._world.closed:
-                self._record_keyframe()
+                world, frame = self._world, self.keyframe()
+                self._since_keyframe = self._changed_since_keyframe = 0
+
+                def number(journal: Journal) -> None:
+                    del frame.beliefs[:]
+                    frame.beliefs.extend(world.beliefs.records(journal))
+
+                journal.emit(frame, world=world.name, sim_step=world.sim_step, number=number)
             if self.observer is not None:
                 self.observer.committed(transaction)
             self.lock.defer(callback() for callback in transaction.callbacks)
@@ -153,16 +160,6 @@ class TransactionManager:
         self._since_keyframe += 1
         self._changed_since_keyframe += max(1, len(effect.bodies))
         return span.emit(record, world=world.name, sim_step=world.sim_step, number=transaction.number)
-
-    def _record_keyframe(self) -> None:
-        world, frame = self._world, self.keyframe()
-        self._since_keyframe = self._changed_since_keyframe = 0
-
-        def number(journal: Journal) -> None:
-            del frame.beliefs[:]
-            frame.beliefs.extend(world.beliefs.records(journal))
-
-        journal.emit(frame, world=world.name, sim_step=world.sim_step, number=number)
 
     def keyframe(self) -> records.Keyframe:
         """Return the world's whole state as a record; its beliefs have no step numbers."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import Final
 
 from pycram.foundation.errors import export
 from pycram.foundation.failures import (
@@ -93,26 +93,18 @@ class MoveHead(SimulatedModule):
         looked_at = {key: solution[key] for key in ("target", "object") if key in solution}
         with self.execution.whole(robot.world):
             with robot.world.lock, choosing("gaze", robot.world, **looked_at) as choice:
-                positions = _aimed(robot, joints, camera, looked_at, choice)
+                target = looked_at["target"] if "target" in looked_at else center(looked_at["object"])
+                point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
+                positions, seen = pan_tilt.aim_camera(robot.urdf, joints, camera, point, robot.get_joint_positions())
+                x, y, z = seen
+                angle = math.atan2(math.hypot(x, y), z)
+                if angle > _ACCURACY and (len(joints) == _PAN_AND_TILT or not _in_picture(camera, seen)):
+                    choice.reject("the nearest posture", OutOfReach(0.0, angle))
+                    raise LookingFailed(target, angle)
+                choice.take(AS_ASKED, off_axis=round(math.degrees(angle), 3))
                 move = self.execution.move(robot, positions) if positions else None
             if move is not None:
                 move()
-
-
-def _aimed(
-    robot: Object, joints: Sequence[str], camera: CameraDescription, looked_at: Mapping[str, Any], choice: Choice
-) -> Mapping[str, float]:
-    """Return joint positions of the head with which the camera sees a target or an object; else LookingFailed."""
-    target = looked_at["target"] if "target" in looked_at else center(looked_at["object"])
-    point = geometry.transform(geometry.invert(robot.get_position_and_orientation()), target)
-    positions, seen = pan_tilt.aim_camera(robot.urdf, joints, camera, point, robot.get_joint_positions())
-    x, y, z = seen
-    angle = math.atan2(math.hypot(x, y), z)
-    if angle > _ACCURACY and (len(joints) == _PAN_AND_TILT or not _in_picture(camera, seen)):
-        choice.reject("the nearest posture", OutOfReach(0.0, angle))
-        raise LookingFailed(target, angle)
-    choice.take(AS_ASKED, off_axis=round(math.degrees(angle), 3))
-    return positions
 
 
 def _in_picture(camera: CameraDescription, point: Vector) -> bool:

@@ -8,7 +8,6 @@ Points are columns (3, n), axes are unit vectors (3,), angles are (n,) in rad. A
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Final
@@ -72,7 +71,9 @@ class ClosedForm:
         q1 = np.linspace(lower[0], upper[0], _SAMPLES)
         shoulders = (turned(axes[0], q1, (shoulder - origins[0])[:, None]) + origins[0][:, None]).T
         swing = _radius(shoulder, origins[0], axes[0]) * float(q1[1] - q1[0]) / 2
-        across = _across(axes[6])
+        x, y, z = axes[6]
+        vector = (0.0, z, -y) if abs(x) <= min(abs(y), abs(z)) else (-z, 0.0, x) if abs(y) <= abs(z) else (y, -x, 0.0)
+        across: Array = np.array(vector) / math.hypot(*vector)  # a unit vector, perpendicular to the last axis
         return cls(
             origins=origins,
             axes=axes,
@@ -277,14 +278,6 @@ def _radius(point: Array, origin: Array, axis: Array) -> float:
 
 def _parallel(a: Array, b: Array) -> bool:
     return float(np.linalg.norm(np.cross(a, b))) < 1e-6
-
-
-def _across(axis: Sequence[float] | Array) -> Array:
-    """Return a unit vector that is perpendicular to another vector."""
-    x, y, z = axis
-    vector = (0.0, z, -y) if abs(x) <= min(abs(y), abs(z)) else (-z, 0.0, x) if abs(y) <= abs(z) else (y, -x, 0.0)
-    unit: Array = np.array(vector) / math.hypot(*vector)
-    return unit
 
 
 def turned(axis: Array, angle: Array, vector: Array) -> Array:

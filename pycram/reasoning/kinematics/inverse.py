@@ -99,7 +99,17 @@ def search_postures(
                 break
             rows, postures, near, error, length = (part[going] for part in (rows, postures, near, error, length))
             jacobian, first = jacobian[going], _first_rows(targets[rows])
-        step = _step(chain, postures, jacobian[:, :size], error, length[:, None], damping)
+        slopes = jacobian[:, :size]
+        correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length[:, None], 1e-9))
+        gradient = np.einsum("nrj,nr->nj", slopes, correction)  # a joint at its limit doesn't move farther
+        stuck = chain.bounded & (
+            ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
+        )
+        j = np.where(stuck[:, None, :], 0.0, slopes)
+        scale = np.minimum(1.0, (error**2).sum(axis=1))[:, None, None] + 1e-4
+        inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, correction[:, :, None])
+        step: Array = (j.transpose(0, 2, 1) @ inner)[:, :, 0]
+        step *= np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
         found[rows] = chain.limited(np.where(near[:, None], postures, postures + step))
     return found, reached
 
@@ -107,21 +117,6 @@ def search_postures(
 def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the first row of each target; ``targets`` has the target's index for each row, in ascending order."""
     return np.flatnonzero(np.diff(targets, prepend=-1))
-
-
-def _step(chain: Chain, postures: Array, jacobian: Array, error: Array, length: Array, damping: Array) -> Array:
-    """Return changes (n, joints) of postures that reduce errors (n, 3 or 6), whose norms are ``length`` (n, 1)."""
-    correction = error * np.minimum(1.0, _MAX_ERROR / np.maximum(length, 1e-9))
-    gradient = np.einsum("nrj,nr->nj", jacobian, correction)  # a joint at its limit doesn't move farther
-    stuck = chain.bounded & (
-        ((postures <= chain.lower + 1e-9) & (gradient < 0)) | ((postures >= chain.upper - 1e-9) & (gradient > 0))
-    )
-    j = np.where(stuck[:, None, :], 0.0, jacobian)
-    scale = np.minimum(1.0, (error**2).sum(axis=1))[:, None, None] + 1e-4
-    inner = np.linalg.solve(j @ j.transpose(0, 2, 1) + damping * scale, correction[:, :, None])
-    step: Array = (j.transpose(0, 2, 1) @ inner)[:, :, 0]
-    step *= np.minimum(1.0, _MAX_STEP / np.maximum(np.abs(step).max(axis=1, keepdims=True), 1e-9))
-    return step
 
 
 def halton_postures(chain: Chain, start: int, count: int) -> Array:
@@ -209,7 +204,14 @@ class ArmKinematics:
             counts = [len(batch) for batch in batches]
             which = np.repeat(np.array(pending, dtype=np.intp), counts)
             turned = None if turns is None else turns[which]
-            found, reached = self._descend(np.vstack(batches), goals[which], turned, which, stop_early=not thorough)
+            start, wanted, stop_early = np.vstack(batches), goals[which], not thorough
+            # the latest result is kept: long searches begin as quick ones do
+            key = stop_early, *(None if part is None else part.tobytes() for part in (start, wanted, which, turned))
+            latest = self._latest[1] if self._latest[0] == key else None
+            if latest is None:
+                latest = search_postures(self.chain, start, wanted, turned, which, stop_early=stop_early)
+                self._latest = key, latest
+            found, reached = latest
             ends = np.cumsum(counts)[:-1]
             for number, postures in zip(pending, np.split(found, ends), strict=True):
                 tried[number].append(postures)
@@ -226,17 +228,6 @@ class ArmKinematics:
                 found = _distinct(reaching, home) if len(reaching) else found[[int(np.argmin(misses.sum(axis=1)))]]
             chosen.append(found)
         return self._postures(chosen, goals, turns)
-
-    def _descend(
-        self, start: Array, goals: Array, turns: Array | None, which: NDArray[np.intp], *, stop_early: bool
-    ) -> tuple[Array, NDArray[np.bool_]]:
-        """Return the result of :func:`search_postures`; the latest is cached: long searches begin as quick ones do."""
-        key = stop_early, *(None if part is None else part.tobytes() for part in (start, goals, which, turns))
-        known = self._latest[1] if self._latest[0] == key else None
-        if known is None:
-            known = search_postures(self.chain, start, goals, turns, which, stop_early=stop_early)
-            self._latest = key, known
-        return known
 
     @property
     def in_closed_form(self) -> bool:

@@ -148,14 +148,6 @@ class StandingSearch(Search):
         self._batches = 1 if quickly else len(_SPOTS)  # number of batches without a place after which the search ends
 
     def _next(self, batch: Batch, number: int) -> FoundPlace | None:
-        spots = self._draw(batch, number)
-        place = self._first(batch, spots)
-        self._failed = 0 if place is not None else self._failed + 1
-        self._over = not spots or self._stays or self._failed == self._batches
-        return place
-
-    def _draw(self, batch: Batch, number: int) -> Sequence[Spot]:
-        """Draw places from the maps for a batch, whose number starts at 0; the robot's present place comes first."""
         robot = self._robot
         position, turn = robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
@@ -176,13 +168,27 @@ class StandingSearch(Search):
             for cell, (x, y) in draw_cells(grid, scores, _SPOTS[self._failed], random):
                 yaw = round(float(yaws[cell] + random.uniform(-jitter, jitter)), 4)
                 spots.append(Spot(f"[{x:.2f}, {y:.2f}]", base.pose((x, y, yaw)), yaw, float(scores[cell])))
-        return batch.draw(grid, scores, spots)
+        drawn = batch.draw(grid, scores, spots)
+        place = self._first(batch, drawn)
+        self._failed = 0 if place is not None else self._failed + 1
+        self._over = not drawn or self._stays or self._failed == self._batches
+        return place
 
     def _maps(self) -> tuple[Grid, list[tuple[str, Array]], Array]:
         """Return the cells, the maps (cells,) with their constraints' names, and the best yaws (cells,) in rad."""
         robot = self._robot
         here, turn = robot.get_position_and_orientation()
-        grid = self._grid(here)
+        areas: list[tuple[Sequence[float], float]] = []
+        if self._goals:
+            radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
+            areas += [(goal.position, radius) for goal in self._goals]
+        if self._see is not None:
+            areas.append((center(self._see), _SIGHT[1]))
+        if not areas:
+            areas.append((self._near or here, _ROOM))
+        low = [max(point[axis] - radius for point, radius in areas) for axis in (0, 1)]
+        high = [min(point[axis] + radius for point, radius in areas) for axis in (0, 1)]
+        grid = Grid.over(low, high, here[2])
         centers = grid.centers()
         factors: list[tuple[str, Array]] = [("distance", maps.near(centers, here, _SHORT_WAY))]
         yaws = np.full(len(centers), geometry.to_rpy(turn)[2])
@@ -202,19 +208,6 @@ class StandingSearch(Search):
         if self._near is not None:
             factors.append(("near", maps.near(centers, self._near, _NEAR, _ROOM)))
         return grid, factors, yaws
-
-    def _grid(self, here: Sequence[float]) -> Grid:
-        areas: list[tuple[Sequence[float], float]] = []
-        if self._goals:
-            radius = max(arm_reach(self._robot, arm).radius for arm in self._arms)
-            areas += [(goal.position, radius) for goal in self._goals]
-        if self._see is not None:
-            areas.append((center(self._see), _SIGHT[1]))
-        if not areas:
-            areas.append((self._near or here, _ROOM))
-        low = [max(point[axis] - radius for point, radius in areas) for axis in (0, 1)]
-        high = [min(point[axis] + radius for point, radius in areas) for axis in (0, 1)]
-        return Grid.over(low, high, here[2])
 
     def _faced(self, centers: Array, ground: float) -> tuple[Array, Array]:
         """Return, for each cell, the score of the best heading for reaching or seeing all targets, and this heading."""

@@ -117,7 +117,18 @@ class View:
 def _camera(given: object, target: Object, robot: Object | None) -> Camera:
     """Return the camera of a query: in a frame of the robot, at a pose, or at a position and directed to the target."""
     if isinstance(given, str):
-        return _camera_of(robot, given)
+        if robot is None:
+            raise NoWorld("robot")
+        position, orientation = robot.get_link_position_and_orientation(given)
+        pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
+        description = robot.description
+        if description is None or description.camera is None or description.camera.frame != given:
+            return Camera(pose, _FIELD, _FIELD)
+        camera = description.camera
+        pose = camera.pose(pose)
+        return Camera(
+            pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far
+        )
     try:
         parts = list(cast("Iterable[object]", given))
     except TypeError:
@@ -130,20 +141,6 @@ def _camera(given: object, target: Object, robot: Object | None) -> Camera:
         inside = math.dist(eye, aim) < NEAR  # a camera with this position sees nothing in any direction
         pose = (eye, IDENTITY[1] if inside else geometry.look_at(eye, aim))
     return Camera(pose, _FIELD, _FIELD)
-
-
-def _camera_of(robot: Object | None, frame: str) -> Camera:
-    """Return the camera in a robot's frame, with the field of view from the robot's description, if known."""
-    if robot is None:
-        raise NoWorld("robot")
-    position, orientation = robot.get_link_position_and_orientation(frame)
-    pose = (checks.vector("position", position), checks.quaternion("orientation", orientation))
-    description = robot.description
-    if description is None or description.camera is None or description.camera.frame != frame:
-        return Camera(pose, _FIELD, _FIELD)
-    camera = description.camera
-    pose = camera.pose(pose)
-    return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)
 
 
 def view(body: Object, camera: Camera, without: Collection[Object] = ()) -> View:
