@@ -92,23 +92,9 @@ class McapSink:
         # a daemon thread, because programs may exit without closing their recording
         self._timer = own(threading.Thread(target=self._flush_periodically, name=f"flush {path.name}", daemon=True))
         start = io.BytesIO()  # prepared in memory: a killed process leaves no empty file
-        self._begin(start, metadata)
-        raw = open_output(path)
-        self._file = io.BufferedWriter(raw, 1 << 16)
-        self._watched = WatchedFile(path, raw)
-        with contextlib.ExitStack() as undoing, self._guarded():
-            undoing.callback(self._close_file)
-            self._writer.move(self._file, start.getvalue())
-            if durable:
-                self._watched.sync()
-                self._watched.sync_name()
-            undoing.pop_all()
-        self._timer.start()
-
-    def _begin(self, file: io.BytesIO, metadata: Mapping[str, str]) -> None:
         with self._guarded():
             software = versions()
-            self._writer = McapWriter(file, f"pycram {software['pycram']}")
+            self._writer = McapWriter(start, f"pycram {software['pycram']}")
             messages: dict[str, type[Message]] = {topic: kind for kind, topic in TOPICS.items()}
             messages |= {"/tf": FrameTransforms, "/log": Log}
             for topic, message in messages.items():
@@ -121,6 +107,17 @@ class McapSink:
             if self._models is not None:
                 self._writer.add_metadata(MODELS_METADATA, {"file": self._models.file, "sha256": self._models.sha256})
             self._writer.flush()
+        raw = open_output(path)
+        self._file = io.BufferedWriter(raw, 1 << 16)
+        self._watched = WatchedFile(path, raw)
+        with contextlib.ExitStack() as undoing, self._guarded():
+            undoing.callback(self._close_file)
+            self._writer.move(self._file, start.getvalue())
+            if durable:
+                self._watched.sync()
+                self._watched.sync_name()
+            undoing.pop_all()
+        self._timer.start()
 
     def _register(self, topic: str, world: str = "", lifetime: int = 0) -> int:
         """Add a channel. If a channel names a world, the file's index lists the chunks of that world."""
@@ -138,7 +135,13 @@ class McapSink:
             self._size += len(payload)
             if topic in _PER_WORLD:
                 self._buffer.append(((topic, record.world, self._lifetime(record)), seq, now, payload, None))
-                self._add_foxglove(record)
+                for message in self._frames.transforms(record):
+                    payload = message.SerializeToString()
+                    self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
+                    self._size += len(payload)
+                line = log_line(record, self._now)
+                if line is not None:
+                    self._buffer.append((_LINES, record.seq, self._now, line, None))
                 at_once = False
             else:
                 # readers compute beliefs from queries of perception, so these queries are on the channel of their world
@@ -161,15 +164,6 @@ class McapSink:
         if not lifetime or (isinstance(record, Mutation) and record.HasField("open_world")):
             lifetime = self._lifetimes[record.world] = lifetime + 1
         return lifetime
-
-    def _add_foxglove(self, record: Record) -> None:
-        for message in self._frames.transforms(record):
-            payload = message.SerializeToString()
-            self._buffer.append((_TRANSFORMS, record.seq, self._now, payload, None))
-            self._size += len(payload)
-        line = log_line(record, self._now)
-        if line is not None:
-            self._buffer.append((_LINES, record.seq, self._now, line, None))
 
     def _flush(self) -> None:
         self._watched.check(self._writer.size)

@@ -72,25 +72,22 @@ class _Pager(io.TextIOBase):
         self._held.append(text)
         self._lines -= sum(1 + len(line) // self._columns for line in text.splitlines() or [""])
         if self._lines < 1:
-            self._open()
+            import shlex  # noqa: PLC0415  imported here: only long output needs a pager
+            import subprocess  # noqa: PLC0415  as above
+
+            with contextlib.suppress(OSError, ValueError):  # if there is no pager, the output is printed
+                self._process = subprocess.Popen(  # noqa: S603  the command comes from $PAGER
+                    shlex.split(self._command),
+                    stdin=subprocess.PIPE,
+                    text=True,
+                    encoding="utf-8",
+                    errors="backslashreplace",
+                    env={"LESS": _PAGER.partition(" ")[2]} | os.environ,
+                )
+                assert self._process.stdin is not None  # noqa: S101  for mypy
+                self._target = self._process.stdin
+            self._print_held()
         return len(text)
-
-    def _open(self) -> None:
-        import shlex  # noqa: PLC0415  imported here: only long output needs a pager
-        import subprocess  # noqa: PLC0415  as above
-
-        with contextlib.suppress(OSError, ValueError):  # if there is no pager, the output is printed
-            self._process = subprocess.Popen(  # noqa: S603  the command comes from $PAGER
-                shlex.split(self._command),
-                stdin=subprocess.PIPE,
-                text=True,
-                encoding="utf-8",
-                errors="backslashreplace",
-                env={"LESS": _PAGER.partition(" ")[2]} | os.environ,
-            )
-            assert self._process.stdin is not None  # noqa: S101  for mypy
-            self._target = self._process.stdin
-        self._print_held()
 
     def _print_held(self) -> None:
         held, self._held = self._held or [], None

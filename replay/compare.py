@@ -207,7 +207,29 @@ def difference_lines(delta: Difference, *, whole: bool = False) -> Iterator[str]
         yield f"{world}: {name} {_plain(before)} -> {_plain(after)}"
     shown = delta.changed if whole else delta.notable
     for change in shown:
-        yield from _change_lines(change, whole=whole)
+        changes = []
+        if change.moved or (whole and (change.distance or change.angle)):
+            is_turned = change.angle > 0 and (whole or change.angle >= _MIN_TURN)
+            turned = f", turned by {phrases.degrees(change.angle)}" if is_turned else ""
+            before, after = phrases.vectors(change.before[0], change.after[0])
+            changes.append(f"moved by {phrases.length(change.distance)}{turned}: {before} -> {after}")
+        if change.carrier_changed:
+            holder, former = change.carrier[1], change.carrier[0]
+            changes.append(f"now held by {_carrier(holder)}, before by {_carrier(former)}")
+        changes += [f"has another {detail}" for detail in change.details]
+        joints = change.joints if whole else change.moved_joints
+        if len(joints) > _MAX_LISTED and not whole:
+            changes.append(
+                f"{len(joints)} joints moved, farthest "
+                + _joint(*max(joints.items(), key=lambda item: abs(item[1][1] - item[1][0])))
+            )
+            joints = {}
+        changes += [_joint(name, pair) for name, pair in joints.items()]
+        if len(changes) == 1:
+            yield f"{change.body} {changes[0]}"
+        else:
+            yield change.body
+            yield from (f"  {line}" for line in changes)
     rest = len(delta.changed) - len(shown)
     if rest:
         yield (
@@ -223,32 +245,6 @@ def _plain(value: object) -> str:
     if value is None:
         return "unknown"
     return phrases.number(value) if isinstance(value, float) else str(value) or "none"
-
-
-def _change_lines(change: BodyChange, *, whole: bool) -> Iterator[str]:
-    changes = []
-    if change.moved or (whole and (change.distance or change.angle)):
-        is_turned = change.angle > 0 and (whole or change.angle >= _MIN_TURN)
-        turned = f", turned by {phrases.degrees(change.angle)}" if is_turned else ""
-        before, after = phrases.vectors(change.before[0], change.after[0])
-        changes.append(f"moved by {phrases.length(change.distance)}{turned}: {before} -> {after}")
-    if change.carrier_changed:
-        holder, former = change.carrier[1], change.carrier[0]
-        changes.append(f"now held by {_carrier(holder)}, before by {_carrier(former)}")
-    changes += [f"has another {detail}" for detail in change.details]
-    joints = change.joints if whole else change.moved_joints
-    if len(joints) > _MAX_LISTED and not whole:
-        changes.append(
-            f"{len(joints)} joints moved, farthest "
-            + _joint(*max(joints.items(), key=lambda item: abs(item[1][1] - item[1][0])))
-        )
-        joints = {}
-    changes += [_joint(name, pair) for name, pair in joints.items()]
-    if len(changes) == 1:
-        yield f"{change.body} {changes[0]}"
-    else:
-        yield change.body
-        yield from (f"  {line}" for line in changes)
 
 
 def _joint(name: str, pair: tuple[float, float]) -> str:

@@ -97,7 +97,13 @@ class FoxgloveTranslator:
             self._size = 0
 
     def _show(self, record: Record) -> None:
-        before = self._pass_time(record)
+        # a simulation takes its simulated time; other records take the time of the wall clock since the previous record
+        before, passed, steps = self._now or record.wall_time_ns, record.wall_time_ns - self._clock, 0
+        self._clock = record.wall_time_ns
+        if record.world:
+            steps = record.sim_step - self._simulated.get(record.world, record.sim_step)
+            self._simulated[record.world] = record.sim_step
+        self._now += _duration(steps) if steps > 0 else max(passed, 0)
         if isinstance(record, Task):
             self._show_task(record)
         elif isinstance(record, Check):
@@ -113,23 +119,19 @@ class FoxgloveTranslator:
             line.timestamp.FromNanoseconds(self._now)
             self._add("/log", line, record.seq, self._now)
 
-    def _pass_time(self, record: Record) -> int:
-        """Set the time to the time of a record; return the time before.
-
-        A simulation takes its simulated time; other records take the time of the wall clock since the previous record.
-        """
-        before, passed, steps = self._now or record.wall_time_ns, record.wall_time_ns - self._clock, 0
-        self._clock = record.wall_time_ns
-        if record.world:
-            steps = record.sim_step - self._simulated.get(record.world, record.sim_step)
-            self._simulated[record.world] = record.sim_step
-        self._now += _duration(steps) if steps > 0 else max(passed, 0)
-        return before
-
     def _show_change(self, record: Mutation | Keyframe, before: int) -> None:
         world, messages = record.world, list(self._frames.transforms(record))
         simulates = isinstance(record, Mutation) and record.HasField("simulate")
-        self._hold(messages, record.seq, before if simulates else max(before, self._now - 1))
+        held_ns = before if simulates else max(before, self._now - 1)
+        changing = {each.child_frame_id: each for message in messages for each in message.transforms}
+        held = FrameTransforms()
+        for frame, after in changing.items():
+            now = self._latest.get(frame, after)
+            if (now.translation, now.rotation) != (after.translation, after.rotation):
+                held.transforms.add().CopyFrom(now)
+                self._moved.add(frame)
+        if held.transforms:
+            self._transform(held, record.seq, held_ns)
         for message in messages:
             first = message.transforms[0].timestamp  # in simulated time
             time_ns = self._now + first.ToNanoseconds() - _duration(record.sim_step)
@@ -145,18 +147,6 @@ class FoxgloveTranslator:
             self._changes[world] += 1
             if record.HasField("set_color") and record.set_color.body in bodies:
                 self._draw(bodies[record.set_color.body], record, record.set_color.color)
-
-    def _hold(self, messages: Iterable[FrameTransforms], step: int, time_ns: int) -> None:
-        """Write the latest poses of the frames that some messages change."""
-        changing = {each.child_frame_id: each for message in messages for each in message.transforms}
-        held = FrameTransforms()
-        for name, after in changing.items():
-            now = self._latest.get(name, after)
-            if (now.translation, now.rotation) != (after.translation, after.rotation):
-                held.transforms.add().CopyFrom(now)
-                self._moved.add(name)
-        if held.transforms:
-            self._transform(held, step, time_ns)
 
     def _transform(self, message: FrameTransforms, step: int, time_ns: int) -> None:
         for each in message.transforms:

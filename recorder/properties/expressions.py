@@ -383,7 +383,13 @@ class PropertyExpression:
         nodes = [node.left, *node.comparators]
         terms = [self._compile(each) for each in nodes]
         for (one, other), op in zip(pairwise(nodes), node.ops, strict=True):
-            self._check_kinds(one, other)
+            kinds = {_kind(one), _kind(other)} - {""}
+            if len(kinds & _BASE) > 1:
+                self._refuse(f"{_written(one)} and {_written(other)} have different units")
+            for quantity, number in ((one, other), (other, one)):
+                if _kind(quantity) in ("rad", "joint"):
+                    self._check_angle(number)
+            self.units |= kinds & _BASE or {""}
             if isinstance(op, ast.Lt | ast.LtE | ast.Gt | ast.GtE) or any(map(_is_amount, (one, other))):
                 self._check_numbers(node, (one, other))
         comparisons = [_COMPARISONS[type(each)] for each in node.ops]
@@ -393,15 +399,6 @@ class PropertyExpression:
             return min(comparison(a, b) for comparison, (a, b) in zip(comparisons, values, strict=True))
 
         return compare
-
-    def _check_kinds(self, one: ast.expr, other: ast.expr) -> None:
-        kinds = {_kind(one), _kind(other)} - {""}
-        if len(kinds & _BASE) > 1:
-            self._refuse(f"{_written(one)} and {_written(other)} have different units")
-        for quantity, number in ((one, other), (other, one)):
-            if _kind(quantity) in ("rad", "joint"):
-                self._check_angle(number)
-        self.units |= kinds & _BASE or {""}
 
     def _check_numbers(self, node: ast.expr, nodes: Iterable[ast.expr]) -> None:
         """Reject calculations with conditions."""

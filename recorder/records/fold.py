@@ -119,9 +119,6 @@ class FoldedWorld:
             self.open, self.realtime, self.robot = False, False, ""
         self._follow(command, record)
         self._apply_effect(record.effect)
-        self._believe(record)
-
-    def _believe(self, record: Mutation) -> None:
         effect = record.effect
         carriers = None
         if effect.attached or effect.detached:

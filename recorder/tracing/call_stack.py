@@ -69,7 +69,14 @@ def walk(frame: FrameType | None, outer: CallStack | None = None) -> CallStack:
     lines = around if around[-1:] == innermost else (*around, *innermost)  # a lambda is in the line that requests it
     if len(lines) > MAX_LINES:
         lines = (*lines[: MAX_LINES // 2], *lines[-MAX_LINES // 2 :])
-    _attach_files(file for file, _ in lines)
+    attached = _attached.setdefault(journal.recording_number(), set())
+    for file in sorted({file for file, _ in lines} - attached):
+        attached.add(file)
+        source = Path(_unescaped.get(file, file))
+        is_cell = notebook.is_cell(file)
+        with suppress(OSError):  # the code has no file, or the file was deleted
+            text = "".join(getlines(str(source))).encode("utf-8", "replace") if is_cell else source.read_bytes()
+            journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
     file = lines[-1][0] if lines else ""
     callers = tuple([SourceLine(file=each if each != file else "", line=number) for each, number in lines[:-1]])
     return CallStack(lines, inherited, thread, callers)
@@ -164,17 +171,6 @@ def _origin(file: str, module: str) -> _Origin:
 
 
 _attached: Final[dict[int, set[str]]] = {}  # attached files, by number of the recording
-
-
-def _attach_files(files: Iterable[str]) -> None:
-    attached = _attached.setdefault(journal.recording_number(), set())
-    for file in sorted(set(files) - attached):
-        attached.add(file)
-        source = Path(_unescaped.get(file, file))
-        is_cell = notebook.is_cell(file)
-        with suppress(OSError):  # the code has no file, or the file was deleted
-            text = "".join(getlines(str(source))).encode("utf-8", "replace") if is_cell else source.read_bytes()
-            journal.attach([AssetFile(file if is_cell else source.name, text, "text/x-python")])
 
 
 MAX_FRAMES: Final = 16  # maximum number of frames of an error; the innermost frames are kept

@@ -111,7 +111,21 @@ class RecordedStream:
             discard(self._stream)
             count = len(text)
         if not (self._ended or _logging.get()) and journal.records_here(self._log):
-            self._take(text)
+            key = current_ident()
+            begun, origin = self._begun.pop(key, ("", None))
+            *lines, rest = (begun + text).split("\n")
+            if origin is None:
+                origin = _here()
+            for line in lines:
+                self._record(line, origin)
+            if lines and rest:
+                origin = _here()
+            rest = _visible(rest)
+            whole = max(0, len(rest) - 1) // MAX_CHARACTERS * MAX_CHARACTERS
+            if whole:
+                self._record(rest[:whole], origin)
+            if rest := _visible(rest[whole:]):
+                self._begun[key] = rest, origin
         return count
 
     def writelines(self, lines: Iterable[str]) -> None:
@@ -142,23 +156,6 @@ class RecordedStream:
         for text, origin in self._begun.values():
             self._record(text, origin)
         self._begun.clear()
-
-    def _take(self, text: str) -> None:
-        key = current_ident()
-        begun, origin = self._begun.pop(key, ("", None))
-        *lines, rest = (begun + text).split("\n")
-        if origin is None:
-            origin = _here()
-        for line in lines:
-            self._record(line, origin)
-        if lines and rest:
-            origin = _here()
-        rest = _visible(rest)
-        whole = max(0, len(rest) - 1) // MAX_CHARACTERS * MAX_CHARACTERS
-        if whole:
-            self._record(rest[:whole], origin)
-        if rest := _visible(rest[whole:]):
-            self._begun[key] = rest, origin
 
     def _record(self, line: str, origin: _Origin) -> None:
         text = _CONTROL.sub("", _visible(line).rstrip("\r")).rstrip()

@@ -130,10 +130,7 @@ class TaskMarks:
             label = shorten(f"{record.name}: {message or kind}", _MAX_LETTERS, placeholder=" \u2026")
             shapes += [points_at([top], RED, [label], _FAILURE), line_through([position_failed, top], RED)]
         self._failures.add(world, (FAILURES,), now, *shapes)
-        self._show_pairs(record, world, now)
-
-    def _show_pairs(self, record: Task | Run, world: str, now: TimePoint) -> None:
-        """Mark the links that would have collided, at their current positions."""
+        # mark the links that would have collided, at their current positions
         found = argument_values(record.failure.data, strict=True).get("pairs")
         pairs = [pair for pair in found if isinstance(pair, dict)] if isinstance(found, list) else []
         for number, pair in enumerate(pairs[:_MAX_PAIRS], 1):
@@ -193,17 +190,14 @@ class Attachments:
             if path is not None:
                 self._columns.clear(path, now)
         for attachment in attached:
-            self._show_attachment(world, attachment, now)
-
-    def _show_attachment(self, world: str, attachment: Attachment, now: TimePoint) -> None:
-        path = self._columns.path(
-            world, "attachments", attachment.carrier, attachment.carrier_link or "base", attachment.body
-        )
-        self._paths[world, attachment.carrier, attachment.body] = path
-        self._columns.set_frame(path, self._scene.frame(world, attachment.carrier, attachment.carrier_link))
-        x, y, z = attachment.position
-        line = line_through([(0.0, 0.0, 0.0), (x, y, z)], YELLOW, _ATTACHMENT_LINE, f"holds {attachment.body}")
-        self._columns.send(path, now, line)
+            path = self._columns.path(
+                world, "attachments", attachment.carrier, attachment.carrier_link or "base", attachment.body
+            )
+            self._paths[world, attachment.carrier, attachment.body] = path
+            self._columns.set_frame(path, self._scene.frame(world, attachment.carrier, attachment.carrier_link))
+            x, y, z = attachment.position
+            line = line_through([(0.0, 0.0, 0.0), (x, y, z)], YELLOW, _ATTACHMENT_LINE, f"holds {attachment.body}")
+            self._columns.send(path, now, line)
 
 
 def _attachment_changes(

@@ -261,7 +261,25 @@ class FoldedWorlds:
         apply(self._worlds, record)
         self._plot(now)
         if (world := self._worlds.get(record.world)) is not None and world.open:
-            self._show_ghosts(world, now)
+            wrong: dict[tuple[str, str, str], Pose] = {
+                (world.name, robot, name): (vector(belief.position), quaternion(belief.orientation))
+                for (robot, name), belief in world.beliefs.items()
+                if belief.source != Belief.HELD
+                and name in world.bodies
+                and math.dist(belief.position, world.bodies[name].position) > _NEAR
+            }
+            for key, (pose, marks) in list(self._ghosts.items()):
+                if key[0] == world.name and wrong.get(key) != pose:
+                    marks.clear(now)
+                    del self._ghosts[key]
+            for key in wrong.keys() - self._ghosts.keys():
+                _, robot, name = key
+                pose, marks = self._ghosts[key] = wrong[key], Marks(self._columns, self._scene)
+                red, green, blue = (channel / 255 for channel in VIOLET)
+                for shape, archetypes in self._scene.ghost(world.name, name, pose, (red, green, blue, _SOLID)):
+                    marks.add(world.name, (GHOSTS, robot, name, shape), now, *archetypes)
+                label = points_at([pose[0]], VIOLET, [f"{robot} believes {name} here"])
+                marks.add(world.name, (GHOSTS, robot, name), now, label)
 
     def _plot(self, now: TimePoint) -> None:
         for text, expression in self._properties.items():
@@ -269,24 +287,3 @@ class FoldedWorlds:
                 truth = expression.truth(self._quantities)
                 margin = truth.margin if math.isfinite(truth.margin) else 1.0 if truth.holds else -1.0
                 self._plots.add((PROPERTIES, text), margin, now)
-
-    def _show_ghosts(self, world: FoldedWorld, now: TimePoint) -> None:
-        wrong: dict[tuple[str, str, str], Pose] = {
-            (world.name, robot, name): (vector(belief.position), quaternion(belief.orientation))
-            for (robot, name), belief in world.beliefs.items()
-            if belief.source != Belief.HELD
-            and name in world.bodies
-            and math.dist(belief.position, world.bodies[name].position) > _NEAR
-        }
-        for key, (pose, marks) in list(self._ghosts.items()):
-            if key[0] == world.name and wrong.get(key) != pose:
-                marks.clear(now)
-                del self._ghosts[key]
-        for key in wrong.keys() - self._ghosts.keys():
-            _, robot, name = key
-            pose, marks = self._ghosts[key] = wrong[key], Marks(self._columns, self._scene)
-            red, green, blue = (channel / 255 for channel in VIOLET)
-            for shape, archetypes in self._scene.ghost(world.name, name, pose, (red, green, blue, _SOLID)):
-                marks.add(world.name, (GHOSTS, robot, name, shape), now, *archetypes)
-            label = points_at([pose[0]], VIOLET, [f"{robot} believes {name} here"])
-            marks.add(world.name, (GHOSTS, robot, name), now, label)

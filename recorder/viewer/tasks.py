@@ -47,7 +47,12 @@ class TaskTimeline:
         place = self._tasks.follow(record)
         if place is None:
             return
-        lane = self._lane(place)
+        if place not in self.lanes:
+            depth, slot = place
+            path = self._columns.path(LANES, f"{depth}.{slot + 1}" if slot else str(depth))
+            states = self._columns.series(path, lambda rows: rr.StateChange.columns(state=[state for (state,) in rows]))
+            self.lanes[place] = _Lane(path, states)
+        lane = self.lanes[place]
         if record.phase == Task.STARTED:
             self._started[record.task] = record, now
             self._label(lane, record, now, State.RUNNING)
@@ -75,14 +80,6 @@ class TaskTimeline:
             configuration = rr.StateConfiguration(values=list(lane.labels), labels=labels, colors=colors)
             self._columns.send_static(lane.path, configuration)
         lane.states.add(since, (state,))
-
-    def _lane(self, place: Lane) -> _Lane:
-        if place not in self.lanes:
-            depth, slot = place
-            path = self._columns.path(LANES, f"{depth}.{slot + 1}" if slot else str(depth))
-            states = self._columns.series(path, lambda rows: rr.StateChange.columns(state=[state for (state,) in rows]))
-            self.lanes[place] = _Lane(path, states)
-        return self.lanes[place]
 
 
 GRAPH: Final = "graph"

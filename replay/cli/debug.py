@@ -241,18 +241,6 @@ class Prompt(cmd.Cmd):
         decides = deciding([(each["file"], each["line"]) for each in self.stack])
         self.frame = stopped[0] if stopped else decides
         self._listed = 0
-        self._print_step(step)
-        if self.follow is not None:
-            self.follow(step)
-
-    @staticmethod
-    def _change(change: Any) -> str:
-        if change is None:
-            return ""
-        before, after = (each if isinstance(each, str) else _short(each) for each in change[-2:])
-        return f": {before} -> {after}"
-
-    def _print_step(self, step: int) -> None:
         record = self.log[step]
         place = "" if record.thread == _MAIN_THREAD else f"  [{record.thread}]"
         time = f"{record.sim_step / STEPS_PER_SECOND:.3f} s"
@@ -266,6 +254,15 @@ class Prompt(cmd.Cmd):
             end = record if isinstance(record, Run) and record.phase == Run.FINISHED else None
             failed = f"; the plan failed: {format_failure(end.failure)}" if end and not end.succeeded else ""
             print(visible(f"the recording {'ends' if end else 'was cut'} here{failed}"))
+        if self.follow is not None:
+            self.follow(step)
+
+    @staticmethod
+    def _change(change: Any) -> str:
+        if change is None:
+            return ""
+        before, after = (each if isinstance(each, str) else _short(each) for each in change[-2:])
+        return f": {before} -> {after}"
 
     def _print_frame(self, number: int | None = None) -> None:
         at = self.frame if number is None else number

@@ -175,18 +175,16 @@ def motion_rows(log: RecordReader) -> Iterator[MotionRow]:
                 yield from _driven(world_of(worlds[record.world]), record)
             apply(worlds, record)
             if isinstance(record, Mutation) and record.HasField("begin_trajectory"):
-                yield from _planned(record)
+                begin, start = record.begin_trajectory, record.sim_step / STEPS_PER_SECOND
+                trajectory = begin.trajectory
+                moments = [(time, name) for time in trajectory.times for name in _names(begin)]
+                for (time, name), position, velocity in zip(
+                    moments, trajectory.positions, trajectory.velocities, strict=True
+                ):
+                    where = record.world, begin.number, begin.body, name
+                    yield MotionRow(*where, "planned", time, start + time, position, velocity)
         except (ValueError, IndexError) as error:
             raise Damaged(log.path, f"step {record.seq}", str(error)) from error
-
-
-def _planned(record: Mutation) -> Iterator[MotionRow]:
-    begin, start = record.begin_trajectory, record.sim_step / STEPS_PER_SECOND
-    trajectory = begin.trajectory
-    moments = [(time, name) for time in trajectory.times for name in _names(begin)]
-    for (time, name), position, velocity in zip(moments, trajectory.positions, trajectory.velocities, strict=True):
-        where = record.world, begin.number, begin.body, name
-        yield MotionRow(*where, "planned", time, start + time, position, velocity)
 
 
 def _driven(world: World, record: Mutation) -> Iterator[MotionRow]:

@@ -244,7 +244,21 @@ def run_source(log: Recording, options: argparse.Namespace) -> None:
     keys = sorted((key for key in log.assets if key.endswith(".py")), key=lambda key: (name_of(key), key))
     chosen = keys if options.file is None else [_find(keys, options.file)]
     if options.target is not None:
-        written = _write(log, chosen, Path(options.target), whole=options.file is None)
+        target = Path(options.target)
+        whole = options.file is None
+        # names in a recording of a stranger could control the terminal that lists the folder
+        names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in chosen]
+        written = []
+        for key, name in zip(chosen, names, strict=True):
+            shared = names.count(name) > 1
+            file = target / (f"{key[:_SHORT]}_{name}" if shared else name) if whole or target.is_dir() else target
+            try:
+                file.parent.mkdir(parents=True, exist_ok=True)
+                with file.open("xb") as output:  # no file of the user may be replaced
+                    output.write(log.assets[key])
+            except OSError as error:
+                raise ReplayError(f"{file}: {error.strerror or error}") from error
+            written.append(str(file))
         print_result(lambda: {"files": written}, written, as_json=options.json)
     elif options.file is None:
         listed = [
@@ -272,21 +286,3 @@ def _find(keys: list[str], name: str) -> str:
         choices = " or ".join(f"{key[:_SHORT]}/{file}" for key in fitting)
         raise ReplayError(f"{len(fitting)} files are called {file}: {choices}")
     return fitting[0]
-
-
-def _write(log: Recording, keys: list[str], target: Path, *, whole: bool) -> list[str]:
-    """Write attached files, and return their paths. Files with the same name get their hashes as prefixes."""
-    # names in a recording of a stranger could control the terminal that lists the folder
-    names = ["".join(each if each.isprintable() else "_" for each in name_of(key)) for key in keys]
-    written = []
-    for key, name in zip(keys, names, strict=True):
-        shared = names.count(name) > 1
-        file = target / (f"{key[:_SHORT]}_{name}" if shared else name) if whole or target.is_dir() else target
-        try:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("xb") as output:  # no file of the user may be replaced
-                output.write(log.assets[key])
-        except OSError as error:
-            raise ReplayError(f"{file}: {error.strerror or error}") from error
-        written.append(str(file))
-    return written

@@ -66,29 +66,25 @@ def run(log: Recording, options: argparse.Namespace) -> int:
     print_moment(log, options.step, exact=options.exact)
     try:
         with world, record(target, source=script) if target is not None else nullcontext():
-            return _do(log, step, world, script, options)
+            variables = variables_of(world, log, step)
+            if script is not None:
+                with native_output_to_stderr():
+                    return run_script(script, variables)
+            if options.json:
+                print_json(_data(step, world, exact=options.exact))
+            elif options.gui and not options.shell:
+                from pycram.physics.window import watch  # noqa: PLC0415  see run
+
+                print_message(f"{world.name}: to end, close the window or press Ctrl-C")
+                watch(world.engine)
+            else:
+                names = ", ".join(name for name in variables if name not in ("log", "step", "btr"))
+                clock = f"{world.sim_step / STEPS_PER_SECOND:.3f} s simulated"
+                banner = f"{world.name}, {clock}. Variables: {names}, log, step, btr."
+                shell(variables, visible(banner))
+            return FINE
     except RecordingError as error:
         raise ReplayError(str(error)) from error
-
-
-def _do(log: Recording, step: int, world: BulletWorld, script: Path | None, options: argparse.Namespace) -> int:
-    variables = variables_of(world, log, step)
-    if script is not None:
-        with native_output_to_stderr():
-            return run_script(script, variables)
-    if options.json:
-        print_json(_data(step, world, exact=options.exact))
-    elif options.gui and not options.shell:
-        from pycram.physics.window import watch  # noqa: PLC0415  see run
-
-        print_message(f"{world.name}: to end, close the window or press Ctrl-C")
-        watch(world.engine)
-    else:
-        names = ", ".join(name for name in variables if name not in ("log", "step", "btr"))
-        clock = f"{world.sim_step / STEPS_PER_SECOND:.3f} s simulated"
-        banner = f"{world.name}, {clock}. Variables: {names}, log, step, btr."
-        shell(variables, visible(banner))
-    return FINE
 
 
 def _data(step: int, world: BulletWorld, *, exact: bool) -> dict[str, object]:

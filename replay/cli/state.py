@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,11 +96,7 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
                 yield f"    follows trajectory {begin.number} {at}{slowing}: {moved}"
         if links:
             yield from (f"    {_pose(link, 48, pose)}" for link, pose in state.link_poses(body).items())
-    yield from _beliefs(world, {body.name for body in bodies})
-
-
-def _beliefs(world: World, shown: Collection[str]) -> Iterator[str]:
-    """Yield the beliefs of robots about objects, and how far the object is from the believed position."""
+    shown = {body.name for body in bodies}
     for belief in reversed(world.believed()):
         if {belief.robot, belief.object}.isdisjoint(shown):
             continue

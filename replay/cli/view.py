@@ -57,7 +57,24 @@ def run(log: Recording, options: argparse.Namespace) -> None:
         if options.web:
             _serve(logs, wants_json=options.json)
             return
-        shown = _open(logs, step, options)
+        from replay.view import cached, check, convert, show, temporary_file  # noqa: PLC0415  slow to import
+
+        check(options.connect)
+        eyes = [_eye(log, step if log is logs[0] else None) for log in logs]
+        if options.save is not None:
+            file = Path(options.save)
+            if file.suffix != ".rrd":
+                raise ReplayError(f"{file}: the viewer opens .rrd files only; choose a name that ends in .rrd")
+            convert(logs, file, step, eyes, opens=step is not None)
+        elif len(logs) == 1:
+            file = cached(logs[0], step, eyes[0])
+        else:
+            names = "_".join(log.path.stem for log in logs)
+            file = temporary_file(f"{names}.rrd")
+            convert(logs, file, step, eyes)
+        shown: dict[str, object] = {"file": str(file)}
+        if options.open or options.save is None:
+            shown["viewer"] = show(file, step, options.connect)
     print_result(lambda: shown, [str(shown["file"])], as_json=options.json)
 
 
@@ -73,28 +90,6 @@ def run_folder(runs: Runs, options: argparse.Namespace) -> None:
     options.others = [str(runs.path / name) for name in chosen[1:]]
     with Recording(runs.path / chosen[0]) as log:
         run(log, options)
-
-
-def _open(logs: Sequence[Recording], step: int | None, options: argparse.Namespace) -> dict[str, object]:
-    from replay.view import cached, check, convert, show, temporary_file  # noqa: PLC0415  slow to import
-
-    check(options.connect)
-    eyes = [_eye(log, step if log is logs[0] else None) for log in logs]
-    if options.save is not None:
-        file = Path(options.save)
-        if file.suffix != ".rrd":
-            raise ReplayError(f"{file}: the viewer opens .rrd files only; choose a name that ends in .rrd")
-        convert(logs, file, step, eyes, opens=step is not None)
-    elif len(logs) == 1:
-        file = cached(logs[0], step, eyes[0])
-    else:
-        names = "_".join(log.path.stem for log in logs)
-        file = temporary_file(f"{names}.rrd")
-        convert(logs, file, step, eyes)
-    result: dict[str, object] = {"file": str(file)}
-    if options.open or options.save is None:
-        result["viewer"] = show(file, step, options.connect)
-    return result
 
 
 def _eye(log: Recording, step: int | None) -> tuple[Vector, Vector] | None:

@@ -216,23 +216,21 @@ class Index:
             if opcode == Opcode.CHUNK_INDEX:
                 self.chunks.append(indexed_chunk(summary, start))
             else:
-                self._read_summary_record(opcode, ReadDataStream(io.BytesIO(summary[start:stop])))
+                stream = ReadDataStream(io.BytesIO(summary[start:stop]))
+                if opcode == Opcode.SCHEMA:
+                    self.define(Schema.read(stream))
+                elif opcode == Opcode.CHANNEL:
+                    self.define(Channel.read(stream))
+                elif opcode == Opcode.STATISTICS:
+                    self.counts.update(Statistics.read(stream).channel_message_counts)
+                elif opcode == Opcode.ATTACHMENT_INDEX:
+                    attachment = AttachmentIndex.read(stream)
+                    self._claim(attachment.length)
+                    self.attachments[attachment.name] = Extent(attachment.offset + HEADER, attachment.length - HEADER)
+                elif opcode == Opcode.METADATA_INDEX:
+                    self._read_stated_metadata(MetadataIndex.read(stream))
         if stop != len(summary):
             raise EOFError
-
-    def _read_summary_record(self, opcode: int, stream: ReadDataStream) -> None:
-        if opcode == Opcode.SCHEMA:
-            self.define(Schema.read(stream))
-        elif opcode == Opcode.CHANNEL:
-            self.define(Channel.read(stream))
-        elif opcode == Opcode.STATISTICS:
-            self.counts.update(Statistics.read(stream).channel_message_counts)
-        elif opcode == Opcode.ATTACHMENT_INDEX:
-            attachment = AttachmentIndex.read(stream)
-            self._claim(attachment.length)
-            self.attachments[attachment.name] = Extent(attachment.offset + HEADER, attachment.length - HEADER)
-        elif opcode == Opcode.METADATA_INDEX:
-            self._read_stated_metadata(MetadataIndex.read(stream))
 
     def _claim(self, length: int) -> None:
         """Reject a summary whose files and metadata have more bytes than the file, because the summary repeats them."""
@@ -370,7 +368,15 @@ class FileScan:
                 length = int.from_bytes(self._file.read(4), "little")
                 return extent.length == 6 + length and length % 16 == 0
             elif opcode == Opcode.ATTACHMENT:
-                return self._read_attachment(extent)
+                self._file.seek(extent.offset + 16)
+                stream = ReadDataStream(self._file)
+                name = stream.read_prefixed_string()
+                stream.read_prefixed_string()
+                size = stream.read8()
+                if extent.length != 16 + stream.count + size + 4:
+                    return False
+                self._index.attachments[name] = extent
+                return True
             elif opcode == Opcode.METADATA:
                 self._index.take_metadata(self._index.read(extent))
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -378,17 +384,6 @@ class FileScan:
         except DAMAGE:
             return False
         return Opcode.HEADER <= opcode <= Opcode.DATA_END
-
-    def _read_attachment(self, extent: Extent) -> bool:
-        self._file.seek(extent.offset + 16)
-        stream = ReadDataStream(self._file)
-        name = stream.read_prefixed_string()
-        stream.read_prefixed_string()
-        size = stream.read8()
-        if extent.length != 16 + stream.count + size + 4:
-            return False
-        self._index.attachments[name] = extent
-        return True
 
     def _count_messages(self, number: int) -> None:
         """Count the messages of a chunk, and read the definitions of channels in it."""

@@ -55,7 +55,13 @@ def title(world: str, number: int) -> str:
 def lifetimes_of(chunks: Chunks) -> tuple[Lifetime, ...]:
     """Return the lifetimes of all worlds in the order of their opening."""
     chunks_of = _chunks_by_lifetime(chunks)
-    starts = _starts(chunks, chunks_of)
+    beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # the lifetimes that begin in each chunk
+    for owner, (changes, *_) in chunks_of.items():
+        beginning[changes[0]].append(owner)
+    starts = dict.fromkeys(chunks_of, 0)  # 0 if no caller needs the step, because reading steps takes time
+    for first, owners in beginning.items():
+        if len(owners) > 1 or owners[0][1] > 1:
+            starts |= dict.fromkeys(owners, chunks.span(first)[0]) | dict(_first_steps(chunks, first, owners))
     ordered = sorted(chunks_of.items(), key=lambda item: (item[1][0][0], starts[item[0]]))
     return tuple(
         Lifetime(world, number, starts[world, number] if number > 1 else 0, starts.get((world, number + 1)), *lists)
@@ -120,18 +126,6 @@ def _lists(chunks_of: dict[Owner, _Lists], marks: Iterable[_Mark]) -> list[list[
         if Query in present:
             lists.append(looks)
     return lists
-
-
-def _starts(chunks: Chunks, chunks_of: dict[Owner, _Lists]) -> dict[Owner, int]:
-    """Return the first steps of lifetimes. Steps that no caller needs are 0, because reading them takes time."""
-    beginning: defaultdict[int, list[Owner]] = defaultdict(list)  # the lifetimes that begin in each chunk
-    for owner, (changes, *_) in chunks_of.items():
-        beginning[changes[0]].append(owner)
-    starts = dict.fromkeys(chunks_of, 0)
-    for number, owners in beginning.items():
-        if len(owners) > 1 or owners[0][1] > 1:
-            starts |= dict.fromkeys(owners, chunks.span(number)[0]) | dict(_first_steps(chunks, number, owners))
-    return starts
 
 
 def _first_steps(chunks: Chunks, number: int, owners: Iterable[Owner]) -> Iterator[tuple[Owner, int]]:

@@ -89,7 +89,14 @@ class Flow:
             )
             if found is None or (_is_idle(found[0]) and line not in starts):
                 continue
-            weight = _weight(found[0])
+            statement = found[0]  # a mistake is improbable if it only passes values on, or loads an object
+            constants = [node.value for node in _own(statement) if isinstance(node, ast.Constant)]
+            numbers = [each for each in constants if isinstance(each, int | float)]
+            computes = any(isinstance(node, ast.BinOp | ast.Compare) for node in _own(statement))
+            own = 1.0 if computes or any(each not in _TRIVIAL for each in numbers) else 0.5 * bool(constants)
+            names = {called_name(node) for node in _own(statement)}
+            parks = "park" in constants or "park" in names
+            weight = _PASSED * (1 - own + parks) + _LOADING * bool(names & {"Object", "BulletWorld"})
             ranks[line] = rank + weight + _LAST * (line == failed and weight > 0)
             for source in self._sources(*found):
                 if source not in ranks:
@@ -122,17 +129,6 @@ def _own(statement: ast.stmt) -> Iterator[ast.AST]:
     for each in ast.iter_child_nodes(statement):
         if not isinstance(each, ast.stmt):
             yield from (node for node in ast.walk(each) if not isinstance(node, ast.stmt))
-
-
-def _weight(statement: ast.stmt) -> float:
-    """Return how improbable a mistake in a statement is: it only passes values on, or loads an object."""
-    constants = [node.value for node in _own(statement) if isinstance(node, ast.Constant)]
-    numbers = [each for each in constants if isinstance(each, int | float)]
-    computes = any(isinstance(node, ast.BinOp | ast.Compare) for node in _own(statement))
-    own = 1.0 if computes or any(each not in _TRIVIAL for each in numbers) else 0.5 * bool(constants)
-    names = {called_name(node) for node in _own(statement)}
-    parks = "park" in constants or "park" in names
-    return _PASSED * (1 - own + parks) + _LOADING * bool(names & {"Object", "BulletWorld"})
 
 
 def _is_idle(statement: ast.stmt) -> bool:

@@ -71,7 +71,14 @@ def task_step(log: RecordReader, text: str) -> int:
     if match is None:
         raise NoSuchStep(repr(text), len(log), "the step of a task is task:PATH@start or task:PATH@end")
     number = int(match["which"] or 1)
-    tasks = _tasks(log, match["path"], number)
+    path = match["path"]
+    tree, tasks = Tree(limit=0), list[Node]()  # only unfinished tasks stay in memory
+    for record in log.records(Task):
+        task = tree.apply(record)
+        if record.phase == Task.STARTED and (is_called(task, path) or path == str(task.id)):
+            tasks.append(task)
+        elif len(tasks) == number > 0 and tasks[-1].finished is not None:
+            break
     if not number or len(tasks) < abs(number):
         names = (record.name for record in log.records(Task))
         hint = f"no task matches {match['path']!r}; {suggestion(match['path'].rpartition('/')[2], names)}"
@@ -84,18 +91,6 @@ def task_step(log: RecordReader, text: str) -> int:
     if task.finished is None:
         raise NoSuchStep(repr(text), len(log), "the recording ends before the end of this task")
     return task.finished.seq
-
-
-def _tasks(log: RecordReader, path: str, number: int) -> list[Node]:
-    """Return the first ``number`` tasks that match a path, or all if the number isn't positive."""
-    tree, found = Tree(limit=0), list[Node]()  # only unfinished tasks stay in memory
-    for record in log.records(Task):
-        task = tree.apply(record)
-        if record.phase == Task.STARTED and (is_called(task, path) or path == str(task.id)):
-            found.append(task)
-        elif len(found) == number > 0 and found[-1].finished is not None:
-            break
-    return found
 
 
 def is_called(task: Node, path: str) -> bool:

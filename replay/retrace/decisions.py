@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
@@ -73,39 +73,29 @@ class ForcedDecision:
     def decide(self, kind: str, arguments: Mapping[str, Any]) -> Any:
         """Return the forced value. For the order of branches, None means that the next branch isn't forced."""
         if kind == "order":
-            return self._first(arguments["ready"])
-        if kind == "solution":
-            return self._admitting(arguments)
+            wanted = [text_of(term) for term in (self.value if isinstance(self.value, list) else [self.value])]
+            there = [name for each in wanted for name in arguments["ready"] if each in (name, name.partition(" ")[2])]
+            if not there or (len(there) == 1 < len(wanted)):
+                return None
+            self._in_a_row = [*(self._in_a_row if self._in_a_row[:1] == there[:1] else ()), there[0]]
+            if len(self._in_a_row) > _MOST_IN_A_ROW:
+                self._in_a_row.clear()
+                return None
+            return there[0]
+        if kind == "solution":  # if the plan gives the slot, the forced value replaces its value
+
+            def admit(number: int, solution: dict[str, Any]) -> dict[str, Any] | None:
+                if self.slot and arguments.get(self.slot) is not None:
+                    before, value = solution.get(self.slot), self.value
+                    named = isinstance(before, Object) and isinstance(value, Name)
+                    live = before.world.get_object(text_of(value)) if named else _live(value)  # type: ignore[union-attr]
+                    return {**solution, self.slot: live}
+                values = [solution.get(self.slot)] if self.slot else list(solution.values())
+                found = number == self.number if self.number else any(_is_value(self.value, each) for each in values)
+                return solution if found else None
+
+            return admit
         return self.value if kind == "timeout" else text_of(self.value)
-
-    def _first(self, ready: Sequence[str]) -> str | None:
-        wanted = [text_of(term) for term in (self.value if isinstance(self.value, list) else [self.value])]
-        there = [name for each in wanted for name in ready if each in (name, name.partition(" ")[2])]
-        if not there or (len(there) == 1 < len(wanted)):
-            return None
-        self._in_a_row = [*(self._in_a_row if self._in_a_row[:1] == there[:1] else ()), there[0]]
-        if len(self._in_a_row) > _MOST_IN_A_ROW:
-            self._in_a_row.clear()
-            return None
-        return there[0]
-
-    def _admitting(self, given: Mapping[str, Any]) -> Callable[[int, dict[str, Any]], dict[str, Any] | None]:
-        """Return a function that returns a solution if the solution has the forced value, else None.
-
-        If the plan gives the slot, the forced value replaces its value.
-        """
-
-        def admit(number: int, solution: dict[str, Any]) -> dict[str, Any] | None:
-            if self.slot and given.get(self.slot) is not None:
-                before, value = solution.get(self.slot), self.value
-                named = isinstance(before, Object) and isinstance(value, Name)
-                live = before.world.get_object(text_of(value)) if named else _live(value)  # type: ignore[union-attr]
-                return {**solution, self.slot: live}
-            values = [solution.get(self.slot)] if self.slot else list(solution.values())
-            found = number == self.number if self.number else any(_is_value(self.value, each) for each in values)
-            return solution if found else None
-
-        return admit
 
 
 def parse_decision(text: str) -> ForcedDecision:

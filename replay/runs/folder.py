@@ -401,7 +401,28 @@ class Runs:
         self.folder = Folder(path)
         self.folder.update(progress)
         self._database = duckdb.connect(":memory:")
-        self._open()
+        database = self._database
+        files = {table.name: self.folder.files(table.name) for table in TABLES}
+        self._files = [file for each in files.values() for file in each]
+        try:
+            for table in TABLES:
+                name = table.name
+                if files[name]:
+                    listed = ", ".join(_quoted(escape(file)) for file in files[name])
+                    database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
+                else:
+                    empty = pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table()
+                    database.register(f"{name}_rows", empty)
+                    database.execute(f"CREATE TABLE {name} AS SELECT * FROM {name}_rows")  # noqa: S608
+            allowed = ", ".join(_quoted(name) for file in self._files for name in {file, escape(file)})
+            database.execute(f"SET allowed_paths=[{allowed}]")
+            database.execute("SET enable_external_access=false")
+            database.execute("SET python_enable_replacements=false")
+            database.execute("SET TimeZone='UTC'")
+            database.execute("SET lock_configuration=true")
+        except duckdb.Error as error:
+            again = f"its tables can't be read; remove {self.folder.tables} to make them again"
+            raise NotRead(self.path, f"{again}: {_first_line(error)}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -462,30 +483,6 @@ class Runs:
                 foreign = isinstance(error, duckdb.PermissionException)
                 cause = f"only the folder's own tables are read: {_first_line(error)}" if foreign else str(error)
                 raise Refused(statement, cause) from error
-
-    def _open(self) -> None:
-        database = self._database
-        files = {table.name: self.folder.files(table.name) for table in TABLES}
-        self._files = [file for each in files.values() for file in each]
-        try:
-            for table in TABLES:
-                name = table.name
-                if files[name]:
-                    listed = ", ".join(_quoted(escape(file)) for file in files[name])
-                    database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
-                else:
-                    empty = pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table()
-                    database.register(f"{name}_rows", empty)
-                    database.execute(f"CREATE TABLE {name} AS SELECT * FROM {name}_rows")  # noqa: S608
-            allowed = ", ".join(_quoted(name) for file in self._files for name in {file, escape(file)})
-            database.execute(f"SET allowed_paths=[{allowed}]")
-            database.execute("SET enable_external_access=false")
-            database.execute("SET python_enable_replacements=false")
-            database.execute("SET TimeZone='UTC'")
-            database.execute("SET lock_configuration=true")
-        except duckdb.Error as error:
-            again = f"its tables can't be read; remove {self.folder.tables} to make them again"
-            raise NotRead(self.path, f"{again}: {_first_line(error)}") from error
 
 
 def _quoted(text: str) -> str:

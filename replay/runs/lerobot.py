@@ -75,7 +75,12 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
             import av  # noqa: F401, PLC0415
     if folder.exists():
         raise ReplayError(f"{folder} already exists; a data set needs a new folder")
-    robots = _robots(runs, names)
+    rows = runs.sql(
+        "SELECT run, arg_max(body, step) FROM mutations m WHERE command = 'set_robot' AND body <> '' "
+        "AND EXISTS (SELECT 1 FROM joints j WHERE j.run = m.run AND j.body = m.body) GROUP BY run ORDER BY run"
+    )
+    wanted = set(names)
+    robots = {run: robot for run, robot in rows.rows() if run in wanted}
     if not robots:
         raise ReplayError(f"{runs.path}: no robot moves in these runs, so they have no data to learn from")
     kinds = sorted(set(robots.values()))
@@ -97,21 +102,18 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
     return Exported(folder, tuple(robots), frames, tuple(name for name in names if name not in robots))
 
 
-def _robots(runs: Runs, names: Sequence[str]) -> dict[str, str]:
-    """Return for each run the last robot that has recorded joints."""
-    rows = runs.sql(
-        "SELECT run, arg_max(body, step) FROM mutations m WHERE command = 'set_robot' AND body <> '' "
-        "AND EXISTS (SELECT 1 FROM joints j WHERE j.run = m.run AND j.body = m.body) GROUP BY run ORDER BY run"
-    )
-    wanted = set(names)
-    return {run: robot for run, robot in rows.rows() if run in wanted}
-
-
 class _Writer:
     def __init__(self, folder: Path, runs: Runs, names: Sequence[str], robot: str, videos: _Videos | None) -> None:
         self.folder, self.runs, self.names, self.robot, self.videos = folder, runs, names, robot, videos
         self.joints = self._common("joint", "joints", "body = ?", [robot])
-        self.bodies = self._moving()
+        in_all = self._common("body", "poses", "body <> ?", [self.robot])
+        rows = self.runs.sql(
+            "SELECT DISTINCT body FROM (SELECT run, body FROM poses WHERE list_contains(?, run) GROUP BY run, body "
+            "HAVING max(x) - min(x) + max(y) - min(y) + max(z) - min(z) > 1e-4)",
+            [self.names],
+        )
+        moving = {body for (body,) in rows.rows()}
+        self.bodies = [body for body in in_all if body in moving]
         self.state = [*(f"base.{axis}" for axis in _POSE), *self.joints]
         self.environment = [f"{body}.{axis}" for body in self.bodies for axis in _POSE]
 
@@ -173,17 +175,6 @@ class _Writer:
             [*values, self.names, len(self.names)],
         )
         return [name for (name,) in rows.rows()]
-
-    def _moving(self) -> list[str]:
-        """Return the bodies that all runs have, and that move in any run; the robot is left out."""
-        in_all = self._common("body", "poses", "body <> ?", [self.robot])
-        rows = self.runs.sql(
-            "SELECT DISTINCT body FROM (SELECT run, body FROM poses WHERE list_contains(?, run) GROUP BY run, body "
-            "HAVING max(x) - min(x) + max(y) - min(y) + max(z) - min(z) > 1e-4)",
-            [self.names],
-        )
-        moving = {body for (body,) in rows.rows()}
-        return [body for body in in_all if body in moving]
 
     def _frames(self, run: str) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         poses = self._series(run, "poses", "body", _POSE)
@@ -331,7 +322,15 @@ class _Videos:
         """
         if self._container is None or self._path.stat().st_size > _MAX_VIDEO * 1e6:
             self.close()
-            self._open()
+            self._file += 1
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            os.environ.setdefault("SVT_LOG", "1")  # otherwise the codec prints its configuration
+            self._container = self._av.open(str(self._path), "w")
+            stream = cast("VideoStream", self._container.add_stream(self._name, rate=FPS, options=self._options))
+            stream.width, stream.height = _PICTURE
+            stream.pix_fmt = _FORMAT
+            self._stream = stream
+            self._frames = 0
         begin, counts = self._frames, np.zeros_like(self._counts)
         for picture in self._pictures(run, moments):
             frame = self._av.VideoFrame.from_ndarray(picture, format="rgb24")
@@ -395,17 +394,6 @@ class _Videos:
                     drawn = self._draw(log, steps[at], world, float(moment) if moves else None, _PICTURE)
                     still = -1 if moves else at
                 yield drawn
-
-    def _open(self) -> None:
-        self._file += 1
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        os.environ.setdefault("SVT_LOG", "1")  # otherwise the codec prints its configuration
-        self._container = self._av.open(str(self._path), "w")
-        stream = cast("VideoStream", self._container.add_stream(self._name, rate=FPS, options=self._options))
-        stream.width, stream.height = _PICTURE
-        stream.pix_fmt = _FORMAT
-        self._stream = stream
-        self._frames = 0
 
     def _encode(self, frame: av.VideoFrame | None) -> None:
         if self._stream is not None and self._container is not None:

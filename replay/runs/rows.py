@@ -157,7 +157,18 @@ class _Rows:
         elif isinstance(record, Query):
             self._query(record)
         elif isinstance(record, Event | Fluent):
-            self._event(record)
+            event = record if isinstance(record, Event) else _NO_EVENT
+            self._append(
+                "events",
+                record,
+                kind="fluent" if isinstance(record, Fluent) else "event",
+                name=record.name,
+                label=label(record.name, event.arguments),
+                sender=event.sender,
+                arguments=json_of(event.arguments),
+                value=record.after_json if isinstance(record, Fluent) else "",
+                handlers=len(event.handlers),
+            )
         elif isinstance(record, Keyframe):
             for state in record.bodies:
                 self._state(record.seq, record.world, record.sim_step, state)
@@ -304,20 +315,6 @@ class _Rows:
                 self._state(record.seq, record.world, sample.sim_step, state)
         for state in record.effect.bodies:
             self._state(record.seq, record.world, record.sim_step, state)
-
-    def _event(self, record: Event | Fluent) -> None:
-        event = record if isinstance(record, Event) else _NO_EVENT
-        self._append(
-            "events",
-            record,
-            kind="fluent" if isinstance(record, Fluent) else "event",
-            name=record.name,
-            label=label(record.name, event.arguments),
-            sender=event.sender,
-            arguments=json_of(event.arguments),
-            value=record.after_json if isinstance(record, Fluent) else "",
-            handlers=len(event.handlers),
-        )
 
     def _check(self, record: Check) -> None:
         violated = record.phase == Check.VIOLATED

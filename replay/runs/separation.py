@@ -82,11 +82,6 @@ def separate(runs: Runs, names: Sequence[str] | None = None, cause: str | None =
 
     Runs that succeeded but violated a watched property count as failures.
     """
-    cases = _cases(runs, names, cause)
-    return _separation(cases, list(compared_of(sites(runs, cases), cases)))
-
-
-def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[ComparedRun, ...]:
     wanted = None if names is None else set(names)
     rows = runs.sql(
         "SELECT run, succeeded AND violated = 0, cause, coalesce(q.step - 1, cause_step), records FROM runs r "
@@ -95,14 +90,12 @@ def _cases(runs: Runs, names: Sequence[str] | None, cause: str | None) -> tuple[
         "WHERE f.of = 'query' AND t.root AND f.step <= t.step GROUP BY 1) q USING (run) "
         "WHERE succeeded IS NOT NULL ORDER BY run"  # a query that raised the failure isn't its cause
     )
-    return tuple(
+    cases = tuple(
         ComparedRun(run, not succeeded, records if succeeded or step is None else step)
         for run, succeeded, why, step, records in rows.rows()
         if (wanted is None or run in wanted) and (succeeded or cause is None or why == cause)
     )
-
-
-def _separation(cases: tuple[ComparedRun, ...], found: list[Compared]) -> Separation:
+    found = list(compared_of(sites(runs, cases), cases))
     failing = np.array([case.failed for case in cases])
     compared = sum(len(each.true) for each in found)
     if not failing.any() or failing.all():
