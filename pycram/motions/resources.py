@@ -104,7 +104,6 @@ class ResourceQueue:
 
         Raises:
             ResourceError: The outer motion doesn't hold all requested resources.
-            BadArgument: ``resources`` has another type.
         """
         if resources is None:
             return self._outer
