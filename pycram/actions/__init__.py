@@ -5,13 +5,7 @@ If a choice fails, the action tries the next choice until its budget is spent; t
 action is a function in the plan language; ``@action("transporting")`` replaces the function.
 """
 
-from pycram.actions import (  # noqa: F401  the imports register the actions
-    carrying,
-    containers,
-    hands,
-    navigating,
-    perceiving,
-)
+from pycram.actions import carrying, containers, hands, navigating, perceiving  # noqa: F401  the imports register the actions
 from pycram.actions.action import ActionDesignator, ActionType, action, replaced
 from pycram.actions.locations import LocationDesignator
 from pycram.actions.objects import ObjectDesignator

@@ -129,9 +129,7 @@ _SLOTS: Final = SlotTable(
             text="the object that the robot's camera must see from the place",
         ),
         Slot(
-            "away-from",
-            ValueKind("", _near, _POINT),
-            text="an object or a point, at least 0.4 m away from the place",
+            "away-from", ValueKind("", _near, _POINT), text="an object or a point, at least 0.4 m away from the place"
         ),
         Slot("arm", ARM, text="the arm that must reach the target; by default any arm"),
     ),

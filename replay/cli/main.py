@@ -60,12 +60,7 @@ VERBS: Final = {
 _FILES: Final = (
     dict.fromkeys(("show", "source", "tree"), "log")
     | dict.fromkeys(("fork", "resume"), "retrace")
-    | {
-        "diff": "state",
-        "last-chance": "fix",
-        "pack": "repair",
-        "test": "minimise",
-    }
+    | {"diff": "state", "last-chance": "fix", "pack": "repair", "test": "minimise"}
 )
 _CHEAT: Final = "cheat"  # the only verb without a recording
 _DEBUG: Final = "debug"
