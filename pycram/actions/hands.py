@@ -27,7 +27,7 @@ from pycram.world import attachment
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
 from recorder import geometry
-from recorder.geometry import Pose, PoseLike, Vector
+from recorder.geometry import Pose, PoseLike
 
 
 def arms() -> list[Arm]:
@@ -156,7 +156,13 @@ def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, block
 
     Other poses add their obstacles to ``blocked``. A place of None is the robot's present place.
     """
-    middle, inward = _middle(robot, giver, taker)
+    base = geometry.invert(robot.get_position_and_orientation())
+    shoulders = []
+    for arm in (giver, taker):
+        link = robot.urdf.joint(arm.joints[0]).child
+        shoulders.append(geometry.transform(base, robot.get_link_position(link)))
+    (x, y, z), (u, v, w) = shoulders
+    middle, inward = ((x + u) / 2, (y + v) / 2, (z + w) / 2), 1 if y < v else -1
     for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
         turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
         pose = (middle[0] + ahead, middle[1], middle[2] - down), turn
@@ -171,17 +177,6 @@ def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, block
                     break
         if pairs:
             blocked.append(Blocked(giver.name, target[0], pairs))
-
-
-def _middle(robot: Object, giver: Arm, taker: Arm) -> tuple[Vector, int]:
-    """Return the middle between the shoulders in the robot's frame, and the sign of the giving hand's inward turn."""
-    base = geometry.invert(robot.get_position_and_orientation())
-    shoulders = []
-    for arm in (giver, taker):
-        link = robot.urdf.joint(arm.joints[0]).child
-        shoulders.append(geometry.transform(base, robot.get_link_position(link)))
-    (x, y, z), (u, v, w) = shoulders
-    return ((x + u) / 2, (y + v) / 2, (z + w) / 2), 1 if y < v else -1
 
 
 @action("picking-up", choices=lambda arm=None: ({"arm": each} for each in free_arms(arm)), checked={"object": portable})

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.describing.check import always_touching, check, parked
 from pycram.describing.grippers import SuctionGuess
@@ -71,7 +70,13 @@ def draw(body: Object, file: Path) -> None:
     poses = [arm.tool_pose(body.get_link_position_and_orientation(arm.tool_frame)) for arm in arms]
     tools = [[pose[0], *(geometry.transform(pose, end) for end in (_AXIS * np.eye(3)).tolist())] for pose in poses]
     points = np.vstack([*itertools.product(*zip(low, high, strict=True)), *itertools.chain(*tools)])
-    camera = _camera(points, (low + high) / 2, _AWAY if body.is_robot else _ABOVE)
+    middle, away = (low + high) / 2, _AWAY if body.is_robot else _ABOVE  # the camera sees all points
+    height = _FIELD * _SIZE[1] / _SIZE[0]
+    turn = geometry.look_at(away, (0.0, 0.0, 0.0))
+    right, down, ahead = ((points - middle) @ geometry.to_matrix(turn)).T
+    distance = _MARGIN * float(np.maximum(np.abs(right) / _FIELD - ahead, np.abs(down) / height - ahead).max())
+    x, y, z = (middle + distance * np.array(away) / math.hypot(*away)).tolist()
+    camera = Camera(((x, y, z), turn), _FIELD, height)
     pixels = (_SIZE[0] * _OVERSAMPLING, _SIZE[1] * _OVERSAMPLING)
     with body.world.lock:
         sight = camera.draw([drawable(body)], camera.window, pixels)
@@ -89,16 +94,6 @@ def draw(body: Object, file: Path) -> None:
     except (OSError, ValueError) as error:  # ValueError: no image format has the suffix
         raise AssetError(file, str(error)) from error
     print(f"picture in {file}", file=sys.stderr)
-
-
-def _camera(points: NDArray[np.float64], middle: NDArray[np.float64], away: Vector) -> Camera:
-    """Return a camera that looks from the direction ``away``, and sees all points (n, 3)."""
-    height = _FIELD * _SIZE[1] / _SIZE[0]
-    turn = geometry.look_at(away, (0.0, 0.0, 0.0))
-    right, down, ahead = ((points - middle) @ geometry.to_matrix(turn)).T
-    distance = _MARGIN * float(np.maximum(np.abs(right) / _FIELD - ahead, np.abs(down) / height - ahead).max())
-    x, y, z = (middle + distance * np.array(away) / math.hypot(*away)).tolist()
-    return Camera(((x, y, z), turn), _FIELD, height)
 
 
 def _flat(camera: Camera, points: Sequence[Vector]) -> list[list[float]]:

@@ -180,25 +180,21 @@ def find_mesh(source: Path, name: str, packages: Sequence[Path] = ()) -> Path:
     if not name:
         raise AssetError(source, "the URDF has a <mesh> without filename")
     if name.startswith(_PACKAGE):
-        return _in_package(source, name, packages)
+        package, _, path = name.removeprefix(_PACKAGE).partition("/")
+        found = None
+        for folder in _candidates(source, package, packages):
+            if (folder / path).is_file():
+                return folder / path
+            if found is None and (folder.name == package or _is_package(folder, package)) and folder.is_dir():
+                found = folder
+        if found is not None:
+            raise AssetError(source, f"the mesh {name} doesn't exist: the package is {found}, which has no {path}")
+        raise AssetError(source, f"the mesh {name} doesn't exist: {_unknown(package)}")
     relative = name.removeprefix("file://")
     for folder in (source.parent, store.folder()):
         if (folder / relative).is_file():
             return folder / relative
     raise AssetError(source, f"the mesh {name} doesn't exist")
-
-
-def _in_package(source: Path, name: str, packages: Sequence[Path]) -> Path:
-    package, _, path = name.removeprefix(_PACKAGE).partition("/")
-    found = None
-    for folder in _candidates(source, package, packages):
-        if (folder / path).is_file():
-            return folder / path
-        if found is None and (folder.name == package or _is_package(folder, package)) and folder.is_dir():
-            found = folder
-    if found is not None:
-        raise AssetError(source, f"the mesh {name} doesn't exist: the package is {found}, which has no {path}")
-    raise AssetError(source, f"the mesh {name} doesn't exist: {_unknown(package)}")
 
 
 def _unknown(package: str) -> str:

@@ -90,19 +90,16 @@ def load(
         if kind in (".urdf", files.XACRO):
             folders = check_packages(packages)
             content = files.expanded(file, read_bytes(file), folders)
-            return _corrected(file, _canonical(file, content, file.stem.removesuffix(".urdf"), folders, scale))
+            model = _canonical(file, content, file.stem.removesuffix(".urdf"), folders, scale)
+            beside = file.with_name(f"{file.stem.removesuffix('.urdf')}{corrections.SUFFIX}")
+            if not beside.exists():
+                return model
+            text = read_text(beside)
+            corrections.check(corrections.read(text, beside), model.urdf)
+            return replace(model, files=(*model.files, corrections.asset(beside.name, text.encode())))
         if kind in _MESH_SUFFIXES:
             return _canonical(file, build(file, color, scale), file.stem)
     raise AssetError(path, f"{file.suffix or 'a file without suffix'} is not .urdf, .stl, .obj, .dae or .xacro")
-
-
-def _corrected(file: Path, model: Model) -> Model:
-    beside = file.with_name(f"{file.stem.removesuffix('.urdf')}{corrections.SUFFIX}")
-    if not beside.exists():
-        return model
-    text = read_text(beside)
-    corrections.check(corrections.read(text, beside), model.urdf)
-    return replace(model, files=(*model.files, corrections.asset(beside.name, text.encode())))
 
 
 def _canonical(source: Path, content: bytes, stem: str, packages: tuple[Path, ...] = (), scale: float = 1.0) -> Model:

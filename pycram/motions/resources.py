@@ -191,7 +191,15 @@ class Ticket:
             outer._waiting[self] = None  # noqa: SLF001  same class
         try:
             if not self._grant():
-                self._refuse_deadlock()
+                reached = dict.fromkeys(self._blockers())  # motions that must end before this motion can begin
+                pending = list(reached)
+                for blocker in pending:
+                    if blocker is self or blocker in self._outer:
+                        raise Deadlock(self._motion, pending[0]._motion)  # noqa: SLF001  same class
+                    parts = list(blocker._waiting)  # noqa: SLF001  same class
+                    further = [ticket for part in parts for ticket in part._blockers() if ticket not in reached]  # noqa: SLF001
+                    reached.update(dict.fromkeys(further))
+                    pending += further
                 wait(self._queue.changed, self._grant, reason=self._reason)
         finally:
             for outer in self._outer:
@@ -215,14 +223,3 @@ class Ticket:
         names = ", ".join(dict.fromkeys(blocker._motion for blocker in blockers))  # noqa: SLF001  same class
         what = f"the end of {names}, as {self._motion} {self.resources}"
         return what, "in", [blocker._branch for blocker in blockers]  # noqa: SLF001  as above
-
-    def _refuse_deadlock(self) -> None:
-        reached = dict.fromkeys(self._blockers())
-        pending = list(reached)
-        for blocker in pending:
-            if blocker is self or blocker in self._outer:
-                raise Deadlock(self._motion, pending[0]._motion)  # noqa: SLF001  same class
-            parts = list(blocker._waiting)  # noqa: SLF001  same class
-            further = [ticket for part in parts for ticket in part._blockers() if ticket not in reached]  # noqa: SLF001
-            reached.update(dict.fromkeys(further))
-            pending += further

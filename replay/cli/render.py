@@ -65,20 +65,19 @@ def run(log: Recording, options: argparse.Namespace) -> None:
             print_moment(log, name)
         if cut and not rows:
             print_message(f"left out, because these objects would hide the scene: {names(cut)}")
-        file = _saved(picture, options.file, f"{log.path.stem}_{shown}.png", several=len(steps) > 1)
-        rows.append({"step": shown, "file": file, "width": picture.width, "height": picture.height, "cut": list(cut)})
+        title = f"{log.path.stem}_{shown}.png"
+        several = len(steps) > 1
+        file = Path(options.file or "") / title if several or not options.file else Path(options.file)
+        try:
+            if several:
+                file.parent.mkdir(parents=True, exist_ok=True)
+            picture.save(file)
+        except (OSError, ValueError) as error:
+            raise ReplayError(f"{file}: can't be written: {error}") from error
+        rows.append(
+            {"step": shown, "file": str(file), "width": picture.width, "height": picture.height, "cut": list(cut)}
+        )
     print_result(lambda: rows if len(rows) > 1 else rows[0], [str(row["file"]) for row in rows], as_json=options.json)
-
-
-def _saved(picture: Image.Image, given: str | None, name: str, *, several: bool) -> str:
-    file = Path(given or "") / name if several or not given else Path(given)
-    try:
-        if several:
-            file.parent.mkdir(parents=True, exist_ok=True)
-        picture.save(file)
-    except (OSError, ValueError) as error:
-        raise ReplayError(f"{file}: can't be written: {error}") from error
-    return str(file)
 
 
 def _point(text: str | None) -> list[float] | str | None:

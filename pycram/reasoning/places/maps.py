@@ -263,7 +263,13 @@ class ArmReach:
         bearing = np.arctan2(flat[:, 1], flat[:, 0])
         np.add.at(counts, self._cells(points[:, 2], distance, bearing, shape), 1.0)
         for axis, wrap in ((0, False), (1, False), (2, True)):  # a cell has few postures, so its neighbours count, too
-            counts = _smoothed(counts, axis, wrap=wrap)
+            before, after = (np.roll(counts, step, axis=axis) for step in (1, -1))
+            if not wrap:
+                first: list[slice | int] = [slice(None)] * counts.ndim
+                last = list(first)
+                first[axis], last[axis] = 0, -1
+                before[tuple(first)], after[tuple(last)] = 0.0, 0.0
+            counts = (before + 2 * counts + after) / 4
         counts /= np.maximum(np.arange(shape[1]) + 0.5, 0.5)[None, :, None]  # distant cells have larger volumes
         full = np.quantile(counts[counts > 0.0], _FULL) if counts.any() else 1.0
         self._scores = np.sqrt(np.minimum(counts / full, 1.0))
@@ -295,17 +301,6 @@ class ArmReach:
         by_distance = np.append(self._scores[z].max(axis=1), 0.0)
         found: Array = by_distance[(distance / _CELL).astype(np.intp).clip(0, len(by_distance) - 1)]
         return found
-
-
-def _smoothed(counts: Array, axis: int, *, wrap: bool) -> Array:
-    before, after = (np.roll(counts, step, axis=axis) for step in (1, -1))
-    if not wrap:
-        first: list[slice | int] = [slice(None)] * counts.ndim
-        last = list(first)
-        first[axis], last[axis] = 0, -1
-        before[tuple(first)], after[tuple(last)] = 0.0, 0.0
-    smoothed: Array = (before + 2 * counts + after) / 4
-    return smoothed
 
 
 _known: dict[tuple[Path, str, str], ArmReach] = {}  # reaches of arms by model, text of the description, and arm
