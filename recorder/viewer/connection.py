@@ -138,19 +138,21 @@ class ViewerWindow:
         self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  read again, because the viewer has ended
         self.url = address(PORT)  # address of the viewer, which has already answered
         if not (is_own(PORT) and answers(self.url)):
-            port = free_port(PORT)
-            self.url = address(port)
-            self._process = subprocess.Popen(  # noqa: S603
-                [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", HOST, "--expect-data-soon"],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=self._stderr,
-                start_new_session=True,  # Ctrl-C must stop only the plan
-                env=os.environ | {"RERUN_APP_ONLY": "true"},
-            )
-            wait_for_answer(self.url, self.check)
-            if not is_own(port):  # another program has taken the port in the meantime
-                raise ViewerGone(f"another user's program listens at {self.url}")
+            self._start(free_port(PORT))
+
+    def _start(self, port: int) -> None:
+        self.url = address(port)
+        self._process = subprocess.Popen(  # noqa: S603
+            [sys.executable, "-m", "rerun_cli", "--port", str(port), "--bind", HOST, "--expect-data-soon"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=self._stderr,
+            start_new_session=True,  # Ctrl-C must stop only the plan
+            env=os.environ | {"RERUN_APP_ONLY": "true"},
+        )
+        wait_for_answer(self.url, self.check)
+        if not is_own(port):  # another program has taken the port in the meantime
+            raise ViewerGone(f"another user's program listens at {self.url}")
 
     def check(self, timeout: float = 0.0) -> None:
         """Raise ViewerGone if the viewer was closed or failed. ``timeout`` (s) limits the wait for the viewer's end."""
