@@ -286,7 +286,7 @@ class SurfaceSearch(Search):
         clone = clone_of(self._body.world, "reach")
         carried = held(self._robot) if self._robot else ()
         left_out = {*self._own, *carried}
-        if searched.on_object:  # the outline of a top excludes its rim
+        if not searched.furniture.fixed:  # the outline of a free object's surface excludes its rim or walls
             left_out.add(searched.furniture)
         others = [each for each in self._body.world.objects if each not in left_out]
         (_, _, height), _ = searched.pose()

@@ -255,6 +255,18 @@ def test_impossible_constraints_are_refused_immediately(room: BulletWorld, table
         free_places(cup, on=on(table), near=[math.nan, 0])
 
 
+def test_the_walls_of_a_pot_leave_room_on_its_bottom(room: BulletWorld) -> None:
+    cup = room.get_object("cup")
+    pot = Object("pot", "pot", "pot.stl", [2.0, 0.0, 0.063])
+    try:
+        ((name, bottom),) = pot.surfaces.items()  # large enough for a surface of furniture, although the pot is free
+        place = next(free_places(cup, on=[(pot, bottom)], seed=1))
+        assert place.surface == name
+        assert place.position[2] - 0.05 < pot.get_position()[2], "inside of the pot"
+    finally:
+        pot.remove()
+
+
 @pytest.mark.slow
 def test_a_cup_put_down_on_a_plate_stands_on_the_plate(room: BulletWorld) -> None:
     saved = room.save()
