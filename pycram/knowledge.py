@@ -42,6 +42,7 @@ def believed(what: str | Object, *, robot: Object | None = None) -> Belief | Non
         robot: None for the current world's robot.
 
     Raises:
+        BadArgument: ``what`` has another type.
         NoWorld: There is no robot.
     """
     return next(iter(beliefs(what, robot=robot)), None)

@@ -58,6 +58,9 @@ def parameters(**defaults: Any) -> SimpleNamespace:
 
     A plan writes ``speed = pycram.parameters(speed=0.5).speed``. A value must have the type of its default, unless the
     default is None.
+
+    Raises:
+        BadArgument: A value has another type than its default.
     """
     return SimpleNamespace(**{name: fitting(name, _given.get(name, value), value) for name, value in defaults.items()})
 

@@ -199,6 +199,9 @@ def projecting(budget: int = _MAX_IMAGINED, *, seconds: float | None = None) -> 
     Args:
         budget: Maximum number of projected choices of an action.
         seconds: Simulated time in s after which no more choices are projected.
+
+    Raises:
+        BadArgument: A limit is out of range.
     """
     if isinstance(budget, bool) or not isinstance(budget, int) or budget < 1:
         raise BadArgument("budget", budget, "a whole number of choices, 1 or more")

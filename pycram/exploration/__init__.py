@@ -135,6 +135,7 @@ def explore(
 
     Raises:
         NotExplorable: A world has a window or runs in real time, the plan has other threads, or the system can't fork.
+        BadArgument: An argument is out of range, or the action isn't a function.
         LockHeld: The caller holds a lock.
         RecordingError: The folder doesn't exist.
     """

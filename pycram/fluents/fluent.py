@@ -113,6 +113,9 @@ class Fluent:
     Args:
         value: The first value; of a future, its result.
         name: Name in recordings; "fluent_1", "fluent_2", ... by default.
+
+    Raises:
+        BadArgument: The name isn't text, or the value is a function.
     """
 
     __slots__ = ("__weakref__", "expression")
@@ -171,6 +174,7 @@ class Fluent:
             True if the value is not None, or was not None at any moment during the wait; False after the timeout.
 
         Raises:
+            BadArgument: The timeout isn't a number.
             Cancelled: The branch is cancelled.
             WorldClosed: An object or world that the fluent follows is gone.
             Exception: Any error of a function of the network.
@@ -199,6 +203,9 @@ class Fluent:
         """Return a fluent that counts later pulses of this fluent: True while a pulse is unhandled, else None.
 
         Each ``whenever`` needs its own counter; two ``whenever`` with the same counter would share the pulses.
+
+        Raises:
+            BadArgument: ``handle_missed`` isn't a behavior.
         """
         return self._counted(handle_missed)
 
@@ -304,6 +311,9 @@ def network(function: Callable[..., Value], *operands: object) -> Fluent:
 
     Args:
         function: Called with one value for each operand, whenever the network's value is needed.
+
+    Raises:
+        BadArgument: The function isn't callable.
     """
     if not callable(function):
         raise BadArgument("function", function, "a function of the operands' values")
@@ -420,6 +430,7 @@ def whenever(fluent: Fluent, body: Callable[[], object] | None = None) -> Iterat
         Without a body, an iterator that waits, and yields each value that isn't None.
 
     Raises:
+        BadArgument: ``fluent`` isn't a fluent, or the body isn't callable.
         Cancelled: The branch is cancelled.
     """
     watched = unwrap(fluent)

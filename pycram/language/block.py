@@ -98,6 +98,7 @@ class Block:
         """Add a branch that calls a function; return a future of the result.
 
         Raises:
+            BadArgument: The action isn't callable.
             BlockClosed: The block has ended.
             OutlivesTimeout: The body adds the branch inside a timeout, and the branch would outlive the timeout.
             RunsEarly: Earlier actions of the sequence have not ended.

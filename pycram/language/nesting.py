@@ -175,6 +175,7 @@ def finally_(action: Callable[..., Any], *args: object, **kwargs: object) -> Ite
     fail, the block's failure is raised, with the cleanup's failure as its context; a usage error takes precedence.
 
     Raises:
+        BadArgument: The action isn't callable.
         NotCleanedUp: The action failed after a cancellation. The block that cancelled the branch raises the error.
     """
     if not callable(action):

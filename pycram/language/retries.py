@@ -55,6 +55,9 @@ class FailureHandling:
         retries: 0 or more; 5 retries make up to 6 attempts.
         kinds: Types of failures that are retried; by default all plan failures.
         parameters: Parameters of the attempts; a recovery or ``retry`` may change them.
+
+    Raises:
+        BadArgument: ``retries`` is below 0, or a type isn't a type of plan failures.
     """
 
     def __init__(self, retries: int, *kinds: type[PlanFailure], **parameters: object) -> None:
@@ -70,6 +73,9 @@ class FailureHandling:
 
         Before the next attempt, the first recovery that matches the failure is called. A recovery may return parameters
         for that attempt. An error of the recovery ends the handling.
+
+        Raises:
+            BadArgument: ``kind`` isn't a type of failures, or the recovery isn't a function.
         """
         if not callable(recovery):
             raise BadArgument(

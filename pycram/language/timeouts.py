@@ -52,6 +52,7 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
 
     Raises:
         TimedOut: The block missed its deadline.
+        BadArgument: The limit is negative, or isn't a number.
         NoWorld: There is no current world.
     """
     limit = number("seconds", seconds)

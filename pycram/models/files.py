@@ -93,6 +93,7 @@ def find(path: str | Path) -> Path:
             example-robot-data: ``pr2.urdf``, ``tiago_pro.urdf``, ``panda.urdf`` or ``ur5.urdf``.
 
     Raises:
+        BadArgument: The argument isn't a path.
         AssetError: The file doesn't exist.
     """
     if not isinstance(path, str | Path) or not str(path):

@@ -166,6 +166,9 @@ class Designator(ABC):
             designator, which is resolved together with this designator.
         parent: An older designator to equate with this designator.
         slots: Further slots; ``reachable_for`` is the slot ``reachable-for``, ``in_`` is the slot ``in``.
+
+    Raises:
+        DesignatorError: The description isn't a list of pairs.
     """
 
     performed_by: ClassVar[str] = ""

@@ -122,6 +122,7 @@ def execution_environment(name: str, *, level: bool = False) -> Iterator[None]:
         level: Whether motions keep the objects in the robot's hands upright, within 15 degrees.
 
     Raises:
+        BadArgument: The argument isn't a name.
         NotInstalled: "continuous" needs packages that plan motions, and these aren't installed.
     """
     _require(checks.text("name", name))

@@ -104,6 +104,7 @@ class ResourceQueue:
 
         Raises:
             ResourceError: The outer motion doesn't hold all requested resources.
+            BadArgument: ``resources`` has another type.
         """
         if resources is None:
             return self._outer

@@ -142,6 +142,7 @@ def project(
 
     Raises:
         NotProjectable: A world has a window or runs in real time, the plan has other threads, or the system can't fork.
+        BadArgument: The action isn't callable, or a limit is wrong.
         LockHeld: The caller holds a lock.
     """
     names = [_name(action)]

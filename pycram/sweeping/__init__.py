@@ -138,6 +138,7 @@ def sweep(
     Raises:
         SweepRefused: The folder has another sweep or is in use, or the system can't fork.
         UnknownParameter: The plan doesn't declare the parameter.
+        BadArgument: An argument is wrong.
         LockHeld: The caller holds a lock.
     """
     refuse_held()

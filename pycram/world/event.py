@@ -57,6 +57,7 @@ class Event:
         """Register a handler, which gets the event's arguments, once.
 
         Raises:
+            BadArgument: The handler isn't callable.
             RecordingError: The registration can't be recorded; the handler isn't registered.
         """
         if not callable(handler):

@@ -51,7 +51,11 @@ class Body:
         return tuple(f"{asset.sha256}/{asset.path.rpartition('/')[2]}" for asset in self.loaded.assets)
 
     def joint(self, name: str) -> float:
-        """Return the position of a joint in rad or m."""
+        """Return the position of a joint in rad or m.
+
+        Raises:
+            NoSuchName: The body has no movable joint with this name.
+        """
         if name not in self.joints:
             raise NoSuchName(f"movable joint of {self.name}", name, self.joints)
         return self.joints[name]

@@ -91,6 +91,7 @@ def free_places(
         seed: seed of the draws; None for the run's seed.
 
     Raises:
+        BadArgument: A value is impossible.
         UnknownName: A side, arm or surface is unknown.
         NoPlace: There is no place; raised at the first request.
     """

@@ -82,6 +82,7 @@ def standing_places(
         quickly: whether to end the search after 30 excluded places in a row, instead of 270.
 
     Raises:
+        BadArgument: A value is impossible.
         UnknownName: The robot has no such arm, or there is no such side.
         MissingPart: The robot has no arm or camera, but needs it.
         NoPlace: There is no place; raised at the first request.
