@@ -14,15 +14,17 @@ from dataclasses import dataclass
 from typing import Final
 
 from recorder.plan_lines import called_name, stored
-from replay.fix.operators import FAR, Change, changes, similar_name
-from replay.fix.plan_syntax import PlanSyntax, asserts, loads
+from replay.fix.operators import FAR, changes, forgotten_call, similar_name
+from replay.fix.plan_syntax import Change, PlanSyntax, asserts, loads
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
 _AROUND: Final = 0.1  # additional cost of an edit of the condition or loop around a line
+_BLOCKS: Final = ast.For | ast.While | ast.If | ast.With
 _SCENE: Final = 0.3  # additional cost of an edit of a loaded object
 _WAITS: Final = ("settle()", "simulate(1)")
-_STRUCTURAL: Final = 0.45  # largest cost of edits that are tried on all lines
+CERTAIN: Final = 0.2  # largest cost of an edit of what is hardly ever meant
+_STRUCTURAL: Final = 0.5  # largest cost of edits that are tried on all lines
 #: Calls that aren't inserted: they reach a goal, or make the scene.
 _NOT_AGAIN: Final = {
     *("set_gravity", "pick_up", "place", "placing", "picking_up", "transporting", "Object", "BulletWorld")
@@ -63,9 +65,12 @@ class Editor:
         """
         sets = [set(each) for each in alternatives]
         plan = self.plan
-        nodes = [node for node in plan.nodes if getattr(node, "lineno", 0) == line and node not in plan.goals]
+        nodes = [node for node in plan.nodes if getattr(node, "lineno", 0) == line]
         used = {each for point, numbers in plan.lists if numbers in self.points for each in ast.walk(point)}
         for node in sorted(nodes, key=lambda node: node not in used):
+            if node in plan.goals:  # a function in a condition is always true
+                yield from (self._edit(each, line) for each in forgotten_call(node, plan) if each.cost < CERTAIN)
+                continue
             for change in (*self._names(node, sets), *changes(node, plan)):
                 likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
                 yield self._edit(change, line, _SCENE * (node in plan.scene) - likely)
@@ -79,8 +84,8 @@ class Editor:
         """Yield the likeliest edits of the whole plan that change how values are computed, not the values."""
         for node in self.plan.nodes:
             found = [*changes(node, self.plan)] if node not in self.plan.goals else []
-            found += self._moves(node) if isinstance(node, ast.Assign) else ()
-            likely = (each for each in found if each.cost < _STRUCTURAL and not each.asks and not each.chance)
+            found += self._moves(node) if isinstance(node, ast.stmt) and node not in self.plan.goals else ()
+            likely = (each for each in found if each.cost <= _STRUCTURAL and not each.asks and not each.chance)
             yield from (self._edit(each, node.lineno) for each in likely)  # type: ignore[attr-defined]
 
     def insertions(self, line: int) -> Iterator[Edit]:
@@ -157,10 +162,15 @@ class Editor:
             moved = self._moved(statement, inner.body[0], 0.4, "")
             yield moved._replace(what=f"line {statement.lineno} into the block of line {inner.lineno}")
             inner = next((each for each in inner.body if loads(each, made)), None)
-        if isinstance(parent, ast.For | ast.While) and statement in parent.body:
-            is_last = at == len(block) - 1
-            if is_last or (at == 0 and isinstance(statement, ast.Assign)):
-                yield self._moved(statement, parent, 0.6, "the loop", after=is_last)
+        is_last = at == len(block) - 1
+        if isinstance(parent, ast.For | ast.While) and statement in parent.body and at == 0 and made:
+            yield self._moved(statement, parent, 0.45, "the loop")
+        if is_last and isinstance(parent, _BLOCKS) and not self._is_check(statement):
+            jumps = isinstance(statement, ast.Return) and isinstance(parent, ast.For | ast.While)
+            yield self._moved(statement, parent, 0.4 if jumps else 0.6, "the block", after=True)
+        above = block[at - 1] if at and not self._is_check(statement) else None
+        if isinstance(above, _BLOCKS) and not self._is_check(above):
+            yield self._moved(statement, above.body[-1], 0.5, f"line {above.body[-1].lineno}, in its block", after=True)
 
     def _is_check(self, statement: ast.stmt) -> bool:
         """Return whether a statement contains an assertion, directly or in a called function."""

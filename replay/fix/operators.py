@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import ast
+import builtins
 import copy
 import math
 import re
 from collections.abc import Iterator
-from typing import Final, NamedTuple
+from itertools import repeat
+from typing import Final
 
+from pycram.bullet_world import BulletWorld, Object
+from pycram.event import Event
+from pycram.fluent import Fluent
 from recorder.plan_lines import called_name, last_name, stored
-from replay.fix.plan_syntax import PlanSyntax, loads, written_number, written_numbers
+from replay.fix.plan_syntax import Change, PlanSyntax, instead, loads, written_number, written_numbers
 
 _FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
-#: Each row: an operator, and those that it replaces by mistake.
-_ROWS: Final = (
-    "Add Sub, Sub Add, Mult Div, Div FloorDiv Mult, FloorDiv Div Mod, Mod FloorDiv, And Or, Or And, Lt Gt LtE, "
-    "Gt Lt GtE, LtE GtE Lt, GtE LtE Gt, Eq NotEq, NotEq Eq, Is IsNot, IsNot Is, In NotIn, NotIn In"
-)
-_OPPOSITE: Final = {row.split()[0]: row.split()[1:] for row in _ROWS.split(", ")}
 _FEW: Final = 2  # whole numbers up to this number are counts, not lengths
 _MANY: Final = 4.0  # a number that is so much larger than all others has another unit
 _RIGHT_ANGLES: Final = 15.0  # multiples of this number are likely angles in degrees
@@ -28,23 +27,50 @@ _ANGLE: Final = re.compile(r".*(?:deg|angle|yaw|pitch|roll|theta|turn|heading|ro
 _RADIANS: Final = {"radians": "radians", "math.radians": "math"}  # functions by the imported name
 _MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
 _JUMPS: Final = ast.Return | ast.Break | ast.Continue | ast.Pass
-_OTHERS: Final = {"min": "max", "max": "min", "sin": "cos", "cos": "sin", "any": "all", "all": "any"}
+#: Each row: functions, methods or attributes that are confused.
+_SIMILAR: Final = (
+    "strip lstrip rstrip removeprefix removesuffix, floor ceil round int, any all, min max, sin cos, append extend, "
+    "copy deepcopy, par seq try_in_order try_all pursue, keys values items, sorted reversed, startswith endswith, find "
+    "rfind, union intersection difference, combinations permutations, pop popleft, issubset issuperset, name type, "
+    "partition rpartition, lower upper, falling rising, zip zip_longest, discard remove"
+)
+_MEANT: Final = {name: row.split() for row in _SIMILAR.split(", ") for name in row.split()}
+#: Each row: a cost, and patterns with what is meant instead. K and L are constants, X is none, other letters either.
+_RULES: Final = """
+0.15; V = A.sort() | V = sorted(A); V = A.sort(key=B) | V = sorted(A, key=B); V = map(A, B) | V = list(map(A, B))
+0.15; V = zip(A, B) | V = list(zip(A, B)); [X] * B | [X for _ in range(B)]; A == K or L | A in (K, L)
+0.15; groupby(A, B) | groupby(sorted(A, key=B), B); groupby(A, key=B) | groupby(sorted(A, key=B), key=B)
+0.15; dict.fromkeys(A, B) | {key: B for key in A}; groupby(A) | groupby(sorted(A)); V = A.append(B) | A.append(B)
+0.3; range(1, A + 1) | range(A); range(1, A) | range(A) | range(1, A + 1); range(A + 1) | range(A)
+0.3; range(A - 1) | range(A); range(X, A) | range(X - 1, A) | range(X, A + 1)
+0.3; range(X) | range(1, X) | range(X + 1) | range(X - 1); radians(A) | A; math.radians(A) | A; degrees(A) | A
+0.35; A + B / C | (A + B) / C; A - B / C | (A - B) / C; A + B * C | (A + B) * C; A - B * C | (A - B) * C
+0.35; A / B + C | A / (B + C); A / B - C | A / (B - C); A * B + C | A * (B + C); A * B - C | A * (B - C)
+0.35; A / B * C | A / (B * C); A - B + C | A - (B + C); A.set_value(K) | A.set_value(A.get_value() + K)
+0.4; A or B and C | (A or B) and C; A[0] | A[-1]; A[-1] | A[0]; A[B:] | A[:] | A[B - 1:] | A[B + 1:]
+0.4; A[:B] | A[:] | A[:B + 1] | A[:B - 1]; A[B:C] | A[:] | A[B:C + 1] | A[B - 1:C]; A - B < C | abs(A - B) < C
+0.5; A[X] | A[X - 1] | A[X + 1]; A + K | A; A - K | A; enumerate(A) | enumerate(A, 1); F(A, B) | F(B, A)
+0.5; F(A, B, C) | F(B, A, C) | F(A, C, B); A += B | A -= B | A = B; A or B | B if A is None else A; return | continue
+0.5; A.copy() | copy.deepcopy(A); abs(A) | A; not A | A | A is None; round(A) | A | round(A, 2); sorted(A) | A
+0.55; A < B | A > B | A <= B; A > B | A < B | A >= B; A <= B | A >= B | A < B; A >= B | A <= B | A > B; break | continue
+0.55; A in B | A not in B; A == B | A != B | A is B; A != B | A == B; A is B | A is not B | A == B; A is not B | A is B
+0.55; A not in B | A in B; continue | break
+0.65; A + B | A - B; A - B | A + B; A and B | A or B; A or B | A and B; A * B | A / B; A / B | A // B | A * B
+0.65; A // B | A / B | A % B; A % B | A // B; A and B and C | A or B or C; A or B or C | A and B and C
+"""
+_PARSED: Final = [
+    (float(cost), ast.parse(old).body[0], news)
+    for cost, *rules in (row.split("; ") for row in _RULES.split("\n")[1:-1])
+    for old, *news in (rule.split(" | ") for rule in rules)
+]
+_CLASSES: Final = (str, list, dict, set, Object, BulletWorld, Event, Fluent)
+_METHODS: Final = {name for each in _CLASSES for name, value in vars(each).items() if callable(value)}
+#: Functions and methods that only return a value.
+_PURE: Final = {*vars(str), "copy", "deepcopy", "sorted", "union", "intersection", "round"} - {"index", "count"}
+_VALUES: Final = ast.If | ast.While | ast.IfExp | ast.BoolOp | ast.UnaryOp | ast.Compare | ast.BinOp | ast.For
+_COMPOUND: Final = ast.BinOp | ast.UnaryOp | ast.BoolOp | ast.Compare | ast.Attribute | ast.IfExp
+_KEYS: Final = ("lambda each: each[1]", "lambda each: each[0]", "len", "int", "str.lower")
 FAR: Final = 1.0  # cost of an edit that is larger than a typical mistake
-
-
-class Change(NamedTuple):
-    """New texts at places of the source."""
-
-    what: str  # the change, in words
-    cost: float
-    parts: tuple[tuple[ast.AST | tuple[int, int], str], ...]  # nodes, or places in bytes
-    asks: bool = False  # whether a value or name changes, rather than how values are computed
-    chance: bool = False  # whether only the success of the run supports it
-    kind: str = ""  # name of the operator
-
-
-def _to(node: ast.AST, new: str, cost: float, what: str = "", *, asks: bool = False, chance: bool = False) -> Change:
-    return Change(what or f"{new} instead of {ast.unparse(node)}", cost, ((node, new),), asks, chance)
 
 
 def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -60,12 +86,13 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         cost = 0.25 + 0.05 * number if is_unit else 0.3 + 0.1 * number + 0.4 * (number > 2)
         cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)
         what = f"{value} times {factor:.3g}"
-        yield _to(node, new, cost, what, asks=not is_unit, chance=not is_unit)
+        yield instead(node, new, cost, what, asks=not is_unit, chance=not is_unit)
     if value and (isinstance(value, float) or node not in plan.counts | plan.turns):
-        yield _to(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
+        yield instead(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":
+        asks = not isinstance(plan.parents[node], ast.Subscript)
         for other in (value - 1, value + 1):
-            yield _to(node, repr(other), 0.45, asks=True)
+            yield instead(node, repr(other), 0.45 + 0.03 * (other > value), asks=asks)
 
 
 def _frame(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -73,7 +100,7 @@ def _frame(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     position = written_numbers(node)
     for base in plan.bases if len(position) == 3 and position[2] else ():
         new = f"[{', '.join(f'{one + other:.6g}' for one, other in zip(position, base, strict=True))}]"
-        yield _to(node, new, 0.4, f"{new}: {ast.unparse(node)} seen from {base}", asks=True, chance=True)
+        yield instead(node, new, 0.4, f"{new}: {ast.unparse(node)} seen from {base}", asks=True, chance=True)
 
 
 def _spare_world(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -90,76 +117,28 @@ def _lost_update(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     match node:
         case ast.Assign([ast.Name(name)], value) if plan.in_loop(node):
             if written_number(value) or (name in plan.literals and isinstance(value, ast.Call)):
-                yield _to(node, f"{name} += {ast.unparse(value)}", 0.3)
-        case ast.Call(ast.Attribute(fluent, "set_value"), [number]) if written_number(number):
-            yield _to(number, f"{ast.unparse(fluent)}.get_value() + {ast.unparse(number)}", 0.35)
-
-
-def _bounds(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
-    """Yield other first and last items."""
-    match node:
-        case ast.Call(args=[_, *_]) if called_name(node) == "range" and not node.keywords:
-            first, last, *step = ["0" for _ in node.args[:1] if not node.args[1:]] + [*map(ast.unparse, node.args)]
-            core, other = re.sub(r" [+-] 1$", "", last), {"0": "1", "1": "0"}.get(first)
-            news = [(other or first, core)] if core != last else []
-            news += [(other or f"{first} - 1", last), (first, core if news else f"{last} + 1"), (first, f"{last} - 1")]
-            for at, (start, stop) in enumerate(news):
-                new = stop if start == "0" and not step else ", ".join((start, stop, *step))
-                yield _to(node, f"range({new})", 0.3 + 0.08 * at)
-        case ast.Call(args=[listed, *start]) if called_name(node) == "enumerate":
-            yield _to(node, f"enumerate({ast.unparse(listed)}{'' if start or node.keywords else ', 1'})", 0.5)
-        case ast.Subscript(listed, ast.Slice()):
-            yield _to(node, f"{ast.unparse(listed)}[:]", 0.4)
-        case ast.Subscript(_, ast.Constant(0) | ast.UnaryOp(ast.USub(), ast.Constant(1)) as at):
-            yield _to(at, "-1" if isinstance(at, ast.Constant) else "0", 0.4)
-
-
-def _grouping(node: ast.AST, _: PlanSyntax) -> Iterator[Change]:
-    """Yield other parentheses."""
-    new: list[ast.expr] = []
-    match node:
-        case ast.BinOp(left, op, right):
-            if isinstance(right, ast.BinOp) and not _is_same(op, right.op):
-                new.append(ast.BinOp(ast.BinOp(left, op, right.left), right.op, right.right))
-            if isinstance(left, ast.BinOp) and not _is_same(left.op, op):
-                new.append(ast.BinOp(left.left, left.op, ast.BinOp(left.right, op, right)))
-        case ast.BoolOp(ast.Or(), [*before, ast.BoolOp(values=[first, *rest])]):
-            new.append(ast.BoolOp(ast.And(), [ast.BoolOp(ast.Or(), [*before, first]), *rest]))
-    yield from (_to(node, f"({ast.unparse(each)})", 0.35 + 0.05 * isinstance(each, ast.BoolOp)) for each in new)
-
-
-def _is_same(*operators: ast.operator) -> bool:
-    """Return whether parentheses don't matter between the first and the second operator."""
-    one, other = (type(each).__name__ for each in operators)
-    return f"{one} {other}" in ("Add Add", "Add Sub", "Mult Mult", "Mult Div")
+                yield instead(node, f"{name} += {ast.unparse(value)}", 0.3)
 
 
 def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield an angle in the other unit."""
-    if isinstance(node, ast.Call) and called_name(node) in ("radians", "degrees"):
-        yield _to(node, f"({ast.unparse(node.args[0])})", 0.4)
-    elif isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load):
+    if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load):
         parent = plan.parents[node]
         named = _ANGLE.fullmatch(ast.unparse(node)) is not None and node not in plan.called
         turned = called_name(parent) in ("sin", "cos", "tan") and node in getattr(parent, "args", ())
         if (named or turned) and called_name(parent) not in ("radians", "degrees"):
             function = next((each for each, name in _RADIANS.items() if name in plan.defined), "0.0174533 * ")
-            yield _to(node, f"{function}({ast.unparse(node)})", 0.35)
+            yield instead(node, f"{function}({ast.unparse(node)})", 0.35)
 
 
 def _aliasing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield a copy of a container instead of a second name, and as many containers as items."""
+    """Yield a copy of a container instead of a second name."""
     match node:
-        case ast.BinOp(ast.List([item]), ast.Mult(), times) | ast.BinOp(times, ast.Mult(), ast.List([item])) if (
-            not isinstance(item, ast.Constant)
-        ):
-            yield _to(node, f"[{ast.unparse(item)} for _ in range({ast.unparse(times)})]", 0.2)
-        case ast.Call(args=[keys, value]) if called_name(node) == "fromkeys":
-            yield _to(node, f"{{key: {ast.unparse(value)} for key in {ast.unparse(keys)}}}", 0.2)
         case ast.Assign(value=value) | ast.Return(value) if isinstance(value, ast.Name | ast.Subscript | ast.Attribute):
             if any(isinstance(each, ast.Name) and each.id in plan.literals for each in ast.walk(value)):
                 text = ast.unparse(value)
-                yield _to(value, f"{plan.literals[text]}({text})" if text in plan.literals else f"{text}.copy()", 0.5)
+                new = f"{plan.literals[text]}({text})" if text in plan.literals else f"{text}.copy()"
+                yield instead(value, new, 0.5)
 
 
 def _default(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -182,7 +161,8 @@ def _late(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     if isinstance(node, ast.Lambda | ast.FunctionDef) and not node.args.vararg and not node.args.kwonlyargs:
         loops = [each for each in plan.around(node) if isinstance(each, ast.For | ast.comprehension)]
         loops += [each for around in plan.around(node) for each in getattr(around, "generators", ())]
-        names = set[str]().union(*(stored(each.target) for each in loops)) - {each.arg for each in node.args.args}
+        made = (stored(each if isinstance(each, ast.For) else each.target) for each in loops)
+        names = set[str]().union(*made) - {each.arg for each in node.args.args}
         body = node.body if isinstance(node.body, list) else [node.body]
         used = sorted(name for name in names if any(loads(each, {name}) for each in body))
         if used:
@@ -190,7 +170,7 @@ def _late(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
             other.args.args += [ast.arg(name) for name in used]
             other.args.defaults += [ast.Name(name, ast.Load()) for name in used]
             new = ast.unparse(other).replace("\n", f"\n{' ' * node.col_offset}")
-            yield _to(node, new, 0.25, f"{', '.join(used)} of each iteration")
+            yield instead(node, new, 0.25, f"{', '.join(used)} of each iteration")
 
 
 def _shadowing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -202,9 +182,8 @@ def _shadowing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         names = [each for each in uses if name in (getattr(each, "id", ""), getattr(each, "arg", ""))]
         earlier = [each for each in names if each.lineno < node.lineno and not loads(each, {name})]
         if earlier and any(each.lineno > (node.end_lineno or 0) for each in names):
-            parts = tuple(
-                (each, f"{name}_2") for each in {*ast.walk(node)}.intersection(names) if isinstance(each, ast.Name)
-            )
+            inside = (each for each in ast.walk(node) if each in names and isinstance(each, ast.Name))
+            parts = tuple((each, f"{name}_2") for each in inside)
             yield Change(f"{name}_2 instead of {name} in the loop of line {node.lineno}", 0.3, parts)
 
 
@@ -229,74 +208,184 @@ def _handling(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 old = plan.segment(last)
                 new = jump if isinstance(last, _JUMPS) else f"{old}\n{' ' * last.col_offset}{jump}"
                 if new != old:
-                    yield _to(last, new, cost, f"{jump} after line {last.end_lineno}")
-    elif isinstance(node, ast.Break | ast.Continue):
-        yield _to(node, "continue" if isinstance(node, ast.Break) else "break", 0.55)
+                    yield instead(last, new, cost, f"{jump} after line {last.end_lineno}")
 
 
 def _calls(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield the call of a method instead of an attribute, and calls with a forgotten world."""
     if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and node not in plan.called:
         owner = ast.unparse(node.value)
-        if any(isinstance(each, ast.Attribute) and each.attr == node.attr for each in plan.called):
-            yield _to(node, f"{ast.unparse(node)}()", 0.3)
         for method in plan.functions.values() if owner != "self" else ():
             stores = (each for each in ast.walk(method) if isinstance(each, ast.Attribute) and each.attr == node.attr)
-            returns = any(isinstance(each, ast.Return) and each.value for each in ast.walk(method))
             is_method = [each.arg for each in method.args.args] == ["self"] and method.name != "__init__"
-            if is_method and returns and any(isinstance(each.ctx, ast.Store) for each in stores):
-                yield _to(node, f"{owner}.{method.name}()", 0.35)
+            if is_method and method.name in plan.returning and any(isinstance(each.ctx, ast.Store) for each in stores):
+                yield instead(node, f"{owner}.{method.name}()", 0.35)
     elif called_name(node) == "Object" and isinstance(node, ast.Call):
         worlds = sorted(plan.names["BulletWorld"]) if "world" not in {each.arg for each in node.keywords} else []
         for world in worlds if len(worlds) > 1 else ():
-            yield _to(node, f"{plan.segment(node)[:-1]}, world={world})", 0.4, f"world={world}")
-    elif node in plan.called and (name := last_name(node)) in _OTHERS:
-        yield _to(node, ast.unparse(node).removesuffix(name) + _OTHERS[name], 0.55)
+            yield instead(node, f"{plan.segment(node)[:-1]}, world={world})", 0.4, f"world={world}")
+
+
+def _near_names(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield functions, methods and attributes that are confused, imported if necessary."""
+    name = last_name(node) if isinstance(getattr(node, "ctx", None), ast.Load) else ""
+    alias = next((each for each in plan.nodes if isinstance(each, ast.alias) and each.name == name), None)
+    for at, other in enumerate(each for each in _MEANT.get(name, ()) if each != name):
+        owner = ast.unparse(node.value) if isinstance(node, ast.Attribute) else ""
+        is_global = not owner or (owner in plan.defined and other in vars(builtins))
+        imports = ((alias, f"{name}, {other}"),) if alias and not owner and other not in plan.known else ()
+        if alias or owner or name in vars(builtins):
+            cost = 0.5 + 0.05 * at - 0.1 * isinstance(plan.parents[node], ast.withitem)
+            change = instead(node, other if is_global else f"{owner}.{other}", cost)
+            yield change._replace(parts=(*change.parts, *imports))
+
+
+def forgotten_call(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield the call of a function instead of the function, and the reverse."""
+    name, around = last_name(node), plan.parents.get(node)
+    if isinstance(getattr(node, "ctx", None), ast.Load) and node not in plan.called and name not in plan.fields:
+        is_method = name in _METHODS or any(getattr(each, "attr", "") == name for each in plan.called)
+        if isinstance(around, ast.Expr) or name in plan.functions or (is_method and isinstance(node, ast.Attribute)):
+            yield instead(node, f"{ast.unparse(node)}()", 0.15 if isinstance(around, _VALUES | ast.Expr) else 0.35)
+    elif isinstance(node, ast.Call) and called_name(node) in plan.fields and not node.args:
+        yield instead(node, ast.unparse(node.func), 0.15)
+    elif called_name(node) in plan.functions and isinstance(around, ast.Call | ast.keyword | ast.AugAssign):
+        has_arguments = isinstance(node, ast.Call) and (node.args or node.keywords)
+        new = f"lambda: {ast.unparse(node)}" if has_arguments else ast.unparse(node).removesuffix("()")
+        yield instead(node, new, 0.3 if plan.acts(node) else 0.6)
+
+
+def _results(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield an assignment of a dropped result, and a function that returns its result."""
+    match node:
+        case ast.Expr(ast.Call(function, arguments) as call):
+            name, owner = last_name(function), getattr(function, "value", None)
+            if arguments and (owner is None or ast.unparse(owner) in plan.defined):
+                owner = arguments[0]
+            is_pure = name in _PURE or (name in plan.returning and not plan.acts(node))
+            if is_pure and isinstance(owner, ast.Name | ast.Attribute | ast.Subscript):
+                yield instead(node, f"{ast.unparse(owner)} = {ast.unparse(call)}", 0.3 - 0.15 * (name in _PURE))
+        case ast.FunctionDef(name=name, body=[*_, last]) if name not in plan.returning:
+            users = {type(plan.parents[each]) for each in plan.nodes if called_name(each) == name}
+            names = [f"{plan.segment(last)}\n{' ' * last.col_offset}return {each}" for each in sorted(stored(node))]
+            value = [f"return {plan.segment(last)}"] if isinstance(last, ast.Expr) else []
+            for at, new in enumerate((*value, *names) if users - {ast.Expr, ast.Lambda} else ()):
+                yield instead(last, new, 0.15 + 0.05 * at)
+
+
+def _sorting(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield items in other orders."""
+    if isinstance(node, ast.Call) and called_name(node) in ("sorted", "sort", "min", "max") and len(node.args) < 2:
+        given = {str(each.arg): ast.unparse(each.value) for each in node.keywords}
+        keys = [ast.unparse(each.value) for each in plan.nodes if isinstance(each, ast.keyword) and each.arg == "key"]
+        keys += [*(f"lambda each: each.{field}" for field in sorted(plan.fields)), *_KEYS]
+        orders = [{**given, "reverse": str(given.get("reverse") != "True")}] if "sort" in called_name(node) else []
+        for at, slots in enumerate((*orders, *({**given, "key": key} for key in dict.fromkeys(keys)))):
+            text = ", ".join((*map(ast.unparse, node.args), *(f"{each}={slots[each]}" for each in slots)))
+            yield instead(node, f"{ast.unparse(node.func)}({text.removesuffix(', reverse=False')})", 0.4 + 0.06 * at)
+
+
+def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield what the table of rules has for a node."""
+    around = plan.parents.get(node)
+    skips = isinstance(around, ast.If) and around.test is node and isinstance(around.body[-1], ast.Continue)
+    for cost, pattern, news in _PARSED:
+        found: dict[str, str] = {}
+        if _matches(getattr(pattern, "value", None) if isinstance(pattern, ast.Expr) else pattern, node, found):
+            for at, new in enumerate(news if "F" not in found or called_name(node) in plan.functions else ()):
+                made = ast.parse(re.sub(r"\b[A-Z]\b", lambda each: f"({found[each[0]]})", new)).body[0]  # noqa: B023
+                value, text = getattr(made, "value", None), ast.unparse(made)
+                opens = isinstance(around, _COMPOUND) and isinstance(value, _COMPOUND) and type(value) is not type(node)
+                chance = {new, ast.unparse(pattern)} == {"A * B", "A / B"}
+                change = instead(node, f"({text})" if opens else text, cost + 0.03 * at - 0.25 * skips, chance=chance)
+                yield change._replace(kind=new)
+
+
+def _matches(pattern: object, node: object, found: dict[str, str]) -> bool:
+    """Return whether a node has the form of a pattern; the texts of its parts are put into ``found``."""
+    if isinstance(pattern, ast.Name) and pattern.id.isupper() and isinstance(node, ast.expr):
+        found[pattern.id] = ast.unparse(node)
+        excluded = (ast.Constant, ast.Slice, ast.Starred)[pattern.id != "X" :]
+        return not isinstance(node, excluded) and (pattern.id not in "KL" or isinstance(node, ast.Constant))
+    if isinstance(pattern, list) and isinstance(node, list):
+        return len(pattern) == len(node) and all(map(_matches, pattern, node, repeat(found)))
+    if type(pattern) is not type(node) or not isinstance(pattern, ast.AST):
+        return pattern == node
+    names = [each for each in pattern._fields if each != "ctx"]
+    return all(_matches(getattr(pattern, each), getattr(node, each), found) for each in names)
+
+
+def _python(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield functions without cache, copies of changed containers, formatted texts, and loops that go on."""
+    match node:
+        case ast.FunctionDef(decorator_list=[ast.Name() | ast.Attribute() | ast.Call() as cache]):
+            if (called_name(cache) or last_name(cache)) in ("lru_cache", "cache"):
+                place = plan.offset(cache.lineno), plan.offset((cache.end_lineno or 0) + 1)
+                yield Change(f"{node.name} without cache", 0.15, ((place, ""),))
+        case ast.For(iter=items):
+            changing = (each for each in ast.walk(node) if called_name(each) in ("remove", "pop", "append"))
+            if any(ast.unparse(each).startswith(f"{ast.unparse(items)}.") for each in changing):
+                yield instead(items, f"list({ast.unparse(items)})", 0.15)
+        case ast.Constant(str(text)) if not isinstance(plan.parents[node], ast.JoinedStr):
+            if {*re.findall(r"{(\w+)[^{}]*}", text)} & plan.known.union(*plan.local.values()):
+                yield instead(node, f"f{plan.segment(node)}", 0.15)
+
+
+def _slots(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield calls with a slot of another call, or of a variable with the same name; and other attributes."""
+    if isinstance(node, ast.Call) and all(each.arg for each in node.keywords):
+        name, given = called_name(node), {each.arg for each in node.keywords}
+        names = plan.functions[name].args.args[len(node.args) :] if name in plan.functions else []
+        news = [ast.keyword(each.arg, ast.Name(each.arg)) for each in names if each.arg in plan.local[plan.scope(node)]]
+        others = (each.keywords for each in plan.nodes if isinstance(each, ast.Call) and called_name(each) == name)
+        news += [each for keywords in others for each in keywords]
+        calls = (ast.Call(node.func, node.args, [*node.keywords, each]) for each in news if each.arg not in given)
+        yield from (
+            instead(node, new, 0.42 + 0.05 * at) for at, new in enumerate(dict.fromkeys(map(ast.unparse, calls)))
+        )
+    elif isinstance(node, ast.Attribute) and node.attr in plan.fields:
+        for at, each in enumerate(sorted(plan.fields - {node.attr})):
+            yield instead(node, f"{ast.unparse(node.value)}.{each}", 0.5 + 0.05 * at)
+
+
+def _unused(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a parameter that its function doesn't use."""
+    scope = plan.scope(node)
+    if isinstance(node, ast.Constant | ast.Name) and isinstance(scope, ast.FunctionDef) and node not in plan.called:
+        inside = [each for part in scope.body for each in ast.walk(part)]
+        unused = (
+            {each.arg for each in scope.args.args}
+            - {"self"}
+            - {each.id for each in inside if isinstance(each, ast.Name)}
+        )
+        for each in sorted(unused) if node in inside else ():
+            yield instead(node, each, 0.3 if isinstance(node, ast.Constant) else 0.45)
 
 
 def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield other forms of an expression: operators, order of items, and the opposite of a condition."""
     match node:
-        case ast.BinOp(op=op) | ast.BoolOp(op=op) | ast.Compare(ops=[op]):
-            for name in _OPPOSITE.get(type(op).__name__, ()):
-                other, sign, compares = copy.copy(node), getattr(ast, name)(), isinstance(node, ast.Compare)
-                vars(other).update({"ops": [sign]} if compares else {"op": sign})
-                what = "" if compares else f"{ast.unparse(node)} with another operator"
-                is_scale = {name, type(op).__name__} == {"Mult", "Div"}
-                around = plan.parents[node]
-                skips = compares and isinstance(around, ast.If) and isinstance(around.body[-1], ast.Continue)
-                new = ast.unparse(other) if compares else f"({ast.unparse(other)})"
-                yield _to(node, new, 0.65 - 0.1 * compares - 0.25 * skips, what, chance=is_scale)
-            if (
-                isinstance(node, ast.BinOp)
-                and isinstance(op, ast.Add | ast.Sub)
-                and isinstance(node.right, ast.Constant)
-            ):
-                yield _to(node, f"({ast.unparse(node.left)})", 0.5)
         case ast.List([_, _, *_] as items) | ast.Tuple([_, _, *_] as items) if len(items) <= 4:
             turned = [[*items[1:], items[0]], [items[-1], *items[:-1]]] if len(items) == 4 else []
             swapped = [[*items[:at], items[at + 1], items[at], *items[at + 2 :]] for at in range(len(items) - 1)]
+            swapped += [items[::-1]] if len(items) == 3 else []
             for at, order in enumerate((*turned, *swapped)):
                 swaps, new = at >= len(turned), ast.unparse(type(node)(order, ast.Load()))
-                yield _to(node, new, 0.42 if swaps else 0.35 + 0.1 * at, asks=True, chance=swaps)
+                by_chance = swaps and isinstance(node.ctx, ast.Load)
+                yield instead(node, new, 0.42 if swaps else 0.35 + 0.1 * at, asks=True, chance=by_chance)
         case ast.Call(keywords=given) if any(each.arg == "orientation" for each in given):
             kept = [each for each in given if each.arg != "orientation"]
-            yield _to(node, ast.unparse(ast.Call(node.func, node.args, kept)), FAR, "without orientation")
-        case ast.UnaryOp(ast.Not(), operand):
-            yield _to(node, f"({ast.unparse(operand)})", 0.56, f"without not: {ast.unparse(node)}")
-        case ast.Name("par", ast.Load()):
-            yield _to(node, "seq", 0.57)
+            yield instead(node, ast.unparse(ast.Call(node.func, node.args, kept)), FAR, "without orientation")
     is_test = getattr(plan.parents.get(node), "test", None) is node
     if is_test and not isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp):
-        yield _to(node, f"not ({ast.unparse(node)})", 0.56)
+        yield instead(node, f"not ({ast.unparse(node)})", 0.56)
 
 
 def _undefined(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield objects instead of an undefined name."""
     if isinstance(node, ast.Name) and node not in plan.called and node.id not in plan.known.union(*plan.local.values()):
-        yield from (
-            _to(node, name, 0.2 + 0.01 * at) for at, name in enumerate(sorted(plan.names["Object"] - plan.fixed))
-        )
+        for at, name in enumerate(sorted(plan.names["Object"] - plan.fixed)):
+            yield instead(node, name, 0.2 + 0.01 * at)
 
 
 def _never_held(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -318,23 +407,24 @@ def _copied(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     texts = [getattr(each, "value", each) for each in getattr(node, "elts", ())]
     for at, text in [*enumerate(texts)][::-1]:
         for name in sorted(plan.forgotten) if isinstance(text, str) and texts.count(text) > 1 else ():
-            yield _to(node.elts[at], repr(name), 0.05 - 0.001 * at)  # type: ignore[attr-defined]
+            yield instead(node.elts[at], repr(name), 0.05 - 0.001 * at)  # type: ignore[attr-defined]
 
 
 def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
     """Yield other variables with the same role."""
-    fitting = set[str]().union(*(each for each in plan.names.values() if node.id in each))
+    fitting = set[str]().union(*(each for each in plan.names.values() if node.id in each)) - plan.later(node)
     for name in sorted(fitting - {node.id} - (set() if node.id in plan.fixed else plan.fixed)):
         chance = bool(_AXIS.fullmatch(name) and _AXIS.fullmatch(node.id))
-        yield _to(node, name, 0.6, asks=name in plan.constants, chance=chance)
+        yield instead(node, name, 0.6, asks=name in plan.constants, chance=chance)
 
 
 _OPERATORS: Final = (
-    *(_number, _frame, _bounds, _grouping, _angle, _aliasing, _calls, _structure, _undefined, _copied, _never_held),
-    *(_default, _late, _shadowing, _branches, _handling, _spare_world, _lost_update),
+    *(_number, _frame, _angle, _aliasing, _calls, _structure, _undefined, _copied, _never_held),
+    *(_default, _late, _shadowing, _branches, _handling, _spare_world, _lost_update, _near_names, forgotten_call),
+    *(_results, _sorting, _rules, _python, _slots, _unused),
 )
 
 
 def changes(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield the changes of a node."""
-    return (change._replace(kind=each.__name__) for each in _OPERATORS for change in each(node, plan))
+    return (change._replace(kind=change.kind or each.__name__) for each in _OPERATORS for change in each(node, plan))

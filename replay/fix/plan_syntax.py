@@ -7,9 +7,9 @@ import builtins
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
-from typing import Final
+from typing import Final, NamedTuple
 
-from recorder.plan_lines import called_name, stored
+from recorder.plan_lines import called_name, last_name, stored
 
 _CHECKING: Final = ("print", "monitored")  # their arguments have no effect on the world
 #: Functions and methods that change the world, or a container.
@@ -19,6 +19,22 @@ _ACTING: Final = (
 )
 _GRAVITY: Final = 9.0
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
+
+
+class Change(NamedTuple):
+    """New texts at places of the source."""
+
+    what: str  # the change, in words
+    cost: float
+    parts: tuple[tuple[ast.AST | tuple[int, int], str], ...]  # nodes, or places in bytes
+    asks: bool = False  # whether a value or name changes, rather than how values are computed
+    chance: bool = False  # whether only the success of the run supports it
+    kind: str = ""  # name of the operator
+
+
+def instead(node: ast.AST, new: str, cost: float, what: str = "", asks: bool = False, chance: bool = False) -> Change:
+    """Return the change of a node's text."""
+    return Change(what or f"{new} instead of {ast.unparse(node)}", cost, ((node, new),), asks, chance)
 
 
 class PlanSyntax:
@@ -58,6 +74,11 @@ class PlanSyntax:
         named = (getattr(node, "name", "") for node in self.nodes)  # functions, classes and caught errors
         self.known = self.defined.union(named, vars(builtins))  # names that have a value, besides local ones
         self.local: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
+        returns = (each for each in self.nodes if isinstance(each, ast.Return | ast.Yield) and each.value)
+        self.returning = {getattr(self.scope(each), "name", "") for each in returns}  # functions with a result
+        computed = (each for each in self.functions.values() if "property" in map(last_name, each.decorator_list))
+        stores = (each.attr for each in self.nodes if isinstance(each, ast.Attribute) and not _loads(each))
+        self.fields = {*stores, *(each.name for each in computed)}  # attributes that classes store or compute
         for node in self.nodes:
             self._note(node)
             if isinstance(node, ast.Call) and called_name(node) == "Object":
@@ -149,6 +170,12 @@ class PlanSyntax:
         fields = [value for _, value in ast.iter_fields(self.parents.get(statement, self.tree))]
         return next((each for each in fields if isinstance(each, list) and statement in each), [])
 
+    def later(self, node: ast.AST) -> set[str]:
+        """Return the local names of a node's function that have no value yet at the node."""
+        names = [each for each in ast.walk(self.scope(node)) if isinstance(each, ast.Name | ast.arg)][::-1]
+        lines = {getattr(each, "id", "") or each.arg: each.lineno for each in names if not _loads(each)}  # type: ignore[union-attr]
+        return {name for name, line in lines.items() if line >= node.lineno}  # type: ignore[attr-defined]
+
     def acts(self, node: ast.AST, seen: tuple[str, ...] = ()) -> bool:
         """Return whether a node calls something that changes the world, or a container."""
         names = {*map(called_name, ast.walk(node))}
@@ -234,6 +261,9 @@ def _roles(node: ast.AST) -> Iterator[tuple[str, ast.expr]]:
         case ast.Dict(keys, values):
             pairs = zip(keys, values, strict=True)
             yield from ((f"{{}} {key.value!r}", value) for key, value in pairs if isinstance(key, ast.Constant))
-            yield from ((f"keys of line {node.lineno}", key) for key in keys if key is not None)
+            roles = (f"keys of line {node.lineno}", "a key")
+            yield from ((role, key) for key in keys if key is not None for role in roles)
+        case ast.Subscript(_, ast.Constant(str()) as key):
+            yield "a key", key
         case ast.List(items) | ast.Tuple(items):
             yield from ((f"items of line {node.lineno}", value) for value in items)

@@ -22,7 +22,7 @@ from recorder.tasks import Node, State
 from replay.errors import ReplayError
 from replay.explain.causes.case import hands, objects_in
 from replay.file.record_reader import RecordReader
-from replay.fix.edits import Edit, Editor
+from replay.fix.edits import CERTAIN, Edit, Editor
 from replay.fix.trials import Trials, Version, alike
 from replay.history.blame import commanded
 from replay.history.flow import Flow
@@ -176,7 +176,7 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
         kinds: Counter[tuple[str, float]] = Counter()
         for edit in editor.edits(line, alternatives, stale=line in stale):
             kinds[edit.kind, edit.cost] += 1
-            later = _LATER * rank + _ANOTHER * (kinds[edit.kind, edit.cost] - 1)
+            later = _LATER * rank / (1 + 5 * (edit.cost <= CERTAIN)) + _ANOTHER * (kinds[edit.kind, edit.cost] - 1)
             is_likely = line in guessed and edit.asks
             cost = edit.cost + later - _GUESSED * is_likely
             asks, chance = edit.asks and not is_likely, edit.chance and not is_likely
@@ -184,7 +184,7 @@ def _candidates(trials: Trials, log: Recording, why: Why, checked: Sequence[Chec
     failed = [each.number for each in why.call_stack if each.file.endswith(trials.program.name)][-1:]
     for rank, line in enumerate(dict.fromkeys((*failed, *lines[:1]))):
         edits += [replace(each, cost=each.cost + _LATER * rank) for each in editor.insertions(line)]
-    edits += [replace(each, cost=each.cost + _ELSEWHERE) for each in editor.structural()]
+    edits += [replace(each, cost=each.cost + _ELSEWHERE / (1 + (each.cost <= CERTAIN))) for each in editor.structural()]
     seen: set[str] = set()
     for edit in sorted(edits):
         if edit.text not in seen:
