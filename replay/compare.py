@@ -18,7 +18,8 @@ from itertools import zip_longest
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Fluent, Mutation, Plain, Query, Record, Refusal, Run, Task, without_addresses
+from recorder.provenance import pycram_revision
+from recorder.records import Failure, Fluent, Mutation, Plain, Query, Record, Refusal, Run, Task, without_addresses
 from recorder.records.text import is_choice
 from replay.file.lifetimes import title
 from replay.history.tasks import Summary, causing_tasks, summary
@@ -38,6 +39,7 @@ _MAX_LISTED: Final = 8  # at most this many joints or fields are listed
 _MIN_TURN: Final = math.radians(0.05)  # angle below which a turn isn't mentioned
 #: Maximum number of records after the divergence in which a missing record is searched, because the order may differ.
 _WINDOW: Final = 2000
+_NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 #: Fields that differ from run to run.
 _INCIDENTAL: Final = (
     "seq", "wall_time_ns", "monotonic_ns", "task", "parent", "thread", "cause", "duration_ns", "began_ns",
@@ -378,13 +380,27 @@ def _explains_choice(record: Record) -> bool:
     return isinstance(record, Query) and (is_choice(record) or record.name in _REQUESTS)
 
 
+def is_worded_alike(log: RecordReader) -> bool:
+    """Return whether the code of PyCRAM that made a recording runs now, so that its messages have the same words."""
+    began = log[0]
+    return isinstance(began, Run) and began.pycram.sha256 == pycram_revision().sha256
+
+
+def signature(failure: str, *, worded: bool) -> str:
+    """Return the compared part of "TYPE: MESSAGE": no numbers; only the type unless :func:`is_worded_alike`."""
+    return _NUMBER.sub("#", failure) if worded else failure.partition(":")[0]
+
+
 def differing(
-    first: Record, second: Record, tolerance: float = 0.0, names: PairedNames | None = None
+    first: Record, second: Record, tolerance: float = 0.0, names: PairedNames | None = None, *, worded: bool = True
 ) -> dict[str, tuple[Plain, Plain]]:
     """Return the different values of two records by path of the field. Numbers within the tolerance are equal."""
     if type(first) is not type(second):
         return {"kind": (kind_of(first), kind_of(second))}
     a, b = _without_incidental_fields(first), _without_incidental_fields(second)
+    for each in (a, b):
+        if not worded and isinstance(each, Run | Task | Query | Refusal) and each.HasField("failure"):
+            each.failure.CopyFrom(Failure(type=each.failure.type))  # the data contain parts of the message
     if isinstance(a, Task) and isinstance(b, Task) and a.HasField("decision") != b.HasField("decision"):
         a.ClearField("decision")  # early recordings lack the field ``decision``
         b.ClearField("decision")

@@ -195,7 +195,7 @@ def _sources(why: Why) -> Iterator[Line]:
     """Yield the lines whose values flow into the failure and into the changes that caused it."""
     case = why.case
     stack = [line for error in why.exceptions[-1:] for line in error.lines] if why.task is None else why.call_stack
-    if case is None or not stack:
+    if case is None:
         return
     traced = [
         (_DECIDED if decides(case, cause) else _OTHER, causing_tasks(case.log, case.log[step]).call_stack)
@@ -203,20 +203,21 @@ def _sources(why: Why) -> Iterator[Line]:
         for step in cause.steps
         if step < why.step
     ]
-    if why.task is None or why.failure is None or why.failure.type == "PropertyViolated":
+    lacks = lacks_step(case, why.causes)
+    if stack and (lacks or why.task is None or why.failure is None or why.failure.type == "PropertyViolated"):
         traced += [(_SKIPPED, (line,)) for line in case.skipped(stack[-1].file)]
     starts: dict[str, dict[int, float]] = {}
-    own = _CHECKED if any(isinstance(cause, Written) for cause in why.causes) else 0.0
+    own = _CHECKED if any(isinstance(cause, Written) and decides(case, cause) for cause in why.causes) else 0.0
     for rank, lines in sorted([(own, tuple(stack)), *traced], key=lambda each: each[0]):
         for depth, line in enumerate(reversed(lines)):
             starts.setdefault(line.file, {}).setdefault(line.number, rank + _OUTER * depth)
-    failed = None if lacks_step(case, why.causes) else stack[-1]
+    failed = None if lacks or not stack else stack[-1]
     for file, ranks in starts.items():
         flow = Flow(case.source.text(file))
         numbers = flow.lines(ranks, failed.number if failed is not None and failed.file == file else 0)
         for number in numbers[:_MAX_SOURCES]:
             found = case.source.line(file, number)
-            if found is not None and not case.source.is_ahead(found, stack[0]):
+            if found is not None and (number in ranks or not (stack and case.source.is_ahead(found, stack[0]))):
                 yield found
 
 

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import random
-import re
 import sys
 import tempfile
 import time
@@ -29,6 +28,7 @@ from recorder.recording import redirected
 from recorder.records import Run
 from recorder.system import cache_folder
 from recorder.tracing.journal import NullSink, Sink
+from replay.compare import is_worded_alike, signature
 from replay.errors import ReplayError
 from replay.file.record_reader import RecordReader
 from replay.history.source import PlanSource
@@ -39,7 +39,6 @@ _DISPLACED: Final = 0.01  # m
 LIMIT: Final = 10.0  # maximum duration of a trial: a multiple of the control run's duration,
 LEAST: Final = 20.0  # but at least this many seconds of wall-clock time
 _SLOWER: Final = 10.0  # the control run may last so many times longer than a trial, because the machine may be busy now
-_NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?(?:e[+-]?\d+)?")
 #: Python's audit events for access to other processes and machines.
 _REACHING: Final = frozenset(
     {"subprocess.Popen", "os.system", "os.exec", "os.posix_spawn", "socket.connect", "socket.bind"}
@@ -116,7 +115,7 @@ class Trials:
         recorded = EndingSink()
         for record in self.log:
             recorded.write("", record, b"")
-        if not alike(recorded.ending, self.reference):
+        if not alike(recorded.ending, self.reference, worded=is_worded_alike(self.log)):
             now = self.reference.failure or self.reference.kind
             raise ReplayError(f"the plan doesn't end as recorded: now {now}; was {recorded.ending.failure}")
         return self.reference
@@ -225,7 +224,7 @@ def _loose_objects_elsewhere(draw: int) -> Iterator[None]:
         Object.__init__ = load  # type: ignore[method-assign]
 
 
-def alike(one: Ending, other: Ending) -> bool:
-    """Return whether two runs ended with the same failure at the same line; numbers in messages may differ."""
+def alike(one: Ending, other: Ending, *, worded: bool = True) -> bool:
+    """Return whether two runs ended with the same failure at the same line (:func:`replay.compare.signature`)."""
     ends = (one, other)
-    return len({(each.kind, _NUMBER.sub("#", each.failure), Path(each.plan_line).name) for each in ends}) == 1
+    return len({(each.kind, signature(each.failure, worded=worded), Path(each.plan_line).name) for each in ends}) == 1

@@ -135,7 +135,8 @@ class Origins:
         slips = {each.place: each for each in self.guesses if each.source}
         for place in ranked[:_MAX_ROWS]:
             text = facts[place][0].text if facts[place] else slips[place].source
-            values = dict.fromkeys(filter(None, map(_said, facts[place])))
+            newest = {each.name: each for each in sorted(facts[place], key=lambda each: each.step)}
+            values = dict.fromkeys(filter(None, (_said(each, newest[each.name]) for each in facts[place])))
             comment = f"  # {phrases.short('; '.join(values))}" if values else ""
             yield f"{phrases.place(Line(*place))}  {text}{comment}"
             yield from [f"    perhaps: {slips[place].text}"] if place in slips else ()
@@ -169,11 +170,13 @@ def _returns_stale(origin: Origin) -> bool:
     return origin.kind == "value" and any(part.kind == "returned" and is_stale(part) for part in origin.parts)
 
 
-def _said(origin: Origin) -> str:
-    """Return the value in a fact; "" if the text of its line already shows it."""
+def _said(origin: Origin, newest: Origin) -> str:
+    """Return the value in a fact; "" if the text of its line already shows it. An earlier value has its step."""
     if origin.kind in ("call", "change", "before") or not origin.value:
         return ""
     said = f"{origin.name} = {origin.value}" + _WORDS.get(origin.kind, "").format(origin.step)
     if origin.kind == "condition":
         said = f"{origin.name} is {origin.value}"
+    if origin.step < newest.step and origin.value != newest.value and origin.kind not in ("read", "answer"):
+        said += f" after step {origin.step}"
     return "" if said == origin.text.replace('"', "'") else said

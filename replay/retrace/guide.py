@@ -19,7 +19,7 @@ from recorder.records import Keyframe, LoadBody, Mutation, Plain, Record, Run, T
 from recorder.records.text import text_of, values
 from recorder.records.values import AssetFile
 from recorder.tracing.journal import NullSink, Sink
-from replay.compare import differing
+from replay.compare import differing, is_worded_alike
 from replay.file.record_reader import RecordReader
 from replay.history.source import sites
 from replay.retrace.plan_process import FirstDifference
@@ -48,6 +48,7 @@ class Guide(NullSink):
         self._reading = threading.Lock()
         self._report = report
         self._ended = False
+        self._worded = is_worded_alike(log)
         self._stacks: tuple[dict[int, _Stack], dict[int, _Stack]] = {}, {}  # call stacks, recorded and new
         # the recorded interruptions, by the number of the poll that they interrupt; None until they are read
         self._strikes: dict[int, Collection[int]] | None = None
@@ -69,7 +70,7 @@ class Guide(NullSink):
             self._end(FirstDifference(self.equal, text, *_lines(stack)))
             return
         before, now = _stack(recorded, self._stacks[0]), _stack(record, self._stacks[1])
-        fields = differing(recorded, record)
+        fields = differing(recorded, record, worded=self._worded)
         for path, loaded in [*_other_files(record, fields)]:
             del fields[path]
             self._other_files[loaded.body] = PurePath(loaded.path).name

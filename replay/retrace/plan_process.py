@@ -20,9 +20,9 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Final
 
 from recorder.packages import other_versions
-from recorder.provenance import pycram_revision
 from recorder.records import Change, Mutation, Output, Plain, Run, Task
 from recorder.records.values import LEFT_OUT
+from replay.compare import is_worded_alike
 from replay.errors import ReplayError
 from replay.history.source import name_of, sites
 
@@ -154,7 +154,7 @@ class PlanProcess:
             yield str(self._source)
         elif began.plan.sha256 and sha256(self.program.read_bytes()).hexdigest() != began.plan.sha256:
             yield f"{self.program.name} differs from the recorded source"
-        if began.pycram.sha256 and began.pycram.sha256 != pycram_revision().sha256:
+        if began.pycram.sha256 and not is_worded_alike(self.log):
             yield "PyCRAM's code differs from the code that made the recording"
         yield from other_versions(self.log.metadata, "python", "pybullet", "numpy", "machine", "platform")
         if not began.seed:

@@ -16,8 +16,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Failure, Run, Task, argument_values
+from recorder.records import Failure, Run, Task, argument_values, format_failure
+from replay.compare import is_worded_alike, signature
 from replay.errors import ReplayError
+from replay.explain.causes.case import pairs_of
 from replay.explain.causes.trials import CONFIRMED, REFUTED, UNTESTED, Proof, Trial, TriedTrial
 from replay.file.record_reader import RecordReader
 from replay.history.source import Line, PlanSource, parse_traceback
@@ -36,7 +38,7 @@ _MAX_TRIALS: Final = 3  # maximum number of forks for one cause
 _SECONDS: Final = (30.0, 10.0)  # maximum duration of a fork: in s, and as a multiple of the original run
 _NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?")
 _STEPS: Final = re.compile(r"at step \d+ \([\d.]+ s\)|since step \d+")
-_End: TypeAlias = "tuple[tuple[str, str], Line | None]"  # signature and innermost line of a plan's failure
+_End: TypeAlias = "tuple[str, Line | None]"  # signature and innermost line of a plan's failure
 _RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
 
 
@@ -116,11 +118,12 @@ class Prover:
         self._recorded_source = recorded_source
         self._kept = kept
         self._reading = threading.Lock()  # only one thread at a time may read the recording
-        self._end = _end(log, uncaught_failure(log))
+        self._worded = is_worded_alike(log)
+        self._end = self._ended(log, uncaught_failure(log))
         self._steps = len(log)
         self._checked = why.failure or Failure()  # the failure of a property or a check of the plan
         self._seconds = max(_SECONDS[0], _SECONDS[1] * why.run.seconds)
-        self._task: Task | None = None  # the start of the failed task
+        self._task, self._failure = None, Failure()  # type: Task | None, Failure  # start and failure of the failed task
         if why.task is not None and (finished := why.task.motion.finished or why.task.finished) is not None:
             self._task, self._failure = why.task.motion.started, finished.failure
             self._size = finished.seq - self._task.seq
@@ -181,12 +184,12 @@ class Prover:
         if needed is not None and needed.status != Task.SUCCEEDED:
             return UNTESTED, f"{trial.needs} still fails: {phrases.failure(needed.failure)}"
         end = uncaught_failure(forked)
-        plan_end = _end(forked, end)
+        plan_end = self._ended(forked, end)
         started, finished = self._same_task(forked)
         if started is not None and finished is not None:
             name = phrases.task(started.kind, started.name, {})
             failure = None if finished.status == Task.SUCCEEDED else finished.failure
-            same = failure is not None and _signature(failure) == _signature(self._failure)
+            same = failure is not None and self._signature(failure) == self._signature(self._failure)
             later = finished.status == Task.FAILED and finished.seq - started.seq > self._size
         else:
             name, failure = "the plan", None if end is None else end.failure
@@ -203,9 +206,13 @@ class Prover:
         if same and failure.type == "TimedOut" and started is not None and finished is not None:
             same = _succeeded(forked, started, finished.seq) <= self._succeeded  # more time helps, and isn't enough
             later = not same
+        touched = [
+            {(at.get("body"), at.get("body_link")) for at in pairs_of(each)} for each in (failure, self._failure)
+        ]
+        later = later and not (touched[0] & touched[1] and failure.type == self._failure.type)
         further = "gets further, and " * later
         text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
-        return REFUTED if same else CONFIRMED if later else UNTESTED, text
+        return REFUTED if same and not trial.partial else CONFIRMED if later else UNTESTED, text
 
     def _compared(self, failure: Failure, end: _End | None, *, same: bool, later: bool) -> tuple[str, str]:
         """Return the verdict on a change that wrote a checked value. The former value may fail the check as well.
@@ -231,6 +238,16 @@ class Prover:
             started, finished = self._same_task(forked)
             return started is None or (finished is not None and finished.status == Task.SUCCEEDED)
 
+    def _signature(self, failure: Failure) -> str:
+        return signature(format_failure(failure), worded=self._worded)
+
+    def _ended(self, log: RecordReader, end: Run | None) -> _End | None:
+        """Return the signature and the innermost line of a plan's failure; None if the plan succeeded."""
+        if end is None:
+            return None
+        parsed = list(parse_traceback(end.failure.traceback, PlanSource(log)))
+        return self._signature(end.failure), parsed[-1].lines[-1] if parsed and parsed[-1].lines else None
+
     def _same_task(self, forked: RecordReader) -> tuple[Task | None, Task | None]:
         """Return the start and the end of the failed task in a fork, with the same parameters if possible."""
         if self._task is None:
@@ -248,22 +265,9 @@ def _succeeded(log: RecordReader, started: Task, end: int) -> int:
     return sum(each.status == Task.SUCCEEDED for each in log.records(Task, started.seq, end))
 
 
-def _signature(failure: Failure) -> tuple[str, str]:
-    """Return the type and the message of a failure, without its numbers."""
-    return failure.type, _NUMBER.sub("#", failure.message)
-
-
 def _values(failure: Failure) -> list[str]:
     """Return the numbers that a check compared, as its message has them."""
     return _NUMBER.findall(_STEPS.sub("", failure.message))
-
-
-def _end(log: RecordReader, end: Run | None) -> _End | None:
-    """Return the signature and the innermost line of a plan's failure; None if the plan succeeded."""
-    if end is None:
-        return None
-    parsed = list(parse_traceback(end.failure.traceback, PlanSource(log)))
-    return _signature(end.failure), parsed[-1].lines[-1] if parsed and parsed[-1].lines else None
 
 
 def _alike(log: RecordReader, task: Task, *, exact: bool) -> list[Task]:

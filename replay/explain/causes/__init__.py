@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Final
 from recorder import geometry
 from replay.explain.causes.case import about
 from replay.explain.causes.changed import (
-    ClosedContainer,
     ForkedChange,
     Gone,
     HandState,
@@ -17,7 +16,7 @@ from replay.explain.causes.changed import (
     NoLonger,
     OtherWorld,
 )
-from replay.explain.causes.lacked import RefusedRequest, Swallowed
+from replay.explain.causes.lacked import ClosedContainer, RefusedRequest, Swallowed
 from replay.explain.causes.out_of_reach import TOO_FAR, NoCandidate, ObstructingBody, UnreachedTarget
 from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import Raised, Written
@@ -68,6 +67,8 @@ def find(case: FailureCase) -> tuple[Cause, ...]:
 def decides(case: FailureCase, cause: Cause) -> bool:
     """Return whether a cause is a mistake before the failed call, rather than a state of the world."""
     target = case.data.get("target")
+    if isinstance(cause, Written) and cause.change.how == "load":
+        return False  # nothing has changed the value
     if not isinstance(cause, UnreachedTarget) or not isinstance(target, list) or case.robot is None:
         return cause.kind in _DECIDING
     ahead, *_ = geometry.transform(geometry.invert(case.robot.pose), [float(str(each)) for each in target])

@@ -12,12 +12,13 @@ import re
 import tomllib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from itertools import islice
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Self
 
-from recorder.plan_lines import called_name, deciding, syntax_nodes
+from recorder.plan_lines import called_name, deciding, last_name, syntax_nodes
 from recorder.records import Failure, Keyframe, Mutation, Plain, Query, Refusal, Task, argument_values, from_json
 from recorder.tasks import Node
 from replay.errors import NoSuchName
@@ -181,9 +182,7 @@ class FailureCase:
     @cached_property
     def pairs(self) -> tuple[Mapping[str, str], ...]:
         """The links that would have collided: ``mover``, ``link``, ``body``, ``body_link``, ``gripper``."""
-        recorded = self.data.get("pairs")
-        pairs = [pair for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
-        return tuple({key: value for key, value in pair.items() if isinstance(value, str)} for pair in pairs)
+        return pairs_of(self.failure)
 
     @cached_property
     def subjects(self) -> tuple[str, ...]:
@@ -254,6 +253,13 @@ class FailureCase:
                 found.append(joint.name)
             joint = model.parent_joint(joint.parent)
         return tuple(found)
+
+    def limits(self, name: str, joint: str) -> tuple[float, float] | None:
+        """Return the limits of a body's joint; None if they aren't known."""
+        body = self.world.bodies.get(name) if self.world is not None else None
+        with suppress(NoSuchName, KeyError):
+            return (found := self.state.urdf(body).joints[joint]).lower, found.upper  # type: ignore[arg-type]
+        return None
 
     def holder(self, body: str, step: int | None = None) -> str:
         """Return the holder of an object: the robot's arm, or another carrier with its link; "" if there is none."""
@@ -364,12 +370,16 @@ class FailureCase:
     def skipped(self, file: str) -> Iterator[Line]:
         """Yield the lines before the failure that perform something, although no record shows that they ran."""
         reached = {line.function: line.number for error in self.traced for line in error.lines}
-        for call in syntax_nodes(self.source.text(file)) if self._ran else ():
-            if isinstance(call, ast.Call) and called_name(call) == "perform":
-                line = self.source.line(file, call.lineno)
+        nodes = [each for each in syntax_nodes(self.source.text(file)) if self._ran and isinstance(each, ast.expr)]
+        places = ((each, self.source.line(file, each.lineno)) for each in nodes)
+        before = [(each, at) for each, at in places if at and at.number <= reached.get(at.function, at.number)]
+        used = {(last_name(each), at.function) for each, at in before}
+        entered = {"", "<module>", *(at.function for _, at in before if (file, at.number) in self._ran)}
+        while more := {name for name, function in used if function in entered} - entered:
+            entered |= more  # the other functions were never called
+        for call, line in before:
+            if isinstance(call, ast.Call) and called_name(call) == "perform" and line.function in entered:
                 numbers = range(call.lineno, (call.end_lineno or call.lineno) + 1)
-                if line is None or line.number > reached.get(line.function, line.number):
-                    continue
                 if self._ran.isdisjoint((file, number) for number in numbers):
                     yield line
 
@@ -408,6 +418,13 @@ def _mover(record: Mutation | Keyframe) -> str:
         return body
     joints = list(record.move_joints.joints)
     return f"{joints[0]} of {body}" if len(joints) == 1 else body
+
+
+def pairs_of(failure: Failure) -> tuple[Mapping[str, str], ...]:
+    """Return the links that would have collided in a failed motion."""
+    recorded = argument_values(failure.data).get("pairs")
+    pairs = [pair for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
+    return tuple({key: value for key, value in pair.items() if isinstance(value, str)} for pair in pairs)
 
 
 def bodies_in(value: Plain) -> Iterator[tuple[str, str]]:

@@ -8,7 +8,6 @@ are explained in :mod:`replay.explain.causes.physics`.
 
 from __future__ import annotations
 
-import ast
 import builtins
 import math
 import re
@@ -17,7 +16,6 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Final
 
-from recorder.plan_lines import called_name, syntax_nodes
 from recorder.records import Mutation, Query, Run, argument_values, from_json
 from recorder.tasks import Node, State
 from replay.explain.causes import trials
@@ -35,7 +33,6 @@ from replay.explain.causes.case import (
 from replay.explain.causes.lacked import RefusedRequest, Swallowed, lacking
 from replay.explain.causes.raised import answers
 from replay.history.blame import commanded
-from replay.history.source import Line
 from replay.report import phrases
 from replay.state.fold import state_at
 from replay.state.state import turn
@@ -79,7 +76,11 @@ class NoLonger(Cause):
         yield from _moved_in_hand(case)
         asked: Query | Node | None = _contradicted_query(case)
         if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
-            asked = _last_perception(case)
+            names = set(case.subjects or case.mentioned)
+            done = [
+                each for each in case.motions("detecting", "world-state-detecting") if each.status is State.SUCCEEDED
+            ]
+            asked = next((each for each in done if names.intersection(objects_in(result(each)))), None)
         if asked is None:
             return
         changes = tuple(sorted(_changes(case, asked), key=lambda change: change.step))
@@ -265,12 +266,6 @@ def _question(query: Query) -> tuple[object, ...]:
     return (query.name, query.world, *((each.name, each.json) for each in query.arguments))
 
 
-def _last_perception(case: FailureCase) -> Node | None:
-    names = set(case.subjects or case.mentioned)
-    found = (each for each in case.motions("detecting", "world-state-detecting") if each.status is State.SUCCEEDED)
-    return next((each for each in found if names.intersection(objects_in(result(each)))), None)
-
-
 def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
     """Yield those changes since an answer that affect the answer."""
     step = asked.seq if isinstance(asked, Query) else asked.last_step
@@ -286,10 +281,8 @@ def _changes(case: FailureCase, asked: Query | Node) -> Iterator[CausingChange]:
         before, after = then.bodies.get(name), case.world.bodies.get(name)
         if after is None:
             continue
-        if before is not None and not (
-            math.dist(before.position, after.position) > _MOVED[0]
-            or turn(before.orientation, after.orientation) > _MOVED[1]
-        ):
+        moved = before is None or math.dist(before.position, after.position) > _MOVED[0]
+        if not moved and before is not None and turn(before.orientation, after.orientation) <= _MOVED[1]:
             continue
         removal = removal_of(case, name, step) if before is not None else None
         if removal is not None:  # another body now has this name
@@ -392,8 +385,6 @@ def _last_grip(case: FailureCase, body: str, *, attached: bool) -> CausingChange
     return None
 
 
-_CLOSED: Final = re.compile(r"(.+?),? which (?:is|are) closed: open it first")
-_OPENING: Final = ("opening", "accessing")
 _FORKED: Final = 10  # maximum number of changes that a fork makes at a step
 #: Matches messages about objects that move, hang or lack support.
 _OF_GRAVITY: Final = re.compile(r"\bmoves at|\bhangs?\b|\bin the air\b|\bsupport|\brest\b|\bfall")
@@ -432,33 +423,6 @@ class OtherWorld(Cause):
         yield f"{self.body} is in {self.world}{loaded}; it isn't in {self.needed}"
         if self.opened is not None:
             yield f"step {self.opened.step}: {self.world} was opened{self.opened.originator}"
-
-
-@dataclass(frozen=True, slots=True)
-class ClosedContainer(Cause):
-    """An object should have been put into a container that was closed."""
-
-    kind = "closed"
-    container: str
-    opening: Line | None  # a later line of the same function that opens something; None without such a line
-
-    @classmethod
-    def find(cls, case: FailureCase) -> Iterator[ClosedContainer]:
-        """Yield the closed container that a failure names, and the line that would have opened it later."""
-        found = _CLOSED.match(str(case.data.get("last", "")))
-        if found is None or case.failure.type != "NoPlace" or case.task is None:
-            return
-        asked = case.line_of(case.task.started)
-        nodes = syntax_nodes(case.source.text(asked.file)) if asked is not None else ()
-        calls = (node for node in nodes if isinstance(node, ast.Call) and called_name(node) in _OPENING)
-        later = (case.source.line(asked.file, call.lineno) for call in calls if asked and call.lineno > asked.number)
-        opening = next((line for line in later if line and asked and line.function == asked.function), None)
-        yield ClosedContainer((case.step,), found[1], opening)
-
-    def _words(self) -> Iterator[str]:
-        yield f"{self.container} was closed at step {self.steps[0]}"
-        if self.opening is not None:
-            yield f"{phrases.place(self.opening)} comes later: {phrases.short(self.opening.text)}"
 
 
 @dataclass(frozen=True, slots=True)

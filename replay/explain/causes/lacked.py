@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import builtins
 import math
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -18,8 +19,9 @@ from itertools import islice
 from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
-from recorder.plan_lines import syntax_nodes
+from recorder.plan_lines import called_name, syntax_nodes
 from recorder.records import Mutation, Plain, Query, Refusal, Task, argument_values
+from recorder.records.text import link_text
 from recorder.tasks import Node, State
 from recorder.urdf import read_shapes
 from replay.errors import Damaged, NoSuchName
@@ -179,6 +181,64 @@ class RefusedRequest(Cause):
         refused = f"{phrases.refused(asked)}{_where(self.line)} was refused at step {asked.seq}{inside}"
         yield f"{refused} and the plan continued{_where(self.went_on)}; {lacked}"
         yield f"the reason: {phrases.failure(asked.failure)}"
+
+
+_CLOSED: Final = re.compile(r"(.+?),? which (?:is|are) closed: open it first")
+_OPENING: Final = ("opening", "accessing")
+
+
+@dataclass(frozen=True, slots=True)
+class ClosedContainer(Cause):
+    """An object should have been put into, or taken from, a container that was closed."""
+
+    kind = "closed"
+    untestable = "the joint of the container isn't known"
+    container: str
+    opening: Line | None  # a later line of the same function that opens something; None without such a line
+    body: str  # the object in the container; "" if the object should have been put into it
+    joint: tuple[str, str] | None  # the furniture and the joint of the container; None if unknown
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[ClosedContainer]:
+        """Yield the closed container that a failure names, or in which an object of the failed motion lies."""
+        found = _CLOSED.match(str(case.data.get("last", "")))
+        if case.task is None or case.world is None:
+            return
+        asked = case.line_of(case.task.started)
+        nodes = syntax_nodes(case.source.text(asked.file)) if asked is not None else ()
+        calls = (node for node in nodes if isinstance(node, ast.Call) and called_name(node) in _OPENING)
+        later = (case.source.line(asked.file, call.lineno) for call in calls if asked and call.lineno > asked.number)
+        opening = next((line for line in later if line and asked and line.function == asked.function), None)
+        fixed = [each for each in case.world.bodies.values() if each.fixed_base and each is not case.robot]
+        closed = [
+            (each.name, joint) for each in fixed for joint, value in each.joints.items() if abs(value) <= trials.OPEN
+        ]
+        if found is not None and case.failure.type == "NoPlace":
+            named = [each for each in closed if {*found[1].split()} <= {*each[1].split("_")}]
+            yield ClosedContainer((case.step,), found[1], opening, "", named[0] if len(named) == 1 else None)
+            return
+        for name in _perhaps_enclosed(case):
+            for owner, joint in (each for each in closed if _lies_in(case, name, *each)):
+                moved = case.state.urdf(case.world.bodies[owner]).joints[joint]
+                if moved.type == "prismatic" and case.world.carrier(name) is None:  # nothing lies in a door
+                    yield ClosedContainer((case.step,), link_text(owner, moved.child), opening, name, (owner, joint))
+
+    def is_explained(self, found: Sequence[Cause]) -> bool:
+        """Return whether an earlier motion should have opened the container."""
+        lacked = [each for each in found if getattr(each, "precondition", "") == "joint-moved"]
+        return self.joint is not None and any(self.joint[1] in getattr(each, "subject", "") for each in lacked)
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trials with the container open."""
+        step = case.task.started.seq - 1 if case.task is not None and case.motion is None else None
+        if self.joint is not None:
+            yield from trials.opened(case, *self.joint, step)
+
+    def _words(self) -> Iterator[str]:
+        inside = f"{self.body} was in {self.container}, which" if self.body else self.container
+        yield f"{inside} was closed at step {self.steps[0]}"
+        if self.opening is not None:
+            yield f"{phrases.place(self.opening)} comes later: {phrases.short(self.opening.text)}"
 
 
 def _effect(case: FailureCase, precondition: str, subject: str, arm: str, failed: Node | None) -> Iterator[Trial]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, argument_values
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 TOO_FAR: Final = 1.2  # distance from the robot's base at which no arm reaches anything, m
-_OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # these causes explain the causes in this module
 
 
@@ -62,10 +61,8 @@ class ObstructingBody(Cause):
         if self.change is not None and self.change.how != "load":
             yield from trials.put_back(case, self.change)
         yield from trials.away(case, self.body)
-        if self.change is None and case.world is not None:
-            for joint in case.joints_to(self.body, self.link)[:1]:
-                if abs(case.world.bodies[self.body].joints[joint]) > _OPEN:
-                    yield from trials.joint_at(case, self.body, joint, 0.0)
+        for joint in case.joints_to(self.body, self.link)[:1] if self.change is None else ():
+            yield from trials.opened(case, self.body, joint)
 
     def _words(self) -> Iterator[str]:
         what = link_text(self.body, self.link)
@@ -155,15 +152,20 @@ class NoCandidate(Cause):
         pairs = [pair for found in recorded if isinstance(found, list) for pair in found]
         touched = [str(pair.get("body", "")) for pair in pairs if isinstance(pair, dict)]
         reasons = [str(argument_values(each.data).get("reason") or "") for each in self.asked.candidates]
-        bodies = case.world.bodies if case.world is not None else ()
+        bodies = case.world.bodies if case.world is not None else {}
         touched += [name for name in bodies if any(each.startswith(f"{name} is there") for each in reasons)]
         for body in dict.fromkeys(touched):
             yield from trials.away(case, body)
+        links = ((str(each.get("body")), str(each.get("body_link", ""))) for each in pairs if isinstance(each, dict))
+        for body, link in {each: None for each in links if each[0] in bodies and bodies[each[0]] is not case.robot}:
+            for joint in case.joints_to(body, link)[:1]:
+                yield from trials.opened(case, body, joint)
         goal = case.data.get("target")
         misses = (argument_values(each.data).get("distance") for each in self.asked.candidates)
         known = [each for each in misses if isinstance(each, int | float)]
         if isinstance(goal, list) and known:
-            yield from trials.nearer(case, [float(str(each)) for each in goal], min(known))
+            nearer = trials.nearer(case, [float(str(each)) for each in goal], min(known))
+            yield from (replace(each, partial=bool(touched)) for each in nearer)
 
     def _words(self) -> Iterator[str]:
         rejected = "its only candidate" if self.count == 1 else f"all {self.count} candidates"

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import ast
 import builtins
+import copy
 import operator
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Final
+from typing import Final, TypeAlias
 
 from recorder import geometry
-from recorder.plan_lines import syntax_nodes
+from recorder.plan_lines import called_name, syntax_nodes
 from recorder.records import Fluent, Mutation, Query, Refusal, Task, argument_values, from_json
 from recorder.records.text import is_choice
 from recorder.tasks import Node
@@ -77,8 +78,10 @@ class Raised(Cause):
         yield Raised(steps, case.failure.type, line, own, case.task, judged)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether a known change wrote the value of the plan's check."""
-        return self.own and not self.answers and any(each.kind == "written" for each in found)
+        """Return whether a change wrote the value of the plan's check, or a swallowed failure left a value out."""
+        if not self.own:
+            return any(getattr(each, "precondition", "") == "result" for each in found)
+        return not self.answers and any(each.kind == "written" for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with other answers, longer waits, or another arm, or without a refused call."""
@@ -158,11 +161,8 @@ def _refusals(case: FailureCase) -> Iterator[Refusal]:
 def _failed_before(case: FailureCase) -> Iterator[Task]:
     """Yield the end of the last motion in the same task if the motion failed."""
     scope = None if case.task is None else case.task.id
-    ended = [
-        motion
-        for motion in case.failed.motions
-        if motion.last_step < case.step and (scope is None or scope in [node.id for node in motion.around()])
-    ]
+    ended = [each for each in case.failed.motions if each.last_step < case.step]
+    ended = [each for each in ended if scope is None or scope in [node.id for node in each.around()]]
     last = max(ended, key=lambda motion: motion.last_step, default=None)
     if last is not None and last.failed and last.finished is not None and case.is_here(last.started):
         yield last.finished
@@ -197,11 +197,16 @@ def answers(case: FailureCase) -> Iterator[Query | Task]:
 _AXES: Final = ("x", "y", "z")
 _ORDERS: Final = {ast.Lt: operator.lt, ast.LtE: operator.le, ast.Gt: operator.gt, ast.GtE: operator.ge}
 _SUMS: Final = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul}
-_READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("turn",) * 4}
+#: Parts of the results of calls that read a body. The parts of a joint's call are in its argument or its subscript.
+_READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("turn",) * 4} | dict.fromkeys(
+    ("get_position_and_orientation", "get_AABB", "get_joint_position", "get_joint_positions"), ()
+)
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
-_ASIDE: Final = (0.01, 1.0)  # by so much trials change a compared coordinate or angle, m or rad
+_ASIDE: Final = (0.01, 1.0, -1.0)  # by so much trials change a compared coordinate or angle, m or rad
 _DEPTH: Final = 3  # definitions of names that are followed
 _MUTATIONS: Final = 200  # maximum number of changes in which moves of other objects are searched
+#: An expression of a check, the wanted part of its value, the number of definitions to follow, and the assignments.
+_Checked: TypeAlias = "tuple[ast.AST, str | None, int, Sequence[ast.Assign | ast.For]]"
 _OBJECT: Final = re.compile(r"<Object ([^<>]+)>")
 
 
@@ -230,9 +235,10 @@ class Written(Cause):
             change = case.blamed(last)
             if change.task is None or change.task.kind not in ("motion", HANDLER):
                 change = replace(change, line=case.line_of(last.record))
-            others = tuple(_others(case, change.step)) if last.how == "load" else ()
+            is_joint = part not in ("", "turn", *_AXES)
+            others = tuple(_others(case, change.step)) if last.how == "load" and not is_joint else ()
             now = case.world.bodies.get(name) if case.world is not None and last.how == "load" else None
-            pose = last.after if now is None else now.pose  # it has settled a little since then
+            pose = last.after if now is None else now.joints.get(part) if is_joint else now.pose  # it has settled since
             value = pose if isinstance(pose, float) else pose[0][_AXES.index(part)] if pose and part in _AXES else None
             steps = case.steps(change, *others)
             if (name, change.step) not in [(each.body, each.change.step) for each in found]:
@@ -253,10 +259,19 @@ class Written(Cause):
             yield from map(self._comparing, trials.put_back(case, self.change))
         body = None if case.world is None else case.world.bodies.get(self.body)
         if self.part in ("", "turn", *_AXES) and body is not None:
-            for aside in _ASIDE:  # no other change wrote the value, so it may be changed just before the check
-                axis, turn = self.part or "x", aside * (self.part not in _AXES)
-                place = [at + aside * (each == axis) for each, at in zip(_AXES, body.position, strict=True)]
+            axis = _AXES.index(self.part) if self.part in _AXES else 0
+            known = [_value(ast.Name(name), values) for values in (_variables(case),) for name in values]
+            points = [each for each in known if isinstance(each, list | tuple) and len(each) == len(_AXES)]
+            misses = [point[axis] - body.position[axis] for point in points if isinstance(point[axis], int | float)]
+            wanted = [each for each in misses if self.part in _AXES and abs(each) > _WROTE]  # perhaps the plan's goal
+            shown = re.search(r"\d", case.failure.message) is not None  # a small difference shows only in numbers
+            for aside in (*wanted, *_ASIDE[not shown :]):
+                turn = aside * (self.part not in _AXES)  # no other change wrote the value before the check
+                place = [at + aside * (each == axis) for each, at in enumerate(body.position)]
                 yield from map(self._comparing, trials.placed(case, self.body, place, turn=turn))
+        elif body is not None:
+            for end in trials.ends(case, self.body, self.part):
+                yield from map(self._comparing, trials.joint_at(case, self.body, self.part, end))
 
     @staticmethod
     def _comparing(trial: Trial) -> Trial:
@@ -323,16 +338,24 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
     error = next(reversed(case.traced), None)
     if error is None or not error.own or not error.lines or case.motion is not None:
         return
-    line = error.lines[-1]
-    frames = {(each.file, each.line): each.variables for each in case.failure.frames}
-    values = {each.name: each.value for each in frames.get((line.file, line.number), ())}
+    line, values = error.lines[-1], _variables(case)
     robot = case.world.robot if case.world is not None else ""
     for owner, part in _reads(syntax_nodes(case.source.text(line.file)), line, values):
         named = [robot] if isinstance(owner, ast.Attribute) and owner.attr == "robot" else _objects(owner, values)
         if len(named) != 1 and part:
             named = [name for name in case.mentioned if name in named] or list(case.mentioned)
+        joints = [name for name in named if name in bodies and part in bodies[name].joints]
+        named = joints or [name for name in named if name == robot or case.free_body(name) is not None]
         if part or len(named) == 1:
-            yield from ((name, part) for name in named if name == robot or case.free_body(name) is not None)
+            yield from ((name, part) for name in named)
+
+
+def _variables(case: FailureCase) -> dict[str, str]:
+    """Return the recorded variables of the innermost line of the failure."""
+    error = next(reversed(case.traced), None)
+    line = error.lines[-1] if error is not None and error.lines else None
+    frames = {(each.file, each.line): each.variables for each in case.failure.frames}
+    return {each.name: each.value for each in frames.get((line.file, line.number), ())} if line is not None else {}
 
 
 def _reads(nodes: Sequence[ast.AST], line: Line, values: Mapping[str, str]) -> Iterator[tuple[ast.expr, str]]:
@@ -343,27 +366,53 @@ def _reads(nodes: Sequence[ast.AST], line: Line, values: Mapping[str, str]) -> I
     around = around[outer[-1] :] if outer else around
     if not around or not isinstance(around[-1], ast.Assert | ast.Raise):
         return
-    functions = (each for each in statements if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef))
+    functions = [each for each in statements if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef)]
     others = {id(each) for function in functions if function not in around for each in ast.walk(function)}
-    scope = [each for each in (ast.walk(around[0]) if outer else nodes) if isinstance(each, ast.Assign)]
-    scope = sorted((each for each in scope if outer or id(each) not in others), key=lambda each: each.lineno)
+    scope = [each for each in (ast.walk(around[0]) if outer else nodes) if isinstance(each, ast.Assign | ast.For)]
+    scope = [each for each in scope if each.lineno < line.number and (outer or id(each) not in others)]
     tests = [each.test for each in around if isinstance(each, ast.Assert | ast.If)][-1:]
     if isinstance(around[-1], ast.Assert):
         parts = [part for test in tests for part in (test.values if isinstance(test, ast.BoolOp) else [test])]
         tests = [part for part in parts if not _holds(part, values)] or tests
-    waiting: list[tuple[ast.AST, str | None, int]] = [(test, None, _DEPTH) for test in tests]
+    waiting: list[_Checked] = [(test, None, _DEPTH, sorted(scope, key=lambda each: each.lineno)) for test in tests]
     seen: set[tuple[str, str | None]] = set()
-    for node, wanted, depth in waiting:  # the list grows
+    for node, wanted, depth, made in waiting:  # the list grows
         for each in ast.walk(node):
             if isinstance(each, ast.Call) and isinstance(each.func, ast.Attribute) and each.func.attr in _READS:
-                yield each.func.value, wanted if wanted is not None else _part(node, each)
+                yield from ((each.func.value, part) for part in _parts(node, each, wanted, values))
             elif isinstance(each, ast.Call):
-                yield from ((given, "") for given in each.args if isinstance(given, ast.Name))
+                called = [*_results(functions, each)] if depth else []
+                waiting += ((end, wanted or _item(node, each), depth - 1, inner) for end, inner in called)
+                yield from ((given, "") for given in each.args if isinstance(given, ast.Name) and not called)
             elif isinstance(each, ast.Name) and (each.id, _item(node, each)) not in seen and depth:
                 seen.add((each.id, _item(node, each)))
-                for made in [other for other in scope if other.lineno < line.number and _binds(other, each.id)][-1:]:
-                    part = _unpacked(made, each.id) or _item(node, each)
-                    waiting.append((_given(made, each.id), part, depth - 1))
+                for given, part in [*filter(None, (_given(other, each.id) for other in made))][-1:]:
+                    waiting.append((given, part or wanted or _item(node, each), depth - 1, made))
+
+
+def _parts(node: ast.AST, call: ast.Call, wanted: str | None, values: Mapping[str, str]) -> list[str]:
+    """Return the part of a pose, or the names of the joints, that an expression takes from a call."""
+    name = called_name(call)
+    if "joint" in name:
+        given = [_value(each, values) for each in (*call.args, *(each.value for each in call.keywords))]
+        keys = (_value(each.slice, values) for each in ast.walk(node) if isinstance(each, ast.Subscript))
+        return [each for each in given or [wanted, *keys] if isinstance(each, str)]
+    found = wanted if wanted in ("", "turn", *_AXES) else _item(node, call, _READS[name])
+    return [found if found is not None else "turn" if name == "get_orientation" else ""]
+
+
+def _results(functions: Sequence[ast.AST], call: ast.Call) -> Iterator[tuple[ast.expr, list[ast.Assign | ast.For]]]:
+    """Yield the results of a called function with its assignments, both with arguments in place of parameters."""
+    for function in (each for each in functions if getattr(each, "name", "") == called_name(call)):
+        nodes = [*ast.walk(copy.deepcopy(function))]
+        names = [each.arg for each in nodes if isinstance(each, ast.arg)][isinstance(call.func, ast.Attribute) :]
+        given = dict(zip(names, call.args, strict=False)) | {each.arg: each.value for each in call.keywords}
+        own = {*names, *(each.id for each in nodes if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store))}
+        for each in nodes:
+            if isinstance(each, ast.Name):  # the caller's variables may have the names of the function's variables
+                each.id = getattr(given.get(each.id), "id", f".{each.id}" * (each.id in own) or each.id)
+        made = [each for each in nodes if isinstance(each, ast.Assign | ast.For)]
+        yield from ((each.value, made) for each in nodes if isinstance(each, ast.Return) and each.value is not None)
 
 
 def _holds(test: ast.expr, values: Mapping[str, str]) -> bool:
@@ -378,8 +427,8 @@ def _holds(test: ast.expr, values: Mapping[str, str]) -> bool:
 def _value(node: ast.expr, values: Mapping[str, str]) -> object:
     """Return the value of an expression at the failure: a number, or a container of numbers; None if unknown."""
     match node:
-        case ast.Constant(value=int() | float() as number):
-            return float(number)
+        case ast.Constant(value=int() | float() | str() as given):
+            return given if isinstance(given, str) else float(given)
         case ast.Name(id=name) if name in values:
             with suppress(ValueError, SyntaxError):
                 value = ast.literal_eval(values[name])
@@ -397,41 +446,26 @@ def _value(node: ast.expr, values: Mapping[str, str]) -> object:
     return None
 
 
-def _binds(statement: ast.Assign, name: str) -> bool:
-    return any(isinstance(each, ast.Name) and each.id == name for part in statement.targets for each in ast.walk(part))
-
-
-def _given(statement: ast.Assign, name: str) -> ast.expr:
-    """Return the value that a statement gives a name: one of several if both sides have several."""
-    target, value = statement.targets[0], statement.value
-    if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple) and len(target.elts) == len(value.elts):
-        pairs = zip(target.elts, value.elts, strict=True)
-        return next((made for each, made in pairs if isinstance(each, ast.Name) and each.id == name), value)
-    return value
-
-
-def _unpacked(statement: ast.Assign, name: str) -> str | None:
-    """Return the part of a position that a statement unpacks into a name; None if it unpacks nothing."""
-    target, value = statement.targets[0], statement.value
-    called = value.func.attr if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) else ""
-    if isinstance(target, ast.Tuple) and called in _READS:
-        at = next(at for at, each in enumerate(target.elts) if isinstance(each, ast.Name) and each.id == name)
-        return _READS[called][at] if at < len(_READS[called]) else ""
-    return None
-
-
-def _part(node: ast.AST, call: ast.Call) -> str:
-    """Return the part of a pose that an expression takes from a call."""
-    parts = _READS[call.func.attr] if isinstance(call.func, ast.Attribute) else ()
-    found = _item(node, call, parts)
-    return found if found is not None else parts[0] if parts and len(set(parts)) == 1 else ""
+def _given(statement: ast.Assign | ast.For, name: str) -> tuple[ast.expr, str] | None:
+    """Return the expression that a statement gives a name, and the part if it unpacks a position; otherwise None."""
+    looped = isinstance(statement, ast.For)
+    target = statement.target if isinstance(statement, ast.For) else statement.targets[0]
+    value = statement.iter if isinstance(statement, ast.For) else statement.value
+    tuples = [[getattr(each, "id", "") for each in one.elts] for one in ast.walk(target) if isinstance(one, ast.Tuple)]
+    names = next((each for each in tuples if name in each), [])
+    if names and isinstance(value, ast.Tuple) and len(value.elts) == len(names) and not looped:
+        return value.elts[names.index(name)], ""
+    parts = _READS.get(called_name(value), _AXES if looped and len(names) == len(_AXES) else ()) if names else ()
+    found = name in {getattr(each, "id", "") for each in ast.walk(target)}
+    return (value, "".join(parts[names.index(name) :][:1]) if parts else "") if found else None
 
 
 def _item(node: ast.AST, inner: ast.expr, parts: Sequence[str] = _AXES) -> str | None:
     for each in ast.walk(node):
         if isinstance(each, ast.Subscript) and each.value is inner and isinstance(each.slice, ast.Constant):
             at = each.slice.value
-            return parts[at] if isinstance(at, int) and -len(parts) <= at < len(parts) else None
+            within = isinstance(at, int) and -len(parts) <= at < len(parts)
+            return at if isinstance(at, str) else parts[at] if within else None  # type: ignore[index]
     return None
 
 

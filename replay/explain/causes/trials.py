@@ -21,7 +21,7 @@ from replay.errors import NoSuchStep
 from replay.history.blame import commanded
 from replay.report import phrases
 from replay.report.question import QueryCall, question_of, written
-from replay.state.fold import state_at
+from replay.state.fold import last_open_step, state_at
 from replay.state.state import Body
 
 if TYPE_CHECKING:
@@ -32,6 +32,7 @@ _FAR: Final = 30.0  # distance in m to which an obstacle is moved away
 _BEFORE: Final = 0.65  # distance in m between robot and target at which arms work well
 _ROOM: Final = 0.1  # distance in m by which the robot moves nearer, plus the distance that the arm lacked
 _LONGER: Final = 10.0  # factor for the limits of waits
+OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 NONE: Final = "none"
 _FLUENT: Final = "fluent:"
 COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
@@ -50,6 +51,7 @@ class Trial:
     answers: tuple[str, ...] = ()  # values of ``fork --answer``
     world: str = ""  # the world of the settings
     decisive: bool = True  # whether the same failure refutes the cause even in a single fork
+    partial: bool = False  # whether the fork takes only a part of the cause away, so the same failure refutes nothing
     compares: bool = False  # whether a check with another value confirms the cause
     needs: str = ""  # motion that must succeed because of the change; otherwise, the fork decides nothing
 
@@ -175,6 +177,20 @@ def joint_at(case: FailureCase, body: str, joint: str, value: float, step: int |
     yield _set(case, step, text, {f"{written(body)}.{joint}": value})
 
 
+def opened(case: FailureCase, body: str, joint: str, step: int | None = None) -> Iterator[Trial]:
+    """Yield the trial with an open joint closed; or the trials with a closed joint open, and half-way open."""
+    is_open = case.world is not None and abs(case.world.bodies[body].joints[joint]) > OPEN
+    for end in [0.0] if is_open else ends(case, body, joint)[:1]:
+        for value in (end, end / 2)[: 2 - is_open]:
+            yield from joint_at(case, body, joint, value, step)
+
+
+def ends(case: FailureCase, body: str, joint: str) -> list[float]:
+    """Return the limits of a joint, the limit that is farther from the joint's position first."""
+    at = case.world.bodies[body].joints[joint] if case.world is not None else 0.0
+    return sorted(filter(math.isfinite, case.limits(body, joint) or ()), key=lambda end: -abs(end - at))
+
+
 def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[Trial]:
     """Yield the trials in which, just before the failure, the robot is nearer to a target, and at it."""
     robot = case.robot
@@ -274,8 +290,8 @@ def _set(case: FailureCase, step: int | None, words: str, values: Mapping[str, o
 
 
 def _before(case: FailureCase) -> int:
-    """Return the step at which the failed motion began; without a motion, the step before the failure."""
-    return case.began if case.motion is not None else case.began - 1
+    """Return the step at which the failed motion began; otherwise the step before the failure, with open worlds."""
+    return case.began if case.motion is not None else last_open_step(case.log, case.began - 1)
 
 
 def _body(case: FailureCase, name: str, step: int) -> Body | None:

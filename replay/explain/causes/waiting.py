@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 from recorder.plan_lines import called_name, last_name, syntax_nodes
 from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
 from recorder.tasks import Node, State, Tree
-from replay.errors import NoSuchName
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, objects_in
 from replay.explain.causes.raised import answers
@@ -71,7 +70,8 @@ class Fulfiller:
         if self.refused is not None:
             error = phrases.failure(self.refused.failure)
             text += f", after {phrases.refused(self.refused)} was refused at step {self.refused.seq}: {error}"
-        return text + ("; no record shows that it was set" if self.task is None and self.step is None else "")
+        shown = "no record shows that it was set" if self.step is None else f"it was last set there at step {self.step}"
+        return text + (f"; {shown}" if self.task is None else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,18 +296,17 @@ def _excluded(case: FailureCase, condition: str) -> str:
     """Return the limits of a joint that exclude a condition such as ``joint of ELBOW of pr2 > 4``."""
     compared = trials.COMPARED.fullmatch(condition)
     joint = trials.JOINT.fullmatch(compared[1]) if compared else None
-    body = case.world.bodies.get(joint[2]) if joint and case.world is not None else None
+    limits = case.limits(joint[2], joint[1]) if joint else None
     try:
-        limits = case.state.urdf(body).joints[joint[1]] if joint and body is not None else None
         wanted = float(compared[3]) if compared else 0.0
-    except (NoSuchName, KeyError, ValueError):
+    except ValueError:
         return ""
     if limits is None or compared is None or joint is None:
         return ""
-    below, above = wanted < limits.lower, wanted > limits.upper
+    below, above = wanted < limits[0], wanted > limits[1]
     if not {">": above, "<": below}.get(compared[2][0], above or below):
         return ""
-    span = f"{phrases.number(limits.lower)} to {phrases.number(limits.upper)}"
+    span = f"{phrases.number(limits[0])} to {phrases.number(limits[1])}"
     return f"{joint[1]} of {joint[2]} goes from {span}, so it never becomes true"
 
 
@@ -335,7 +334,9 @@ def _values(
 def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step: int) -> Iterator[Fulfiller]:
     """Yield the setters of the fluents in the plan's source; if there are none, the recorded setters."""
     found = False
-    last = {record.name: record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves}
+    records = [record for record in case.log.records(Fluent, stop=step + 1) if record.name in leaves]
+    last = {record.name: record for record in records}
+    at = {(each.name, line.number, line.text): each.seq for each in records for line in case.source.call_stack(each)}
     for name in leaves:
         if _FOLLOWS.match(name):
             continue
@@ -346,6 +347,7 @@ def _fulfillers(case: FailureCase, leaves: Mapping[str, Plain], tree: Tree, step
             task = _task_of(tree, line.function, step) if line is not None else None
             failed = _failed_in(case, task)
             done = record.seq if record is not None and task is not None and _is_in(record.task, task) else None
+            done = at.get((name, number, line.text)) if line is not None and task is None else done
             found = True
             yield Fulfiller(line, task, done, failed, _refused_in(case, task, step), sure)
     if found:

@@ -273,6 +273,19 @@ def test_a_statement_that_fails_has_no_values_of_its_last_iteration(why: Callabl
     assert not any("'left'" in line.partition("#")[2] for line in printed), "\n".join(printed)
 
 
+def test_values_of_an_earlier_iteration_have_their_step(why: Callable[[str], list[str]]) -> None:
+    printed = why("""
+        taken = []
+        for name in ("milk", "spoon"):
+            if name in taken or len(taken) > 0:
+                perform(moving(target=[len(taken), name, 0]))
+            milk.set_position([0.6, 0.3, 0.1])
+            taken.append(name)
+    """)
+    (said,) = (line.partition("# ")[2].split("; ") for line in printed if "for name in" in line)
+    assert sorted(each.rstrip("0123456789") for each in said) == ["name = 'milk' after step ", "name = 'spoon'"]
+
+
 @pytest.mark.usefixtures("why")
 def test_the_verb_gives_origins_as_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = recorded(tmp_path, "thing = floor\nperform(pick_up(object=thing))")

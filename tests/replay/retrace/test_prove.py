@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING
 import pytest
 
 import replay
+from recorder.records import Record, Run, Task
 from replay.cli.main import main
+from replay.errors import ReplayError
 from replay.explain.causes.case import Cause
 from replay.explain.causes.trials import Trial
+from replay.fix.trials import Trials
 from replay.retrace.prove import prove
 from tests.replay.explain.causes.explaining import START, WITH_PR2
+from tests.replay.restore.test_verify import rewritten
 from tests.replay.retrace.test_retrace import record
 
 if TYPE_CHECKING:
@@ -76,6 +80,12 @@ with timeout(0.5, simulated=True):
         + "cup = Object('cup', 'cup', 'cup.stl', [1.35, 0.6, 1.17])\nworld.settle()\n"
         + 'box.set_position([1.35, 1.3, 0.98])\nworld.simulate(0.1)\nperform(type="pick-up", object=cup, arm="right")\n',
         ("physics", "confirmed"),
+    ),
+    "the drawer was closed": (
+        TABLE
+        + 'spoon = Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72])\nworld.settle()\n'
+        + 'perform(type="pick-up", object=spoon, arm="right")\n',
+        ("closed", "confirmed"),
     ),
     "the plan has a mistake": ("milk = None\nmilk.set_position([0, 0, 1])\n", ("raised", "untested")),
 }
@@ -160,3 +170,32 @@ def test_without_a_control_that_repeats_the_recording_nothing_is_proven(tmp_path
         assert not control.identical
         assert {each.verdict for each in proven.proofs} == {"untested"}
         assert "doesn't repeat its recording" in proven.proofs[0].text
+
+
+@pytest.mark.costly
+def test_reworded_failures_of_another_version_are_the_same(tmp_path: Path) -> None:
+    log = recorded(
+        tmp_path,
+        'milk = Object("milk", "milk", "milk.stl", [0, 0, 0.4])\nmilk.set_position([0, 0, 1])\n'
+        "with timeout(0.1, simulated=True):\n    world.simulate(0.3)\n",
+    )
+    verdicts = {}
+    for version in ("", "another version"):
+
+        def reworded(record: Record, version: str = version) -> Record:
+            if isinstance(record, Run | Task) and record.HasField("failure"):
+                record.failure.message = "as it was worded before"
+            if isinstance(record, Run) and version:
+                record.pycram.sha256 = version
+            return record
+
+        with replay.open(rewritten(log, tmp_path / f"reworded{version}.mcap", reworded)) as recording:
+            proven, control = prove(recording, recording.why())
+            verdicts[version] = control.identical, {each.verdict for each in proven.proofs}
+        with replay.open(recording.path) as recording, Trials(recording) as trials:
+            if version:
+                assert trials.control().kind == "failed"
+            else:
+                with pytest.raises(ReplayError, match="doesn't end as recorded"):
+                    trials.control()
+    assert verdicts == {"": (False, {"untested"}), "another version": (True, {"confirmed"})}

@@ -241,3 +241,16 @@ def test_a_killed_plan_tells_what_it_was_doing(
     (cause,) = why.causes
     assert (cause.kind, cause.by) == ("interrupted", "")
     assert "apple ready" in [pending.task.name for pending in cause.pending]
+
+
+def test_a_line_that_set_a_fluent_too_rarely_has_the_step_of_its_last_change(explained: Callable[..., Why]) -> None:
+    why = explained("""
+        served = Fluent(0, "served")
+        for _ in range(2):
+            served.set_value(served.get_value() + 1)
+        if not (served >= 3).wait_for(timeout=0.1):
+            raise RuntimeError("not all are served")
+    """)
+    (setter,) = why.causes[0].pending[0].fulfillers
+    assert "it was last set there at step" in str(setter)
+    assert "no record shows" not in str(setter)

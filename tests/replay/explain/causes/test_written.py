@@ -40,8 +40,16 @@ def written(why: Why) -> list[tuple[str, str, int]]:
         ("shift(milk, 1)", "assert milk.get_position()[1] < 0.5", "y"),
         ("shift(milk, 1)", "x, y, z = milk.get_position()\n    if y > 0.5:\n        raise PlanFailure('too far')", "y"),
         ("with monitored('always milk.y < 0.5'):\n        shift(milk, 1)", "pass", "y"),
+        (
+            "shift(milk, 1)",
+            (
+                "ends = {'milk': milk.get_position()}\n    world.exit()\n    for name, (x, y, z) in ends.items():\n"
+                "        assert y < 0.5"
+            ),
+            "y",
+        ),
     ],
-    ids=["assert", "raise", "property"],
+    ids=["assert", "raise", "property", "assert after the world"],
 )
 def test_the_compared_coordinate_leads_to_its_last_command(
     explained: Callable[..., Why], tmp_path: Path, move: str, check: str, part: str
@@ -60,6 +68,31 @@ def test_a_property_of_a_joint_leads_to_the_last_command_of_the_joint(
         Object("panda", "robot", "panda.urdf", [5, 0, 0]).set_joint_position("panda_joint1", 0.3)"""
     why = explained(PLAN.format(move=move, check="pass"))
     assert written(why) == [("panda", "panda_joint1", line_of(tmp_path, "set_joint_position"))]
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        "assert panda.get_joint_position('panda_joint1') < 0.2",
+        (
+            "joint = 'panda_joint1'\n    def is_turned(arm):\n        return arm.get_joint_positions()[joint] > 0.2\n"
+            "    if is_turned(panda):\n        raise PlanFailure('turned')"
+        ),
+    ],
+    ids=["one joint", "in a function"],
+)
+def test_a_check_of_a_joint_leads_to_its_last_command_and_moves_it_elsewhere(
+    explained: Callable[..., Why], tmp_path: Path, check: str
+) -> None:
+    move = """panda = Object("panda", "robot", "panda.urdf", [5, 0, 0])
+    panda.set_joint_position("panda_joint1", 0.3)"""
+    explained(PLAN.format(move=move, check=check))
+    with replay.open(tmp_path / "x.mcap") as log:
+        why = log.why()
+        assert written(why) == [("panda", "panda_joint1", line_of(tmp_path, 'set_joint_position("'))]
+        back, *others = [*why.causes[0].trials(why.case)]
+    assert back.settings == ("panda.panda_joint1=0.0",)
+    assert [each.settings for each in others] == [(f"panda.panda_joint1={end}",) for end in (-2.8973, 2.8973)]
 
 
 def test_a_fall_that_changes_the_compared_height_is_the_cause(explained: Callable[..., Why]) -> None:
@@ -95,7 +128,7 @@ def test_only_coordinates_that_fail_are_compared(explained: Callable[..., Why]) 
 
 
 def test_a_loop_that_never_ran_leads_to_its_line(explained: Callable[..., Why], tmp_path: Path) -> None:
-    loop = "from pycram import perform\n    for thing in []:\n        perform(looking(object=thing))"
+    loop = "from pycram import perform\n    def never_called():\n        perform(parking())\n    for thing in []:\n        perform(looking(object=thing))"
     why = explained(PLAN.format(move=loop, check="assert milk.get_position()[1] > 0.5\n    perform(parking())"))
     sources = [each for each in why_report.lines(why) if "no record shows that it ran" in each]
     assert [each.split()[1] for each in sources] == ["perform(looking(object=thing))"]
