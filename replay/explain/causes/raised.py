@@ -78,10 +78,8 @@ class Raised(Cause):
         yield Raised(steps, case.failure.type, line, own, case.task, judged)
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether a change wrote the value of the plan's check, or a swallowed failure left a value out."""
-        if not self.own:
-            return any(getattr(each, "precondition", "") == "result" for each in found)
-        return not self.answers and any(each.kind == "written" for each in found)
+        """Return whether a known change wrote the value of the plan's check."""
+        return self.own and not self.answers and any(each.kind == "written" for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with other answers, longer waits, or another arm, or without a refused call."""

@@ -159,9 +159,11 @@ def test_all_failing_branches_have_their_scene_and_their_causes(robot: Recording
 
 @pytest.mark.slow
 def test_a_variable_without_a_value_leads_to_the_failure_that_left_it_so(robot: Recording) -> None:
-    (cause,) = robot.why().causes  # the line that used the variable is no cause of its own
+    cause, mistake = robot.why().causes
     assert (cause.kind, cause.precondition, cause.subject) == ("swallowed-failure", "result", "milk")
     assert cause.failed.name == "detecting"
+    assert (mistake.kind, mistake.own) == ("raised", False)
+    assert mistake.line.text == 'perform(type="pick-up", object=milk, arm="right")'
 
 
 def test_of_very_many_failures_the_last_are_looked_at_and_the_others_counted(
