@@ -49,12 +49,12 @@ _RULES: Final = """
 0.35; A / B * C | A / (B * C); A - B + C | A - (B + C); A.set_value(K) | A.set_value(A.get_value() + K)
 0.4; A or B and C | (A or B) and C; A[0] | A[-1]; A[-1] | A[0]; A[B:] | A[:] | A[B - 1:] | A[B + 1:]
 0.4; A[:B] | A[:] | A[:B + 1] | A[:B - 1]; A[B:C] | A[:] | A[B:C + 1] | A[B - 1:C]; A - B < C | abs(A - B) < C
-0.5; A[X] | A[X - 1] | A[X + 1]; A + K | A; A - K | A; enumerate(A) | enumerate(A, 1); F(A, B) | F(B, A)
-0.5; F(A, B, C) | F(B, A, C) | F(A, C, B); A += B | A -= B | A = B; A or B | B if A is None else A; return | continue
-0.5; A.copy() | copy.deepcopy(A); abs(A) | A; not A | A | A is None; round(A) | A | round(A, 2); sorted(A) | A
+0.5; A[X] | A[X - 1] | A[X + 1]; A + K | A; A - K | A; enumerate(A) | enumerate(A, 1); round(A) | A | round(A, 2)
+0.5; sorted(A) | A; A += B | A -= B | A = B; A or B | B if A is None else A; return | continue
+0.5; A.copy() | copy.deepcopy(A); abs(A) | A; not A | A | A is None; A not in B | A in B; continue | break
+0.52; F(A, B) | F(B, A); F(A, B, C) | F(B, A, C) | F(A, C, B)
 0.55; A < B | A > B | A <= B; A > B | A < B | A >= B; A <= B | A >= B | A < B; A >= B | A <= B | A > B; break | continue
 0.55; A in B | A not in B; A == B | A != B | A is B; A != B | A == B; A is B | A is not B | A == B; A is not B | A is B
-0.55; A not in B | A in B; continue | break
 0.65; A + B | A - B; A - B | A + B; A and B | A or B; A or B | A and B; A * B | A / B; A / B | A // B | A * B
 0.65; A // B | A / B | A % B; A % B | A // B; A and B and C | A or B or C; A or B or C | A and B and C
 """
@@ -90,9 +90,9 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     if value and (isinstance(value, float) or node not in plan.counts | plan.turns):
         yield instead(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":
-        asks = not isinstance(plan.parents[node], ast.Subscript)
+        is_index = isinstance(plan.parents[node], ast.Subscript)
         for other in (value - 1, value + 1):
-            yield instead(node, repr(other), 0.45 + 0.03 * (other > value), asks=asks)
+            yield instead(node, repr(other), 0.45 + 0.06 * is_index + 0.03 * (other > value), asks=not is_index)
 
 
 def _frame(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
