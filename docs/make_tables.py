@@ -76,7 +76,8 @@ lists all bundled models.
 is a destination of an action, as in `transporting(object=milk, target="counter")`. x and y are the ranges of the
 surface. The position of an object is its middle, so a standing object is half its height above the surface: the milk
 on the counter is at z = {counter} + {half}. The [tutorial](../tutorial/2_a_plan_of_motions.md) shows where the PR2
-stands when it works at the counter. The last row is the table of `table.urdf`.
+stands when it works at the counter. A [property](properties.md) names the link of a surface, as in
+`on(milk, kitchen.kitchen_island_surface)`. The last row is the surface of another model, `table.urdf`.
 """
 _CONTAINERS: Final = """\
 ## Drawers and doors
@@ -138,7 +139,7 @@ def bundled() -> str:
 
 def surfaces() -> str:
     """Return the table of the surfaces of the bundled furniture."""
-    return _table(("surface", "x", "y", "height", "free above", "in"), _surfaces())
+    return _table(("surface", "x", "y", "height", "free above", "in", "link"), _surfaces())
 
 
 def _surfaces() -> list[tuple[str, ...]]:
@@ -147,7 +148,8 @@ def _surfaces() -> list[tuple[str, ...]]:
     for name in ("kitchen.urdf", "table.urdf"):
         model = load.load(name)
         for surface in furniture_of(model).surfaces.values():
-            found = (surface.name, *_extents(model.urdf, surface), _free(surface.clearance), surface.container)
+            found = (surface.name, *_extents(model.urdf, surface), _free(surface.clearance))
+            found = (*found, surface.container, f"`{surface.link}`")
             rows.append((found, name, bool(surface.container)))
     rows.sort(key=lambda row: row[1:])
     return [row for row, *_ in rows]

@@ -95,7 +95,8 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
 def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResult) -> Iterator[str]:
     if chance.choice:
         yield f"the plan also succeeds with another choice, {chance.choice}:"
-        yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}"
+        recorded = "" if trials.program.read_text(encoding="utf-8") == trials.text else " --recorded-source"
+        yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}{recorded}"
         yield f"  its run: {chance.recording}"
     if not found.asked:  # no edits were tried
         if not chance.choice:
@@ -104,7 +105,8 @@ def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResu
         return
     count = f"{phrases.plural(found.tried, 'candidate')} in {phrases.plural(found.runs, 'run')}"
     if not found.repairs:
-        yield f"no repair found; tried {count}"
+        more = "fix knows no other edit of this plan" if found.exhausted else "with a larger --budget, fix tries more"
+        yield f"no repair found; tried {count}; {more}"
         yield f"asked: {found.asked}"
         for what, failure in [*found.others.items()][:_MAX_OTHERS]:
             yield f"  {what}: {phrases.one_line(failure)}"

@@ -71,6 +71,7 @@ class SearchResult:
     asked: str  # text of the requirements on a repair
     repairs: list[Repair] = field(default_factory=list)  # the best first
     tried: int = 0  # number of candidates
+    exhausted: bool = False  # whether no candidate is left
     runs: int = 0  # number of whole runs, including those that check repairs
     others: dict[str, str] = field(default_factory=dict)  # other failures of candidates, by edit
 
@@ -122,6 +123,7 @@ def _try_all(
         likely = (each for each in candidates if not (unlikely and each.chance))  # another chance proves nothing
         wave = [*islice(likely, min(usable_cores(), last - trials.runs))]
         if not wave:
+            found.exhausted = True
             break
         endings = trials.all([Version(each.text) for each in wave])
         found.tried += len(wave)
