@@ -198,13 +198,15 @@ class Tracer:
         entered = self._entered.get(note.time)
         if entered is None or self._is_known(note.time, "within"):
             return
-        at = Evaluation(entered.frame, note.end)
+        # a function that a branch runs goes on after the call that added the branch
+        last = next((each.time for each in reversed(self._notes.all) if each.frame == entered.frame), 0)
+        at = Evaluation(entered.frame, max(note.end, last + 1))
         for each in ast.walk(self._node(entered)):
             if isinstance(each, ast.If | ast.While | ast.For):
                 yield from self._untaken(each, at)
-        for last in [each for each in self._inner[note.time] if each.function is not print][-1:]:
-            parts = self._arguments(self._node(last), Evaluation(last.frame, last.time))
-            yield self._fact("before", self._node(last), "", None, last.step, joined(parts, self._within(last)))
+        for call in [each for each in self._inner[note.time] if each.function is not print][-1:]:
+            parts = self._arguments(self._node(call), Evaluation(call.frame, call.time))
+            yield self._fact("before", self._node(call), "", None, call.step, joined(parts, self._within(call)))
 
     def _untaken(self, statement: ast.If | ast.While | ast.For, place: Evaluation) -> Facts:
         """Yield the condition of statements whose calls didn't run: in a branch, in a loop, or after an exit."""

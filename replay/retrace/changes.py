@@ -27,6 +27,7 @@ from pycram.reasoning.grasping.fingers import close_around
 from pycram.reasoning.grasping.grasps import candidates
 from pycram.reasoning.queries.query import RECORDED_AS, Found, Verdict
 from pycram.scheduling.schedule import is_held
+from pycram.world.attachment import attached_to
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld, open_worlds
 from recorder import geometry, records
@@ -195,6 +196,10 @@ def hold(body: Object, arm: str) -> None:
     if robot is None or robot.description is None:
         raise BadChange(f"{body.name}.{_HAND}={arm}", f"{body.world.name} has no robot with a description")
     part = robot.description.arm(arm)
+    holds = attached_to(robot, part.tool_frame)
+    if holds is not None:
+        release = f"{holds.name}.{_HAND}=none"
+        raise BadChange(f"{body.name}.{_HAND}={arm}", f"the hand holds {holds.name}; before it, set {release}")
     tool = part.tool_pose(robot.get_link_position_and_orientation(part.tool_frame))
     stood = body.get_position_and_orientation()
     for grasp in candidates(body, robot, part):

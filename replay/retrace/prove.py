@@ -12,11 +12,12 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder.records import Failure, Run, Task, argument_values, format_failure
+from recorder.records import Failure, Mutation, Run, Task, argument_values, format_failure
 from replay.compare import is_worded_alike, signature
 from replay.errors import ReplayError
 from replay.explain.causes.case import pairs_of
@@ -36,8 +37,7 @@ _BUDGET: Final = 12  # maximum number of forks
 _AT_ONCE: Final = 2  # number of parallel forks
 _MAX_TRIALS: Final = 3  # maximum number of forks for one cause
 _SECONDS: Final = (30.0, 10.0)  # maximum duration of a fork: in s, and as a multiple of the original run
-_NUMBER: Final = re.compile(r"-?\d+(?:\.\d+)?")
-_STEPS: Final = re.compile(r"at step \d+ \([\d.]+ s\)|since step \d+")
+_WORD: Final = re.compile(r"[^\W\d]\w*")
 _End: TypeAlias = "tuple[str, Line | None]"  # signature and innermost line of a plan's failure
 _RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
 
@@ -169,7 +169,9 @@ class Prover:
                 text = f"the decision {', '.join(guided.unused)} wasn't made"
             else:
                 with RecordReader(file) as forked:
-                    verdict, text = self._judged(forked, trial, len(changes))
+                    came = _late(forked, trial.step) if trial.settings else 0
+                    text = f"a motion was under way, so the change came only at step {came}"
+                    verdict, text = (UNTESTED, text) if came else self._judged(forked, trial, len(changes))
         finally:
             timer.cancel()
         return TriedTrial(trial, verdict, f"{trial.words} after step {trial.step}: {text}", str(file) * self._kept)
@@ -209,7 +211,7 @@ class Prover:
         touched = [
             {(at.get("body"), at.get("body_link")) for at in pairs_of(each)} for each in (failure, self._failure)
         ]
-        later = later and not (touched[0] & touched[1] and failure.type == self._failure.type)
+        later = later and not (trial.succeeds or (touched[0] & touched[1] and failure.type == self._failure.type))
         further = "gets further, and " * later
         text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
         return REFUTED if same and not trial.partial else CONFIRMED if later else UNTESTED, text
@@ -223,12 +225,11 @@ class Prover:
         if end is not None and self._end is not None and (line := end[1]) and (own := self._end[1]):
             same = same or line == own
             is_before = (line.file, line.function) == (own.file, own.function) and line.number < own.number
-        if same and _values(failure) == _values(self._checked):
-            return UNTESTED, f"the check fails with the former value as well: {said}"
+        if same and _words(failure) <= _words(self._checked):  # it names the same things, perhaps with other numbers
+            return UNTESTED, f"the check still fails: {said}"
         if not (same or later) and (failure.type != self._checked.type or is_before):
             return UNTESTED, f"{said} happens before the check"
-        what = "compares another value" if same else "passes, and the plan fails later"
-        return CONFIRMED, f"the check {what}: {said}"
+        return CONFIRMED, f"the check passes, and {'another check' if same else 'the plan'} fails later: {said}"
 
     def succeeds(self, tried: TriedTrial) -> bool:
         """Return whether the failed task succeeds in a fork; without a task, whether the fork confirms the cause."""
@@ -265,9 +266,17 @@ def _succeeded(log: RecordReader, started: Task, end: int) -> int:
     return sum(each.status == Task.SUCCEEDED for each in log.records(Task, started.seq, end))
 
 
-def _values(failure: Failure) -> list[str]:
-    """Return the numbers that a check compared, as its message has them."""
-    return _NUMBER.findall(_STEPS.sub("", failure.message))
+def _late(forked: RecordReader, step: int) -> int:
+    """Return the step of a fork's first change if the plan itself changed the world after the wanted step; else 0."""
+    first, *_ = [*islice(forked.records(Mutation, step + 1), 1), None]
+    if first is None or first.by_fork:
+        return 0
+    return next((each.seq for each in forked.records(Mutation, first.seq) if each.by_fork), 0)
+
+
+def _words(failure: Failure) -> set[str]:
+    """Return the words of a check's message, such as names of objects."""
+    return set(_WORD.findall(failure.message))
 
 
 def _alike(log: RecordReader, task: Task, *, exact: bool) -> list[Task]:

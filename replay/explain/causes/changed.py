@@ -76,7 +76,8 @@ class NoLonger(Cause):
         yield from _moved_in_hand(case)
         asked: Query | Node | None = _contradicted_query(case)
         if asked is None and case.failure.type in ("Unreachable", "Blocked", "PerceptionError", "GraspFailed"):
-            names = set(case.subjects or case.mentioned)
+            # the robot moved what it holds on purpose
+            names = {each for each in case.subjects or case.mentioned if not case.holder(each, case.began)}
             done = [
                 each for each in case.motions("detecting", "world-state-detecting") if each.status is State.SUCCEEDED
             ]

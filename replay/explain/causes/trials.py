@@ -22,7 +22,7 @@ from replay.history.blame import commanded
 from replay.report import phrases
 from replay.report.question import QueryCall, question_of, written
 from replay.state.fold import last_open_step, state_at
-from replay.state.state import Body
+from replay.state.state import Body, World
 
 if TYPE_CHECKING:
     from replay.explain.causes.case import CausingChange, FailureCase
@@ -52,7 +52,8 @@ class Trial:
     world: str = ""  # the world of the settings
     decisive: bool = True  # whether the same failure refutes the cause even in a single fork
     partial: bool = False  # whether the fork takes only a part of the cause away, so the same failure refutes nothing
-    compares: bool = False  # whether a check with another value confirms the cause
+    compares: bool = False  # whether the fork changes a value that a check compares
+    succeeds: bool = False  # whether only a success of the failed motion confirms the cause
     needs: str = ""  # motion that must succeed because of the change; otherwise, the fork decides nothing
 
 
@@ -150,11 +151,13 @@ def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Tria
     """Yield the trial with an obstacle far away."""
     if case.free_body(body) is None or case.world is None:
         return
-    x, y, z = case.world.bodies[body].position
-    values: dict[str, object] = {f"{written(body)}.position": (x + _FAR, y + _FAR, z)}
-    if case.world.carrier(body) is not None:
-        values = {f"{written(body)}.hand": NONE} | values
-    yield _set(case, step, f"{body} is far away", values)
+    yield _set(case, step, f"{body} is far away", _far_away(case.world, body))
+
+
+def _far_away(world: World, body: str) -> dict[str, object]:
+    x, y, z = world.bodies[body].position
+    released = {f"{written(body)}.hand": NONE} if world.carrier(body) is not None else {}
+    return {**released, f"{written(body)}.position": (x + _FAR, y + _FAR, z)}
 
 
 def freed(case: FailureCase, body: str) -> Iterator[Trial]:
@@ -167,8 +170,10 @@ def freed(case: FailureCase, body: str) -> Iterator[Trial]:
 
 def in_hand(case: FailureCase, body: str, arm: str) -> Iterator[Trial]:
     """Yield the trial with a body in a hand just before the failure."""
-    if body and arm:
-        yield _set(case, None, f"the {arm} gripper holds {body}", {f"{written(body)}.hand": arm})
+    if body and arm and case.world is not None:
+        held = [each.body for each in case.world.attachments.values() if case.holder(each.body, _before(case)) == arm]
+        emptied = {key: value for each in held for key, value in _far_away(case.world, each).items()}
+        yield _set(case, None, f"the {arm} gripper holds {body}", emptied | {f"{written(body)}.hand": arm})
 
 
 def joint_at(case: FailureCase, body: str, joint: str, value: float, step: int | None = None) -> Iterator[Trial]:
@@ -192,20 +197,23 @@ def ends(case: FailureCase, body: str, joint: str) -> list[float]:
 
 
 def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[Trial]:
-    """Yield the trials in which, just before the failure, the robot is nearer to a target, and at it."""
+    """Yield the trials in which, just before the failure, the robot is nearer to a target, and before it."""
     robot = case.robot
     if robot is None:
         return
     (x, y, z), name = robot.position, robot.name
     distance, heading = math.dist((x, y), target[:2]), math.atan2(target[1] - y, target[0] - x)
+    needed, facing = distance - miss - _ROOM, geometry.from_rpy(0.0, 0.0, heading)
     for left, turn, words in (
-        (distance - miss - _ROOM, robot.orientation, f"{name} is {phrases.length(miss + _ROOM)} nearer"),
-        (_BEFORE, geometry.from_rpy(0.0, 0.0, heading), f"{name} is {phrases.length(_BEFORE)} before the target"),
+        (needed, robot.orientation, f"{name} is {phrases.length(miss + _ROOM)} nearer"),
+        (_BEFORE, facing, f"{name} is {phrases.length(_BEFORE)} before the target, and faces it"),
     ):
-        ahead = distance - max(left, 0.0)
+        if left < _BEFORE:  # so near, the robot would stand in what it should reach
+            continue
+        ahead = distance - left
         pose = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), z, *turn)
         trial = _set(case, None, words, {f"{written(name)}.position": pose})
-        yield replace(trial, decisive=left == _BEFORE)
+        yield replace(trial, decisive=left == _BEFORE, succeeds=True)
 
 
 def other_answer(query: Query) -> Iterator[Trial]:

@@ -112,7 +112,7 @@ class PendingTask:
             yield f"{self.task.name}: {values}{changed}  [{since}]"
             yield from [self.excluded] if self.excluded else []
             yield from map(str, self.fulfillers)
-            if not self.fulfillers:
+            if not (self.fulfillers or self.changed):
                 leaves = " or ".join(self.values) or self.task.name
                 yield f"no record shows a setter of {leaves}, and no line of the plan's source sets a fluent by name"
         elif self.holders:
