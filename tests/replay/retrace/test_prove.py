@@ -158,6 +158,50 @@ def test_claims_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str
         assert (cause.kind, "by the fork, not by the plan" in next(cause.lines())) == ("fork", True)
 
 
+@pytest.mark.slow
+def test_a_check_that_still_fails_with_another_number_confirms_nothing(tmp_path: Path) -> None:
+    log = recorded(
+        tmp_path,
+        'milk, cup = (Object(each, each, f"{each}.stl", [x, 0, 0.8]) for x, each in enumerate(("milk", "cup")))\n'
+        'for each in (milk, cup):\n    assert each.get_position()[2] < 0.5, f"{each.name} is at {each.get_position()}"\n',
+    )
+    with replay.open(log) as recording:
+        why = recording.why()
+        texts = {0.7: "the check still fails", 0.1: "the check passes, and another check fails later"}
+        claims = [
+            Claim((why.step,), Trial(why.step - 2, "", (f"milk.position=0,0,{height}",), compares=True))
+            for height in texts
+        ]
+        proven, _ = prove(recording, replace(why, causes=tuple(claims)))
+        ends = {proof.forks[0].trial.settings[0][-3:]: proof for proof in proven.proofs}
+    assert {height: proof.verdict for height, proof in ends.items()} == {"0.7": "untested", "0.1": "confirmed"}
+    assert all(text in ends[f"{height}"].text for height, text in texts.items())
+
+
+@pytest.mark.costly
+def test_a_mixed_up_hand_is_confirmed_though_it_holds_something_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = recorded(
+        tmp_path,
+        TABLE
+        + 'cup = Object("cup", "cup", "cup.stl", [1.35, 0.6, 0.92])\nworld.settle()\n'
+        + 'perform(type="pick-up", object=milk, arm="left")\nperform(type="pick-up", object=cup, arm="right")\n'
+        + 'perform(type="place", object=cup, target=[1.4, 0.6, 0.92], arm="left")\n',
+    )
+    with replay.open(log) as recording:
+        proven, _ = prove(recording, recording.why())
+    assert [(cause.kind, proof.verdict) for cause, proof in zip(proven.causes, proven.proofs, strict=True)] == [
+        ("hand-state", "confirmed"),
+        ("hand-state", "refuted"),
+    ]
+    capsys.readouterr()
+    assert (
+        main(["fork", str(log), "--at", str(proven.step - 2), "--set", "cup.hand=left", "-o", str(tmp_path / "f")]) == 2
+    )
+    assert "the hand holds milk; before it, set milk.hand=none" in capsys.readouterr().err
+
+
 @pytest.mark.costly
 def test_without_a_control_that_repeats_the_recording_nothing_is_proven(tmp_path: Path) -> None:
     log = recorded(
