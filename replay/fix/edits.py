@@ -134,8 +134,9 @@ class Editor:
             listed = [*ast.iter_child_nodes(around)] if isinstance(around, ast.List | ast.Tuple | ast.IfExp) else []
             others = {each.value for each in listed if isinstance(each, ast.Constant)}
             for text in sorted(fitting - {node.value} - plan.fixed):
-                what, is_equal = f"{text!r} instead of {node.value!r}", text in others  # two alternatives become one
-                yield Change(what, 0.4, ((node, repr(text)),), asks=True, chance=is_equal)
+                what = f"{text!r} instead of {node.value!r}"
+                chance = text in others or (isinstance(around, ast.keyword) and plan.scope(node) is plan.tree)
+                yield Change(what, 0.4, ((node, repr(text)),), asks=True, chance=chance)
         elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             yield from similar_name(node, plan)
 

@@ -282,7 +282,8 @@ def _sorting(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         orders = [{**given, "reverse": str(given.get("reverse") != "True")}] if "sort" in called_name(node) else []
         for at, slots in enumerate((*orders, *({**given, "key": key} for key in dict.fromkeys(keys)))):
             text = ", ".join((*map(ast.unparse, node.args), *(f"{each}={slots[each]}" for each in slots)))
-            yield instead(node, f"{ast.unparse(node.func)}({text.removesuffix(', reverse=False')})", 0.4 + 0.06 * at)
+            new = f"{ast.unparse(node.func)}({text.removesuffix(', reverse=False')})"
+            yield instead(node, new, 0.4 + 0.06 * at, chance=slots in orders)
 
 
 def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -296,9 +297,16 @@ def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 made = ast.parse(re.sub(r"\b[A-Z]\b", lambda each: f"({found[each[0]]})", new)).body[0]  # noqa: B023
                 value, text = getattr(made, "value", None), ast.unparse(made)
                 opens = isinstance(around, _COMPOUND) and isinstance(value, _COMPOUND) and type(value) is not type(node)
-                chance = {new, ast.unparse(pattern)} == {"A * B", "A / B"}
+                chance = {new, ast.unparse(pattern)} in _CHANCES and not skips
                 change = instead(node, f"({text})" if opens else text, cost + 0.03 * at - 0.25 * skips, chance=chance)
                 yield change._replace(kind=new)
+
+
+#: Expressions of which a wrong value may happen to be right: only the success of the run supports their exchange.
+_CHANCES: Final = (
+    *({f"A {one} B", f"A {other} B"} for one, other in ("*/", ("<", ">"), ("<=", ">="), ("<", ">="), (">", "<="))),
+    *({f"{function}(A)", "A"} for function in ("radians", "math.radians", "degrees")),
+)
 
 
 def _matches(pattern: object, node: object, found: dict[str, str]) -> bool:
@@ -413,7 +421,7 @@ def _copied(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
     """Yield other variables with the same role."""
     fitting = set[str]().union(*(each for each in plan.names.values() if node.id in each)) - plan.later(node)
-    for name in sorted(fitting - {node.id} - (set() if node.id in plan.fixed else plan.fixed)):
+    for name in sorted(fitting - {node.id, "_"} - (set() if node.id in plan.fixed else plan.fixed)):
         chance = bool(_AXIS.fullmatch(name) and _AXIS.fullmatch(node.id))
         yield instead(node, name, 0.6, asks=name in plan.constants, chance=chance)
 

@@ -196,7 +196,6 @@ MISTAKES = {
     "dropped result": ("import m\nm.replace(job, a=1)\n", "import m\njob = m.replace(job, a=1)\n"),
     "no result": ("def f(a):\n    a + 1\ngo(f(2))\n", "def f(a):\n    return a + 1\ngo(f(2))\n"),
     "sorted result": ("x = y.sort(key=len)\n", "x = sorted(y, key=len)\n"),
-    "reverse": ("go(sorted(x, reverse=True))\n", "go(sorted(x))\n"),
     "sort key": (
         "class Job:\n    def __init__(self):\n        self.row = 1\nx.sort()\n",
         "class Job:\n    def __init__(self):\n        self.row = 1\nx.sort(key=lambda each: each.row)\n",
@@ -311,6 +310,23 @@ def test_a_position_seen_from_the_robot_becomes_one_in_the_world_and_edits_of_us
     assert next(edit.what for edit in editor.edits(2) if "sign" in edit.what) == "the sign of 0.5"
     editor.points.append([0.6, 0.1, 0.87])
     assert next(edit.what for edit in editor.edits(2) if "sign" in edit.what) == "the sign of 0.6"
+
+
+def test_edits_after_which_a_wrong_value_may_happen_to_be_right_are_marked() -> None:
+    editor = Editor(
+        "from math import radians\nWHERE = Place(on='table')\nUP = 1\n_ = 2\n"
+        "for x in sorted(xs, reverse=True):\n    turn(radians(x) if x >= UP else -x)\n    put(Place(on='island'), x)\n"
+    )
+    edits = {edit.text.splitlines()[line - 1].strip(): edit for line in (2, 5, 6) for edit in editor.edits(line)}
+    for doubtful in (
+        "WHERE = Place(on='island')",
+        "for x in sorted(xs):",
+        "turn(x if x >= UP else -x)",
+        "turn(radians(x) if x <= UP else -x)",
+    ):
+        assert edits[doubtful].chance, doubtful
+    assert not edits["turn(radians(x) if x > UP else -x)"].chance
+    assert not any("_" in edit for edit in edits)
 
 
 def test_unlikely_edits_are_left_out_or_come_late() -> None:
