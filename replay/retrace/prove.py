@@ -104,7 +104,7 @@ def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Pr
     for verdict in (CONFIRMED, REFUTED, UNTESTED):
         for each in weighty:
             if each.verdict == verdict:
-                said = f"not tested: {each.text}" if verdict == UNTESTED else f"{verdict}: {each.text}"
+                said = f"{'undecided' if verdict == UNTESTED else verdict}: {each.text}"
                 return Proof(verdict, said, tuple(tried))
     return Proof(UNTESTED, f"not tested: {untested}", tuple(tried))
 
