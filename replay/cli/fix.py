@@ -74,12 +74,17 @@ def existing_folder(name: str) -> Path:
 
 def _apply(trials: Trials, found: SearchResult) -> None:
     plan = trials.program
-    if not plan.is_file() or plan.read_text(encoding="utf-8") != trials.text:
+    if not _is_as_recorded(trials):
         raise ReplayError(f"{plan} differs from the recorded source, so nothing was written")
     kept = plan.with_name(f"{plan.name}.orig")
     shutil.copy2(plan, kept)
     write(str(plan), found.repairs[0].edit.text.encode())
     print_message(f"{plan} is repaired; the old plan is {kept}")
+
+
+def _is_as_recorded(trials: Trials) -> bool:
+    """Return whether the plan's file still has the recorded source."""
+    return trials.program.is_file() and trials.program.read_text(encoding="utf-8") == trials.text
 
 
 def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
@@ -95,7 +100,7 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
 def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResult) -> Iterator[str]:
     if chance.choice:
         yield f"the plan also succeeds with another choice, {chance.choice}:"
-        recorded = "" if trials.program.read_text(encoding="utf-8") == trials.text else " --recorded-source"
+        recorded = "" if _is_as_recorded(trials) else " --recorded-source"
         yield f"  pycram-replay fork {log.path} --at {chance.step} --answer {shlex.quote(chance.choice)}{recorded}"
         yield f"  its run: {chance.recording}"
     if not found.asked:  # no edits were tried

@@ -63,6 +63,11 @@ _PARSED: Final = [
     for cost, *rules in (row.split("; ") for row in _RULES.split("\n")[1:-1])
     for old, *news in (rule.split(" | ") for rule in rules)
 ]
+#: Expressions of which a wrong value may happen to be right: only the success of the run supports their exchange.
+_CHANCES: Final = (
+    *({f"A {one} B", f"A {other} B"} for one, other in ("*/", ("<", ">"), ("<=", ">="), ("<", ">="), (">", "<="))),
+    *({f"{function}(A)", "A"} for function in ("radians", "math.radians", "degrees")),
+)
 _CLASSES: Final = (str, list, dict, set, Object, BulletWorld, Event, Fluent)
 _METHODS: Final = {name for each in _CLASSES for name, value in vars(each).items() if callable(value)}
 #: Functions and methods that only return a value.
@@ -300,13 +305,6 @@ def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 chance = {new, ast.unparse(pattern)} in _CHANCES and not skips
                 change = instead(node, f"({text})" if opens else text, cost + 0.03 * at - 0.25 * skips, chance=chance)
                 yield change._replace(kind=new)
-
-
-#: Expressions of which a wrong value may happen to be right: only the success of the run supports their exchange.
-_CHANCES: Final = (
-    *({f"A {one} B", f"A {other} B"} for one, other in ("*/", ("<", ">"), ("<=", ">="), ("<", ">="), (">", "<="))),
-    *({f"{function}(A)", "A"} for function in ("radians", "math.radians", "degrees")),
-)
 
 
 def _matches(pattern: object, node: object, found: dict[str, str]) -> bool:

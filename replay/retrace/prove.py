@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, TypeAlias
@@ -123,7 +122,8 @@ class Prover:
         self._steps = len(log)
         self._checked = why.failure or Failure()  # the failure of a property or a check of the plan
         self._seconds = max(_SECONDS[0], _SECONDS[1] * why.run.seconds)
-        self._task, self._failure = None, Failure()  # type: Task | None, Failure  # start and failure of the failed task
+        self._task: Task | None = None  # the start of the failed task
+        self._failure = Failure()  # the failure of this task
         if why.task is not None and (finished := why.task.motion.finished or why.task.finished) is not None:
             self._task, self._failure = why.task.motion.started, finished.failure
             self._size = finished.seq - self._task.seq
@@ -268,10 +268,9 @@ def _succeeded(log: RecordReader, started: Task, end: int) -> int:
 
 def _late(forked: RecordReader, step: int) -> int:
     """Return the step of a fork's first change if the plan itself changed the world after the wanted step; else 0."""
-    first, *_ = [*islice(forked.records(Mutation, step + 1), 1), None]
-    if first is None or first.by_fork:
-        return 0
-    return next((each.seq for each in forked.records(Mutation, first.seq) if each.by_fork), 0)
+    changes = iter(forked.records(Mutation, step + 1))
+    first = next(changes, None)
+    return 0 if first is None or first.by_fork else next((each.seq for each in changes if each.by_fork), 0)
 
 
 def _words(failure: Failure) -> set[str]:
