@@ -9,15 +9,17 @@ from __future__ import annotations
 
 import ast
 import re
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from recorder.plan_lines import called_name, stored
 from replay.fix.operators import FAR, changes, forgotten_call, similar_name
-from replay.fix.plan_syntax import Change, PlanSyntax, asserts, loads
+from replay.fix.plan_syntax import READING, Change, PlanSyntax, asserts, loads
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
+_ODD: Final = 0.15  # additional cost of a change of only one of several equal parts
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
 _AROUND: Final = 0.1  # additional cost of an edit of the condition or loop around a line
 _BLOCKS: Final = ast.For | ast.While | ast.If | ast.With
@@ -48,8 +50,8 @@ class Editor:
     """Edits one source file."""
 
     def __init__(self, text: str) -> None:
-        self.text = text
         self.plan = PlanSyntax(text)
+        self.changes = self._changes()
         self.points: list[list[float]] = []  # lists of numbers in the failure; their edits come first
         #: The lines of handlers that swallow errors.
         handlers = (node for node in self.plan.nodes if isinstance(node, ast.ExceptHandler))
@@ -71,22 +73,39 @@ class Editor:
             if node in plan.goals:  # a function in a condition is always true
                 yield from (self._edit(each, line) for each in forgotten_call(node, plan) if each.cost < CERTAIN)
                 continue
-            for change in (*self._names(node, sets), *changes(node, plan)):
+            for change in (*self._names(node, sets), *self.changes[node]):
                 likely = _STALE * (stale and change.what.endswith("()")) + _UNUSED * self._is_forgotten(change)
                 yield self._edit(change, line, _SCENE * (node in plan.scene) - likely)
             if isinstance(node, ast.stmt):
                 around = plan.parents[node]
-                for change in changes(around, plan) if isinstance(around, ast.If | ast.For) else ():
+                for change in self.changes[around] if isinstance(around, ast.If | ast.For) else ():
                     yield self._edit(change, around.lineno, _AROUND)  # type: ignore[attr-defined]
                 yield from (self._edit(each, line, -_STALE * stale) for each in self._moves(node))
 
     def structural(self) -> Iterator[Edit]:
         """Yield the likeliest edits of the whole plan that change how values are computed, not the values."""
         for node in self.plan.nodes:
-            found = [*changes(node, self.plan)] if node not in self.plan.goals else []
+            found = [*self.changes[node]]
             found += self._moves(node) if isinstance(node, ast.stmt) and node not in self.plan.goals else ()
             likely = (each for each in found if each.cost <= _STRUCTURAL and not each.asks and not each.chance)
             yield from (self._edit(each, node.lineno) for each in likely)  # type: ignore[attr-defined]
+
+    def _changes(self) -> dict[ast.AST, list[Change]]:
+        """Return the changes of nodes; equal expressions change together, and a change of only one of them is odd."""
+        found = {node: [*changes(node, self.plan)] if node not in self.plan.goals else [] for node in self.plan.nodes}
+        alike: dict[object, list[tuple[list[Change], Change]]] = defaultdict(list)
+        for node, each in [(node, each) for node, made in found.items() for each in made if not each.asks]:
+            (place, new), *others = each.parts
+            if isinstance(place, ast.expr) and not isinstance(place, ast.Constant) and not others:
+                old = ast.unparse(place)
+                key = self.plan.scope(place) if old in new else place.lineno, old, new, each.kind
+                alike[key].append((found[node], each))
+        for twins in (each for each in alike.values() if len(each) > 1):
+            parts = tuple(part for _, each in twins for part in each.parts)
+            for own, each in twins:
+                own[own.index(each)] = each._replace(cost=each.cost + _ODD, chance=True)
+                own.append(each._replace(cost=each.cost - _ODD, parts=parts, what=f"{each.what}, {len(twins)} times"))
+        return found
 
     def insertions(self, line: int) -> Iterator[Edit]:
         """Yield the plan with a wait, or a call that the plan makes elsewhere, before a line."""
@@ -148,6 +167,7 @@ class Editor:
             return
         at = block.index(statement)
         made = stored(statement) if isinstance(statement, ast.Assign) else set[str]()
+        reads = bool(made) and plan.acts(statement, READING)
         uses = [to for to in range(at + 1, len(block)) if loads(block[to], made)]
         for to in dict.fromkeys((at + 1, at - 1, at + 2, at - 2, *(each - 1 for each in uses[:1] if each > at + 3))):
             crossed = block[min(at, to) : max(at, to) + 1]
@@ -155,7 +175,8 @@ class Editor:
             undefined = any(loads(one, stored(other)) and not isinstance(other, ast.For) for one, other in needed)
             evades = any(map(self._is_check, crossed)) or (to > at and not plan.goals.isdisjoint(crossed))
             if 0 <= to < len(block) and not undefined and not evades:
-                yield self._moved(statement, block[to], 0.7, f"line {block[to].lineno}", after=to > at)
+                cost = 0.3 if to + 1 in uses[:1] and reads and any(map(plan.acts, crossed[1:])) else 0.7
+                yield self._moved(statement, block[to], cost, f"line {block[to].lineno}", after=to > at)
         between = block[at + 1 : uses[0]] if uses else []
         stays = getattr(statement, "value", None) in plan.scene or any(map(self._is_check, between))
         inner = block[uses[0]] if uses and not stays else None
@@ -166,9 +187,12 @@ class Editor:
         is_last = at == len(block) - 1
         if isinstance(parent, ast.For | ast.While) and statement in parent.body and at == 0 and made:
             yield self._moved(statement, parent, 0.45, "the loop")
-        if is_last and isinstance(parent, _BLOCKS) and not self._is_check(statement):
-            jumps = isinstance(statement, ast.Return) and isinstance(parent, ast.For | ast.While)
-            yield self._moved(statement, parent, 0.4 if jumps else 0.6, "the block", after=True)
+        early = isinstance(parent, ast.With) and reads and not uses  # the block acts only at its end
+        if (is_last or early) and isinstance(parent, _BLOCKS) and not self._is_check(statement):
+            loops = isinstance(parent, ast.For | ast.While)
+            ends = isinstance(statement, ast.Return) and (loops or plan.block(parent)[-1] is parent)
+            cost = 0.3 if early else 0.6 if not ends else 0.4 if loops else 0.15
+            yield self._moved(statement, parent, cost, "the block", after=True)
         above = block[at - 1] if at and not self._is_check(statement) else None
         if isinstance(above, _BLOCKS) and not self._is_check(above):
             yield self._moved(statement, above.body[-1], 0.5, f"line {above.body[-1].lineno}, in its block", after=True)

@@ -8,9 +8,12 @@ import copy
 import math
 import re
 from collections.abc import Iterator
+from difflib import get_close_matches
 from itertools import repeat
+from string import digits
 from typing import Final
 
+from pycram import bullet_world_reasoning
 from pycram.bullet_world import BulletWorld, Object
 from pycram.event import Event
 from pycram.fluent import Fluent
@@ -24,50 +27,63 @@ _RIGHT_ANGLES: Final = 15.0  # multiples of this number are likely angles in deg
 _PASSED: Final = 0.3  # additional cost of a number for a function of the plan, which may convert it
 _AXIS: Final = re.compile(r"(?:.*_)?[xyz]")
 _ANGLE: Final = re.compile(r".*(?:deg|angle|yaw|pitch|roll|theta|turn|heading|rotation).*", re.IGNORECASE)
+_SIZE: Final = re.compile(r"height|width|depth|length|thick|diameter|extent", re.IGNORECASE)
 _RADIANS: Final = {"radians": "radians", "math.radians": "math"}  # functions by the imported name
 _MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
+_LAZY: Final = ("zip", "map", "filter", "islice", "chain", "enumerate", "reversed", "product", "permutations", "reader")
+_PARTS: Final = r"^[^(]*\b{}\b[^(=]*( = | in ).*\b(split|splitlines|reader)\("  # parts of a text
+_CONVERTING: Final = ("float", "int", "str", "print")
+_KEEPING: Final = ast.Assign | ast.AnnAssign | ast.Return | ast.keyword | ast.Tuple
 _JUMPS: Final = ast.Return | ast.Break | ast.Continue | ast.Pass
 #: Each row: functions, methods or attributes that are confused.
 _SIMILAR: Final = (
     "strip lstrip rstrip removeprefix removesuffix, floor ceil round int, any all, min max, sin cos, append extend, "
     "copy deepcopy, par seq try_in_order try_all pursue, keys values items, sorted reversed, startswith endswith, find "
     "rfind, union intersection difference, combinations permutations, pop popleft, issubset issuperset, name type, "
-    "partition rpartition, lower upper, falling rising, zip zip_longest, discard remove"
+    "partition rpartition, lower upper, falling rising, zip zip_longest, discard remove, cached_property property"
 )
+#: Of these, names that stand for the opposite: only the success of the run supports their exchange.
+_OPPOSITE: Final = {"any", "all", "min", "max", "sin", "cos", "pop", "popleft", "par", "sorted", "falling", "rising"}
 _MEANT: Final = {name: row.split() for row in _SIMILAR.split(", ") for name in row.split()}
-#: Each row: a cost, and patterns with what is meant instead. K and L are constants, X is none, other letters either.
+#: Each row: a cost, and patterns with what is meant instead. K and L are constants, X is none, H is a size, other
+#: letters are any expressions.
+#: "?" marks exchanges after which a wrong value may happen to be right: only the success of the run supports them.
 _RULES: Final = """
-0.15; V = A.sort() | V = sorted(A); V = A.sort(key=B) | V = sorted(A, key=B); V = map(A, B) | V = list(map(A, B))
-0.15; V = zip(A, B) | V = list(zip(A, B)); [X] * B | [X for _ in range(B)]; A == K or L | A in (K, L)
+0.15; V = A.sort() | V = sorted(A); V = A.sort(key=B) | V = sorted(A, key=B); A == K or L | A in (K, L)
 0.15; groupby(A, B) | groupby(sorted(A, key=B), B); groupby(A, key=B) | groupby(sorted(A, key=B), key=B)
 0.15; dict.fromkeys(A, B) | {key: B for key in A}; groupby(A) | groupby(sorted(A)); V = A.append(B) | A.append(B)
-0.3; range(1, A + 1) | range(A); range(1, A) | range(A) | range(1, A + 1); range(A + 1) | range(A)
-0.3; range(A - 1) | range(A); range(X, A) | range(X - 1, A) | range(X, A + 1)
-0.3; range(X) | range(1, X) | range(X + 1) | range(X - 1); radians(A) | A; math.radians(A) | A; degrees(A) | A
+0.15; [X] * B | [X for _ in range(B)]; Fluent(False) | Fluent(); Fluent(False, A) | Fluent(None, A)
+0.15; Fluent(False, name=A) | Fluent(name=A); A.set_value(False) | A.set_value(None); not A.get(B) | B not in A
+0.15; A.original_pose[0] | A.get_position(); A.original_pose[1] | A.get_orientation(); A.get(B) or C | A.get(B, C)
+0.15; A.original_pose | A.get_pose(); A.appendleft(B) | A.append(B); A.insert(0, B) | A.append(B)
+0.2; int(A / B) | int(A // B); A.rstrip(K) | A.removesuffix(K); A.lstrip(K) | A.removeprefix(K)
+0.3; range(1, A + 1) | range(A); range(1, A) | range(A) | range(1, A + 1); range(A + 1) | range(A); not A | A is None
+0.3; range(A - 1) | range(A); range(X, A) | range(X - 1, A) | range(X, A + 1); A // B | A / B; degrees(A) | radians(A)
+0.3; A or B | B if A is None else A; A[K] - B[K] | (A[K] - B[K]) / 2
+0.3; range(X) | range(1, X) | range(X + 1) | range(X - 1); math.degrees(A) | math.radians(A); A.attach(B) | B.attach(A)
+0.3?; A / 1000 | A / 100; A / 100 | A / 1000; A * 0.001 | A * 0.01; radians(A) | A; math.radians(A) | A; degrees(A) | A
 0.35; A + B / C | (A + B) / C; A - B / C | (A - B) / C; A + B * C | (A + B) * C; A - B * C | (A - B) * C
 0.35; A / B + C | A / (B + C); A / B - C | A / (B - C); A * B + C | A * (B + C); A * B - C | A * (B - C)
 0.35; A / B * C | A / (B * C); A - B + C | A - (B + C); A.set_value(K) | A.set_value(A.get_value() + K)
 0.4; A or B and C | (A or B) and C; A[0] | A[-1]; A[-1] | A[0]; A[B:] | A[:] | A[B - 1:] | A[B + 1:]
 0.4; A[:B] | A[:] | A[:B + 1] | A[:B - 1]; A[B:C] | A[:] | A[B:C + 1] | A[B - 1:C]; A - B < C | abs(A - B) < C
-0.5; A[X] | A[X - 1] | A[X + 1]; A + K | A; A - K | A; enumerate(A) | enumerate(A, 1); round(A) | A | round(A, 2)
-0.5; sorted(A) | A; A += B | A -= B | A = B; A or B | B if A is None else A; return | continue
-0.5; A.copy() | copy.deepcopy(A); abs(A) | A; not A | A | A is None; A not in B | A in B; continue | break
-0.52; F(A, B) | F(B, A); F(A, B, C) | F(B, A, C) | F(A, C, B)
-0.55; A < B | A > B | A <= B; A > B | A < B | A >= B; A <= B | A >= B | A < B; A >= B | A <= B | A > B; break | continue
-0.55; A in B | A not in B; A == B | A != B | A is B; A != B | A == B; A is B | A is not B | A == B; A is not B | A is B
-0.65; A + B | A - B; A - B | A + B; A and B | A or B; A or B | A and B; A * B | A / B; A / B | A // B | A * B
-0.65; A // B | A / B | A % B; A % B | A // B; A and B and C | A or B or C; A or B or C | A and B and C
+0.4; A + H | A + H / 2; A - H | A - H / 2; H + A | H / 2 + A; K - A ** L | K - 2 * A ** L; atan2(A, B) | 2 * atan2(A, B)
+0.5?; A + K | A; A - K | A; A += B | A -= B; sorted(A) | A; abs(A) | A; not A | A; A not in B | A in B
+0.5; A[X] | A[X - 1] | A[X + 1]; enumerate(A) | enumerate(A, 1); round(A) | A | round(A, 2)
+0.5; A += B | A = B; return | continue; A.copy() | copy.deepcopy(A); continue | break
+0.43; F(A, B) | F(B, A); F(A, B, C) | F(B, A, C) | F(A, C, B)
+0.55?; A < B | A > B; A > B | A < B; A <= B | A >= B; A >= B | A <= B; A in B | A not in B
+0.55?; A == B | A != B; A != B | A == B; A is B | A is not B; A is not B | A is B
+0.58; A < B | A <= B; A > B | A >= B; A <= B | A < B; A >= B | A > B; A == B | A is B; A is B | A == B; break | continue
+0.65?; A + B | A - B; A - B | A + B; A - X | (A - X) / 2; A * B | A / B; A / B | A * B | A // B
+0.65?; A // B | A % B; A % B | A // B
+0.65; A and B | A or B; A or B | A and B; A and B and C | A or B or C; A or B or C | A and B and C
 """
 _PARSED: Final = [
-    (float(cost), ast.parse(old).body[0], news)
+    (float(cost.rstrip("?")), "?" in cost, ast.parse(old).body[0], news)
     for cost, *rules in (row.split("; ") for row in _RULES.split("\n")[1:-1])
     for old, *news in (rule.split(" | ") for rule in rules)
 ]
-#: Expressions of which a wrong value may happen to be right: only the success of the run supports their exchange.
-_CHANCES: Final = (
-    *({f"A {one} B", f"A {other} B"} for one, other in ("*/", ("<", ">"), ("<=", ">="), ("<", ">="), (">", "<="))),
-    *({f"{function}(A)", "A"} for function in ("radians", "math.radians", "degrees")),
-)
 _CLASSES: Final = (str, list, dict, set, Object, BulletWorld, Event, Fluent)
 _METHODS: Final = {name for each in _CLASSES for name, value in vars(each).items() if callable(value)}
 #: Functions and methods that only return a value.
@@ -91,7 +107,8 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         cost = 0.25 + 0.05 * number if is_unit else 0.3 + 0.1 * number + 0.4 * (number > 2)
         cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)
         what = f"{value} times {factor:.3g}"
-        yield instead(node, new, cost, what, asks=not is_unit, chance=not is_unit)
+        is_unclear = isinstance(plan.parents[node], ast.Dict) and math.radians(value) <= usual  # maybe an angle
+        yield instead(node, new, cost, what, asks=not is_unit, chance=not is_unit or is_unclear)
     if value and (isinstance(value, float) or node not in plan.counts | plan.turns):
         yield instead(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":
@@ -126,11 +143,13 @@ def _lost_update(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 
 
 def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield an angle in the other unit."""
+    """Yield an angle in the other unit, and half of it."""
+    parent = plan.parents.get(node, plan.tree)
+    turned = called_name(parent) in ("sin", "cos", "tan") and isinstance(node, ast.expr) and node in parent.args  # type: ignore[attr-defined]
+    if turned and not isinstance(plan.parents[parent], ast.BinOp):  # in a quaternion, not in a point of a circle
+        yield instead(node, ast.unparse(ast.BinOp(node, ast.Div(), ast.Constant(2))), 0.3)  # type: ignore[arg-type]
     if isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load):
-        parent = plan.parents[node]
         named = _ANGLE.fullmatch(ast.unparse(node)) is not None and node not in plan.called
-        turned = called_name(parent) in ("sin", "cos", "tan") and node in getattr(parent, "args", ())
         if (named or turned) and called_name(parent) not in ("radians", "degrees"):
             function = next((each for each, name in _RADIANS.items() if name in plan.defined), "0.0174533 * ")
             yield instead(node, f"{function}({ast.unparse(node)})", 0.35)
@@ -241,7 +260,7 @@ def _near_names(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         imports = ((alias, f"{name}, {other}"),) if alias and not owner and other not in plan.known else ()
         if alias or owner or name in vars(builtins):
             cost = 0.5 + 0.05 * at - 0.1 * isinstance(plan.parents[node], ast.withitem)
-            change = instead(node, other if is_global else f"{owner}.{other}", cost)
+            change = instead(node, other if is_global else f"{owner}.{other}", cost, chance=name in _OPPOSITE)
             yield change._replace(parts=(*change.parts, *imports))
 
 
@@ -295,14 +314,19 @@ def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield what the table of rules has for a node."""
     around = plan.parents.get(node)
     skips = isinstance(around, ast.If) and around.test is node and isinstance(around.body[-1], ast.Continue)
-    for cost, pattern, news in _PARSED:
+    names = plan.parameters.get(called_name(node), [])
+    given = map(ast.unparse, node.args if isinstance(node, ast.Call) else ())
+    has_order = bool(names) and not any(map(str.__eq__, names, given))  # else an argument has its parameter's name
+    has_order |= called_name(node) in vars(bullet_world_reasoning)
+    for cost, doubtful, pattern, news in _PARSED:
         found: dict[str, str] = {}
         if _matches(getattr(pattern, "value", None) if isinstance(pattern, ast.Expr) else pattern, node, found):
-            for at, new in enumerate(news if "F" not in found or called_name(node) in plan.functions else ()):
+            is_key = plan.literals.get(found.get("A", "")) == "dict" and isinstance(node, ast.Subscript)
+            for at, new in enumerate(news if not is_key and ("F" not in found or has_order) else ()):
                 made = ast.parse(re.sub(r"\b[A-Z]\b", lambda each: f"({found[each[0]]})", new)).body[0]  # noqa: B023
                 value, text = getattr(made, "value", None), ast.unparse(made)
                 opens = isinstance(around, _COMPOUND) and isinstance(value, _COMPOUND) and type(value) is not type(node)
-                chance = {new, ast.unparse(pattern)} in _CHANCES and not skips
+                chance = doubtful and not skips
                 change = instead(node, f"({text})" if opens else text, cost + 0.03 * at - 0.25 * skips, chance=chance)
                 yield change._replace(kind=new)
 
@@ -310,19 +334,21 @@ def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 def _matches(pattern: object, node: object, found: dict[str, str]) -> bool:
     """Return whether a node has the form of a pattern; the texts of its parts are put into ``found``."""
     if isinstance(pattern, ast.Name) and pattern.id.isupper() and isinstance(node, ast.expr):
-        found[pattern.id] = ast.unparse(node)
+        is_same = found.setdefault(pattern.id, ast.unparse(node)) == ast.unparse(node)
+        is_same = is_same and (pattern.id != "H" or _SIZE.search(ast.unparse(node)) is not None)
         excluded = (ast.Constant, ast.Slice, ast.Starred)[pattern.id != "X" :]
-        return not isinstance(node, excluded) and (pattern.id not in "KL" or isinstance(node, ast.Constant))
+        return is_same and not isinstance(node, excluded) and (pattern.id not in "KL" or isinstance(node, ast.Constant))
     if isinstance(pattern, list) and isinstance(node, list):
         return len(pattern) == len(node) and all(map(_matches, pattern, node, repeat(found)))
     if type(pattern) is not type(node) or not isinstance(pattern, ast.AST):
-        return pattern == node
+        return type(pattern) is type(node) and pattern == node  # False is 0
     names = [each for each in pattern._fields if each != "ctx"]
     return all(_matches(getattr(pattern, each), getattr(node, each), found) for each in names)
 
 
-def _python(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield functions without cache, copies of changed containers, formatted texts, and loops that go on."""
+def _python(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:  # noqa: C901, PLR0912  one case for each mistake
+    """Yield what Python needs: lists of what is read twice, numbers instead of texts, branches of a block, no cache."""
+    around, text = plan.parents.get(node, plan.tree), ast.unparse(node) if isinstance(node, ast.expr) else ""
     match node:
         case ast.FunctionDef(decorator_list=[ast.Name() | ast.Attribute() | ast.Call() as cache]):
             if (called_name(cache) or last_name(cache)) in ("lru_cache", "cache"):
@@ -332,26 +358,62 @@ def _python(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
             changing = (each for each in ast.walk(node) if called_name(each) in ("remove", "pop", "append"))
             if any(ast.unparse(each).startswith(f"{ast.unparse(items)}.") for each in changing):
                 yield instead(items, f"list({ast.unparse(items)})", 0.15)
-        case ast.Constant(str(text)) if not isinstance(plan.parents[node], ast.JoinedStr):
-            if {*re.findall(r"{(\w+)[^{}]*}", text)} & plan.known.union(*plan.local.values()):
+        case ast.Constant(str(word)) if not isinstance(around, ast.JoinedStr):
+            if {*re.findall(r"{(\w+)[^{}]*}", word)} & plan.known.union(*plan.local.values()):
                 yield instead(node, f"f{plan.segment(node)}", 0.15)
+            if plan.words.count(word) == 1 and (node not in plan.scene or isinstance(around, ast.Dict)):
+                others = {each for each in plan.words if each.strip(digits) != word.strip(digits)}
+                yield from (instead(node, repr(each), 0.15) for each in get_close_matches(word, others, 2, 0.75))
+        case ast.GeneratorExp() if called_name(around) in ("any", "all") and plan.acts(node):
+            yield instead(around, f"{called_name(around)}([{text[1:-1]}])", 0.1)
+        case ast.GeneratorExp() | ast.Call() if isinstance(around, _KEEPING):
+            is_lazy = called_name(node) in (*_LAZY, *plan.generators)
+            name = ast.unparse(getattr(around, "targets", [node])[0])
+            if len(re.findall(rf"\b{re.escape(name)}\b", plan.text)) != 2:  # else it is read once
+                yield from [instead(node, f"list({text})", 0.15)] if is_lazy else ()
+                yield from [instead(node, f"[{text[1:-1]}]", 0.15)] if isinstance(node, ast.GeneratorExp) else ()
+        case ast.Assign([target], value):
+            if re.search(rf"\b(next|iter)\({re.escape(ast.unparse(target))}[,)]", plan.text):
+                yield instead(value, f"iter({ast.unparse(value)})", 0.15)
+            match plan.block(node)[plan.block(node).index(node) + 1 :]:  # a value that should be restored later
+                case [ast.Assign([ast.Attribute() as other], ast.Name(same)), *_] if same == ast.unparse(value):
+                    yield instead(value, ast.unparse(other), 0.15)
+        case ast.While(ast.Compare(left, [ast.Lt() | ast.LtE()], [right]), [*_, ast.AugAssign(value=step) as last]):
+            if ast.unparse(last.target) == ast.unparse(left):  # sums aren't exact
+                yield instead(right, f"{ast.unparse(right)} - {ast.unparse(step)} / 2", 0.2)
+        case ast.With(items=[ast.withitem(ast.Name("par" | "seq" | "pursue" | "try_all") as block, name)]):
+            called = ast.unparse(name) if name else "block"
+            for call in (each.value for each in node.body if isinstance(each, ast.Expr)):
+                if isinstance(call, ast.Call) and ast.unparse(call.func) not in ("perform", "print", called):
+                    new = f"{called}({', '.join(map(ast.unparse, (call.func, *call.args, *call.keywords)))})"
+                    parts = ((call, new), *(() if name else ((block, f"{block.id} as block"),)))
+                    yield Change(f"{new} instead of {ast.unparse(call)}", 0.2, parts)
+        case ast.Name(ctx=ast.Load()) | ast.Subscript(ctx=ast.Load()) if called_name(around) not in _CONVERTING:
+            is_field = "csv" in plan.defined and isinstance(getattr(getattr(node, "slice", None), "value", None), str)
+            name = re.escape(text.partition("[")[0])
+            if is_field or re.search(_PARTS.format(name), plan.text, re.MULTILINE):
+                cost = 0.15 if isinstance(around, ast.Lambda | ast.Compare | ast.BinOp | _KEEPING) else 0.3
+                yield from (instead(node, f"{each}({text})", cost) for each in ("float", "int"))
+    forms = set[str]().union(*(plan.forms[role] for role in plan.roles[node] if not isinstance(node, ast.Call)))
+    yield from (instead(node, f"{form}({text})", 0.15) for form in sorted(forms))
 
 
 def _slots(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield calls with a slot of another call, or of a variable with the same name; and other attributes."""
     if isinstance(node, ast.Call) and all(each.arg for each in node.keywords):
         name, given = called_name(node), {each.arg for each in node.keywords}
-        names = plan.functions[name].args.args[len(node.args) :] if name in plan.functions else []
-        news = [ast.keyword(each.arg, ast.Name(each.arg)) for each in names if each.arg in plan.local[plan.scope(node)]]
+        names = plan.parameters.get(name, [])[len(node.args) :]
+        news = [ast.keyword(each, ast.Name(each)) for each in names if each in plan.local[plan.scope(node)]]
         others = (each.keywords for each in plan.nodes if isinstance(each, ast.Call) and called_name(each) == name)
         news += [each for keywords in others for each in keywords]
         calls = (ast.Call(node.func, node.args, [*node.keywords, each]) for each in news if each.arg not in given)
-        yield from (
-            instead(node, new, 0.42 + 0.05 * at) for at, new in enumerate(dict.fromkeys(map(ast.unparse, calls)))
-        )
-    elif isinstance(node, ast.Attribute) and node.attr in plan.fields:
-        for at, each in enumerate(sorted(plan.fields - {node.attr})):
-            yield instead(node, f"{ast.unparse(node.value)}.{each}", 0.5 + 0.05 * at)
+        for at, new in enumerate(dict.fromkeys(map(ast.unparse, calls))):
+            yield instead(node, new, 0.42 + 0.05 * at)
+    elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and node not in plan.called:
+        fields = set[str]().union(*(each for each in plan.classes if node.attr in each))
+        is_key = getattr(plan.parents[node], "key", None) is node  # objects with equal keys replace each other
+        for at, name in enumerate(sorted(fields - {node.attr})):
+            yield instead(node, f"{ast.unparse(node.value)}.{name}", (0.2 if is_key else 0.5) + 0.05 * at)
 
 
 def _unused(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -359,11 +421,7 @@ def _unused(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     scope = plan.scope(node)
     if isinstance(node, ast.Constant | ast.Name) and isinstance(scope, ast.FunctionDef) and node not in plan.called:
         inside = [each for part in scope.body for each in ast.walk(part)]
-        unused = (
-            {each.arg for each in scope.args.args}
-            - {"self"}
-            - {each.id for each in inside if isinstance(each, ast.Name)}
-        )
+        unused = {each.arg for each in scope.args.args} - {getattr(each, "id", "self") for each in inside}
         for each in sorted(unused) if node in inside else ():
             yield instead(node, each, 0.3 if isinstance(node, ast.Constant) else 0.45)
 
@@ -379,12 +437,10 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 swaps, new = at >= len(turned), ast.unparse(type(node)(order, ast.Load()))
                 by_chance = swaps and isinstance(node.ctx, ast.Load)
                 yield instead(node, new, 0.42 if swaps else 0.35 + 0.1 * at, asks=True, chance=by_chance)
-        case ast.Call(keywords=given) if any(each.arg == "orientation" for each in given):
-            kept = [each for each in given if each.arg != "orientation"]
-            yield instead(node, ast.unparse(ast.Call(node.func, node.args, kept)), FAR, "without orientation")
     is_test = getattr(plan.parents.get(node), "test", None) is node
     if is_test and not isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp):
         yield instead(node, f"not ({ast.unparse(node)})", 0.56)
+        yield instead(node, f"{ast.unparse(node)} is not None", 0.4)
 
 
 def _undefined(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:

@@ -5,18 +5,23 @@ from __future__ import annotations
 import ast
 import builtins
 import math
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
+from itertools import chain
 from typing import Final, NamedTuple
 
-from recorder.plan_lines import called_name, last_name, stored
+from recorder.plan_lines import called_name, stored
 
 _CHECKING: Final = ("print", "monitored")  # their arguments have no effect on the world
-#: Functions and methods that change the world, or a container.
-_ACTING: Final = (
-    *("perform", "simulate", "settle", "wait_for", "attach", "detach", "Object", "BulletWorld"),
-    *("append", "add", "extend", "insert", "pop", "remove", "update", "clear"),
+#: Functions and methods that change the world or a container, and that read the state of the world.
+_ACTING: Final = re.compile(
+    "perform|simulate|settle|wait_for|attach|detach|Object|BulletWorld|set_.*"
+    "|append|add|extend|insert|pop|remove|update|clear"
 )
+#: An attribute that a class stores, declares or computes.
+_FIELD: Final = re.compile(r"\bself\.(\w+)(?=[^=\n]* [-+*/]?= )|^ +(\w+): \w|@property\s+def (\w+)", re.MULTILINE)
+READING: Final = re.compile("get_.*|.*(pose|position).*")
 _GRAVITY: Final = 9.0
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 
@@ -41,6 +46,7 @@ class PlanSyntax:
     """Facts about one source file."""
 
     def __init__(self, text: str) -> None:
+        self.text = text
         self.source = text.encode()  # the syntax tree counts bytes
         self.lines = [line.decode() for line in self.source.splitlines(keepends=True)]
         self.tree = ast.parse(text)
@@ -52,38 +58,46 @@ class PlanSyntax:
         self.counts: set[ast.AST] = set()  # expressions that count or number something, such as indices
         self.scene: set[ast.AST] = set()  # arguments of loaded objects; which objects there are stays unchanged
         self.functions = {node.name: node for node in self.nodes if isinstance(node, ast.FunctionDef)}
+        self.parameters = {  # their names, besides the object of a method
+            name: [each.arg for each in node.args.args if each.arg != "self"] for name, node in self.functions.items()
+        }
         self.checks = {name for name, node in self.functions.items() if any(map(asserts, ast.walk(node)))}
         self.called = {node.func for node in self.nodes if isinstance(node, ast.Call)}
         self.constants: set[str] = set()  # variables with a written container
         self.fixed: set[str] = set()  # names of robots and environments, and their variables
         self.forgotten: set[str] = set()  # names and types of loaded objects without a use
         self.unused: set[str] = set()  # names that the plan defines, but doesn't use for an effect
+        self.roles: dict[ast.AST, list[str]] = defaultdict(list)  # roles of expressions
+        self.forms: dict[str, set[str]] = defaultdict(set)  # functions that convert the constants in a role
         self.literals: dict[str, str] = {}  # types of variables with a list, a dictionary or a set
-        written = map(written_number, self.nodes)
         #: Numbers that may be lengths and angles, without signs; gravity is none of these.
-        self.numbers = [each for each in written if each is not None and not _GRAVITY < each < _GRAVITY + 1]
+        self.numbers = [each for each in map(written_number, self.nodes) if each and not _GRAVITY < each < _GRAVITY + 1]
         #: Lists of numbers, the last first.
         self.lists = [(node, numbers) for node in self.nodes[::-1] if (numbers := written_numbers(node))]
         #: Places on the floor, as those of robots.
         self.bases = [numbers for _, numbers in self.lists if len(numbers) == 3 and any(numbers) and not numbers[2]]
-        fours = ((node, numbers) for node, numbers in self.lists if len(numbers) == 4)
-        turns = (node for node, numbers in fours if math.isclose(math.hypot(*numbers), 1, rel_tol=0.01))
-        self.turns = {each for node in turns for each in ast.walk(node)}  # numbers of quaternions
-        imported = (each for node in self.nodes for each in getattr(node, "names", ()) if isinstance(each, ast.alias))
-        self.defined = {each.asname or each.name for each in imported}
+        fours = (each for each in self.lists if len(each[1]) == 4 and round(math.hypot(*each[1]), 1) == 1)
+        self.turns = {each for node, _ in fours for each in ast.walk(node)}  # numbers of quaternions
+        self.defined = {each.asname or each.name for each in self.nodes if isinstance(each, ast.alias)}
         named = (getattr(node, "name", "") for node in self.nodes)  # functions, classes and caught errors
         self.known = self.defined.union(named, vars(builtins))  # names that have a value, besides local ones
         self.local: dict[ast.AST, set[str]] = defaultdict(set)  # names by the scope that assigns them
         returns = (each for each in self.nodes if isinstance(each, ast.Return | ast.Yield) and each.value)
         self.returning = {getattr(self.scope(each), "name", "") for each in returns}  # functions with a result
-        computed = (each for each in self.functions.values() if "property" in map(last_name, each.decorator_list))
-        stores = (each.attr for each in self.nodes if isinstance(each, ast.Attribute) and not _loads(each))
-        self.fields = {*stores, *(each.name for each in computed)}  # attributes that classes store or compute
+        self.generators = {getattr(self.scope(each), "name", "") for each in self.nodes if isinstance(each, ast.Yield)}
+        classes = (self.segment(each) for each in self.nodes if isinstance(each, ast.ClassDef))
+        self.classes = [{*chain(*re.findall(_FIELD, each))} - {""} for each in classes]  # attributes of each class
+        stores = {each.attr for each in self.nodes if isinstance(each, ast.Attribute) and not _loads(each)}
+        self.fields = stores.union(*self.classes)  # attributes that classes store or compute
+        self.words = re.findall(r"""(?<=["'])\w+(?=["'])|\b\w+(?==[^=])""", text)  # texts and keywords
         for node in self.nodes:
             self._note(node)
             if isinstance(node, ast.Call) and called_name(node) == "Object":
                 self._note_object(node)
             for role, value in _roles(node):
+                self.roles[value].append(role)
+                if isinstance(value, ast.Call) and [*map(type, value.args)] == [ast.Constant] and not value.keywords:
+                    self.forms[role].add(ast.unparse(value.func))
                 if isinstance(value, ast.Constant) and isinstance(value.value, str):
                     self.strings[role].add(value.value)
                 if isinstance(value, ast.Name):
@@ -176,12 +190,11 @@ class PlanSyntax:
         lines = {getattr(each, "id", "") or each.arg: each.lineno for each in names if not _loads(each)}  # type: ignore[union-attr]
         return {name for name, line in lines.items() if line >= node.lineno}  # type: ignore[attr-defined]
 
-    def acts(self, node: ast.AST, seen: tuple[str, ...] = ()) -> bool:
-        """Return whether a node calls something that changes the world, or a container."""
+    def acts(self, node: ast.AST, what: re.Pattern[str] = _ACTING, seen: tuple[str, ...] = ()) -> bool:
+        """Return whether a node calls something that changes the world or a container, or other functions."""
         names = {*map(called_name, ast.walk(node))}
-        inner = ((self.functions[name], (*seen, name)) for name in names - {*seen} if name in self.functions)
-        acting = any(name in _ACTING or name.startswith("set_") for name in names)
-        return acting or any(self.acts(*each) for each in inner)
+        inner = ((self.functions[name], what, (*seen, name)) for name in names - {*seen} if name in self.functions)
+        return any(map(what.fullmatch, names)) or any(self.acts(*each) for each in inner)
 
     def _protect_measurements(self) -> None:
         """Protect the statements whose values only assertions, properties and printed texts use."""

@@ -213,7 +213,7 @@ def _lines(
         stacks = [source.call_stack(each.started) for each in log.tree().roots[::-1]]
     inner = (line for stack in (why.call_stack, *stacks) for line in reversed(stack))
     called = [*dict.fromkeys(line.number for line in inner if line.file.endswith(name))]
-    flow = Flow(editor.text).lines({line: float(rank) for rank, line in enumerate(called)})
+    flow = Flow(trials.text).lines({line: float(rank) for rank, line in enumerate(called)})
     subject = next(objects_in(why.task.motion.parameters.get("object")), "") if why.task is not None else ""
     records = log.records(Mutation) if subject else ()
     loads = (each for each in records if each.HasField("load_body") and each.load_body.body == subject)
@@ -229,12 +229,16 @@ def reaches_goal(file: Path, properties: Sequence[str]) -> bool:
     with Recording(file) as log:
         placed: dict[str, Sequence[float]] = {}
         for node in log.tree().find(status=State.SUCCEEDED):
-            target, thing = node.parameters.get("target"), node.parameters.get("object")
-            if node.name in _GOALS and isinstance(target, list) and isinstance(thing, dict):
-                placed[str(thing.get("object"))] = [float(str(value)) for value in target]
+            target, thing = node.parameters.get("target"), next(objects_in(node.parameters.get("object")), "")
+            if node.name == "accessing":  # a drawer or door takes along what is in it; only heights stay
+                placed = {name: place[2:] or place for name, place in placed.items()}
+            elif node.name == "pick-up":
+                placed.pop(thing, None)
+            elif node.name in _GOALS and isinstance(target, list) and thing:
+                placed[thing] = [float(str(value)) for value in target]
         world = log.state_at(last_open_step(log, log.final_step())).worlds
         bodies = {name: body for each in world.values() for name, body in each.bodies.items()}
-        ends = [(bodies[name].position, target) for name, target in placed.items() if name in bodies]
+        ends = [(bodies[name].position[-len(place) :], place) for name, place in placed.items() if name in bodies]
         stays = all(math.dist(*each) < _AWAY for each in ends)
         try:
             return stays and all(log.check(*properties))
@@ -249,20 +253,21 @@ def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
         mark = "" if failed is None else changed_goal(before, done, failed, edit)
         changed = [{*map(commanded, each.records(Mutation))} for each in (trials.log, log)]
         left = sorted(changed[0] - changed[1])
-        mark = mark or (_changed_place(trials.log, log) if edit.asks else "")
+        mark = mark or (changed_place(trials.log, log) if edit.asks else "")
     if left and not mark:
         mark = f"it leaves {phrases.names(left)} alone"
     return mark or ("perhaps by chance: the only evidence is the success of the run" if edit.chance else "")
 
 
-def _changed_place(before: RecordReader, log: RecordReader) -> str:
+def changed_place(before: RecordReader, log: RecordReader) -> str:
     """Return where the plan itself puts an object in a repaired run, if it is elsewhere than before; otherwise ""."""
-    changes = ((each for each in part.records(Mutation) if not each.task) for part in (before, log))
-    moves = ([each.move_body for each in part if each.HasField("move_body")] for part in changes)
-    for one, other in zip(*moves, strict=False):
-        if one.body == other.body and math.dist(one.position, other.position) > _SETTLED:
-            places = (phrases.vector(each.position) for each in (one, other))
-            return f"it changes the requested place: {one.body} at {' becomes '.join(places)}"
+    for kind, what in (("move_body", "the requested place"), ("load_body", "the scene")):
+        changes = ((each for each in part.records(Mutation) if not each.task) for part in (before, log))
+        moves = ([getattr(each, kind) for each in part if each.HasField(kind)] for part in changes)
+        for one, other in zip(*moves, strict=False):
+            if one.body == other.body and math.dist(one.position, other.position) > _SETTLED:
+                places = (phrases.vector(each.position) for each in (one, other))
+                return f"it changes {what}: {one.body} at {' becomes '.join(places)}"
     return ""
 
 
