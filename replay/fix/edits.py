@@ -20,6 +20,7 @@ from replay.fix.plan_syntax import READING, Change, PlanSyntax, asserts, loads
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
 _ODD: Final = 0.15  # additional cost of a change of only one of several equal parts
+_IDIOM: Final = 0.3  # largest cost of a mistake that is made alike in all items of a list
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
 _AROUND: Final = 0.1  # additional cost of an edit of the condition or loop around a line
 _BLOCKS: Final = ast.For | ast.While | ast.If | ast.With
@@ -97,9 +98,10 @@ class Editor:
         for node, each in [(node, each) for node, made in found.items() for each in made if not each.asks]:
             (place, new), *others = each.parts
             if isinstance(place, ast.expr) and not isinstance(place, ast.Constant) and not others:
-                old = ast.unparse(place)
-                key = self.plan.scope(place) if old in new else place.lineno, old, new, each.kind
-                alike[key].append((found[node], each))
+                old, around = ast.unparse(place), self.plan.parents[place]
+                is_rule = isinstance(around, ast.Tuple | ast.List) and each.kind[:1] != "_" and each.cost <= _IDIOM
+                where = around if is_rule else self.plan.scope(place) if old in new else place.lineno
+                alike[where, each.kind, *((old, new) if not is_rule else ())].append((found[node], each))
         for twins in (each for each in alike.values() if len(each) > 1):
             parts = tuple(part for _, each in twins for part in each.parts)
             for own, each in twins:
@@ -195,7 +197,8 @@ class Editor:
             yield self._moved(statement, parent, cost, "the block", after=True)
         above = block[at - 1] if at and not self._is_check(statement) else None
         if isinstance(above, _BLOCKS) and not self._is_check(above):
-            yield self._moved(statement, above.body[-1], 0.5, f"line {above.body[-1].lineno}, in its block", after=True)
+            last, counts = above.body[-1], isinstance(statement, ast.AugAssign) and loads(above, stored(statement))
+            yield self._moved(statement, last, 0.2 if counts else 0.5, f"line {last.lineno}, in its block", after=True)
 
     def _is_check(self, statement: ast.stmt) -> bool:
         """Return whether a statement contains an assertion, directly or in a called function."""

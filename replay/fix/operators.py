@@ -13,7 +13,7 @@ from itertools import repeat
 from string import digits
 from typing import Final
 
-from pycram import bullet_world_reasoning
+from pycram import bullet_world_reasoning, failures
 from pycram.bullet_world import BulletWorld, Object
 from pycram.event import Event
 from pycram.fluent import Fluent
@@ -49,35 +49,40 @@ _MEANT: Final = {name: row.split() for row in _SIMILAR.split(", ") for name in r
 #: letters are any expressions.
 #: "?" marks exchanges after which a wrong value may happen to be right: only the success of the run supports them.
 _RULES: Final = """
-0.15; V = A.sort() | V = sorted(A); V = A.sort(key=B) | V = sorted(A, key=B); A == K or L | A in (K, L)
-0.15; groupby(A, B) | groupby(sorted(A, key=B), B); groupby(A, key=B) | groupby(sorted(A, key=B), key=B)
-0.15; dict.fromkeys(A, B) | {key: B for key in A}; groupby(A) | groupby(sorted(A)); V = A.append(B) | A.append(B)
-0.15; [X] * B | [X for _ in range(B)]; Fluent(False) | Fluent(); Fluent(False, A) | Fluent(None, A)
-0.15; Fluent(False, name=A) | Fluent(name=A); A.set_value(False) | A.set_value(None); not A.get(B) | B not in A
-0.15; A.original_pose[0] | A.get_position(); A.original_pose[1] | A.get_orientation(); A.get(B) or C | A.get(B, C)
-0.15; A.original_pose | A.get_pose(); A.appendleft(B) | A.append(B); A.insert(0, B) | A.append(B)
-0.2; int(A / B) | int(A // B); A.rstrip(K) | A.removesuffix(K); A.lstrip(K) | A.removeprefix(K)
-0.3; range(1, A + 1) | range(A); range(1, A) | range(A) | range(1, A + 1); range(A + 1) | range(A); not A | A is None
-0.3; range(A - 1) | range(A); range(X, A) | range(X - 1, A) | range(X, A + 1); A // B | A / B; degrees(A) | radians(A)
-0.3; A or B | B if A is None else A; A[K] - B[K] | (A[K] - B[K]) / 2
-0.3; range(X) | range(1, X) | range(X + 1) | range(X - 1); math.degrees(A) | math.radians(A); A.attach(B) | B.attach(A)
-0.3?; A / 1000 | A / 100; A / 100 | A / 1000; A * 0.001 | A * 0.01; radians(A) | A; math.radians(A) | A; degrees(A) | A
-0.35; A + B / C | (A + B) / C; A - B / C | (A - B) / C; A + B * C | (A + B) * C; A - B * C | (A - B) * C
-0.35; A / B + C | A / (B + C); A / B - C | A / (B - C); A * B + C | A * (B + C); A * B - C | A * (B - C)
-0.35; A / B * C | A / (B * C); A - B + C | A - (B + C); A.set_value(K) | A.set_value(A.get_value() + K)
-0.4; A or B and C | (A or B) and C; A[0] | A[-1]; A[-1] | A[0]; A[B:] | A[:] | A[B - 1:] | A[B + 1:]
-0.4; A[:B] | A[:] | A[:B + 1] | A[:B - 1]; A[B:C] | A[:] | A[B:C + 1] | A[B - 1:C]; A - B < C | abs(A - B) < C
-0.4; A + H | A + H / 2; A - H | A - H / 2; H + A | H / 2 + A; K - A ** L | K - 2 * A ** L; atan2(A, B) | 2 * atan2(A, B)
-0.5?; A + K | A; A - K | A; A += B | A -= B; sorted(A) | A; abs(A) | A; not A | A; A not in B | A in B
-0.5; A[X] | A[X - 1] | A[X + 1]; enumerate(A) | enumerate(A, 1); round(A) | A | round(A, 2)
-0.5; A += B | A = B; return | continue; A.copy() | copy.deepcopy(A); continue | break
-0.43; F(A, B) | F(B, A); F(A, B, C) | F(B, A, C) | F(A, C, B)
-0.55?; A < B | A > B; A > B | A < B; A <= B | A >= B; A >= B | A <= B; A in B | A not in B
-0.55?; A == B | A != B; A != B | A == B; A is B | A is not B; A is not B | A is B
-0.58; A < B | A <= B; A > B | A >= B; A <= B | A < B; A >= B | A > B; A == B | A is B; A is B | A == B; break | continue
-0.65?; A + B | A - B; A - B | A + B; A - X | (A - X) / 2; A * B | A / B; A / B | A * B | A // B
-0.65?; A // B | A % B; A % B | A // B
-0.65; A and B | A or B; A or B | A and B; A and B and C | A or B or C; A or B or C | A and B and C
+0.15; groupby(A, key=B) | groupby(sorted(A, key=B), key=B); groupby(A, B) | groupby(sorted(A, key=B), B)
+0.15; dict.fromkeys(A, B) | {key: B for key in A}; V = A.sort(key=B) | V = sorted(A, key=B); A.get(B) or C | A.get(B, C)
+0.15; A.original_pose[1] | A.get_orientation(); A.get(B, set()) | A.setdefault(B, set()); A.original_pose | A.get_pose()
+0.15; Fluent(False, name=A) | Fluent(name=A); A.set_value(False) | A.set_value(None); (A // B, A // B) | (A // B, A % B)
+0.15; A.original_pose[0] | A.get_position(); Fluent(False, A) | Fluent(None, A); A.get(B, []) | A.setdefault(B, [])
+0.15; A.get(B, {}) | A.setdefault(B, {}); (A % B, A % B) | (A // B, A % B); groupby(A) | groupby(sorted(A))
+0.15; [X] * B | [X for _ in range(B)]; A.rstrip(K) | A.removesuffix(K); A.lstrip(K) | A.removeprefix(K)
+0.15; V = A.append(B) | A.append(B); A.appendleft(B) | A.append(B); V = A.sort() | V = sorted(A); A.find(B) | B in A
+0.15; A.insert(0, B) | A.append(B); A == K or L | A in (K, L); not A.get(B) | B not in A; Fluent(False) | Fluent()
+0.15; int(A / B) | int(A // B)
+0.3; range(X) | range(1, X) | range(X + 1) | range(X - 1); range(X, A) | range(X - 1, A) | range(X, A + 1)
+0.3; atan2(A, B) | atan2(B, A) | 2 * atan2(A, B); range(1, A) | range(A) | range(1, A + 1); range(1, A + 1) | range(A)
+0.3; math.degrees(A) | math.radians(A); A[K] - B[K] | (A[K] - B[K]) / 2; A or B | B if A is None else A
+0.3; A // (B - K) | A / (B - K); dict(A, **B) | {**B, **A}; A.attach(B) | B.attach(A); {**A, **B} | {**B, **A}
+0.3; range(A + 1) | range(A); range(A - 1) | range(A); degrees(A) | radians(A); not A | A is None
+0.3?; A * 0.001 | A * 0.01; math.radians(A) | A; A / 1000 | A / 100; A / 100 | A / 1000; radians(A) | A; degrees(A) | A
+0.35; A.set_value(K) | A.set_value(A.get_value() + K); (A - B) // C | (A - B) / C; A + B / C | (A + B) / C
+0.35; A - B / C | (A - B) / C; A + B * C | (A + B) * C; A - B * C | (A - B) * C; A / B + C | A / (B + C)
+0.35; A / B - C | A / (B - C); A * B + C | A * (B + C); A * B - C | A * (B - C); A / B * C | A / (B * C)
+0.4; A[B:C] | A[:] | A[B:C + 1] | A[B - 1:C]; A[B:] | A[:] | A[B - 1:] | A[B + 1:]; A[:B] | A[:] | A[:B + 1] | A[:B - 1]
+0.4; A or B and C | (A or B) and C; K - A ** L | K - 2 * A ** L; A - B < C | abs(A - B) < C; A - B + C | A - (B + C)
+0.4; A + H | A + H / 2; A - H | A - H / 2; H + A | H / 2 + A; round(A, K) | A; A[0] | A[-1]; A[-1] | A[0]
+0.43; F(A, B, C) | F(B, A, C) | F(A, C, B); F(A, B) | F(B, A)
+0.45; set(A) | list(A) | sorted(A); A.startswith(B) | A == B; A.endswith(B) | A == B; int(A) | A
+0.5; enumerate(A) | enumerate(A, 1); A.copy() | copy.deepcopy(A); A[X] | A[X - 1] | A[X + 1]; round(A) | A | round(A, 2)
+0.5; A, *B = C | *B, A = C; return | continue; continue | break; A += B | A = B
+0.5?; A not in B | A in B; A += B | A -= B; sorted(A) | A; abs(A) | A; A + K | A; A - K | A; not A | A
+0.55?; A in B | A not in B; A is B | A is not B; A is not B | A is B; A <= B | A >= B; A >= B | A <= B; A == B | A != B
+0.55?; A != B | A == B; A < B | A > B; A > B | A < B
+0.58; A == B | A is B | abs(A - B) < 0.001; break | continue; A is B | A == B; A in B | A == B; A < B | A <= B
+0.58; A > B | A >= B; A <= B | A < B
+0.65; A and B and C | A or B or C; A or B or C | A and B and C; A and B | A or B; A or B | A and B; A >= B | A > B
+0.65?; A.append(B) | A.insert(0, B); A / B | A * B | A // B; A // B | A / B | A % B; A - X | (A - X) / 2; A % B | A // B
+0.65?; A.pop() | A.pop(0); A.pop(0) | A.pop(); A - X | X - A; A + B | A - B; A - B | A + B; A * B | A / B
 """
 _PARSED: Final = [
     (float(cost.rstrip("?")), "?" in cost, ast.parse(old).body[0], news)
@@ -224,6 +229,8 @@ def _branches(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 def _handling(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield handlers that don't swallow an error, and loops that end after a success."""
     if isinstance(node, ast.ExceptHandler) and not any(isinstance(each, ast.Raise) for each in ast.walk(node)):
+        for at, name in enumerate(sorted(plan.defined & {*vars(failures)})):
+            yield instead(node.type or node, name, 0.3 + 0.02 * at)
         attempt = plan.parents[node]
         ends: list[tuple[ast.stmt, tuple[str, ...], float]] = [(node.body[-1], ("continue", "break", "raise"), 0.2)]
         ends += [(attempt.body[-1], ("break",), 0.25)] if isinstance(attempt, ast.Try) else []
@@ -315,13 +322,15 @@ def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     around = plan.parents.get(node)
     skips = isinstance(around, ast.If) and around.test is node and isinstance(around.body[-1], ast.Continue)
     names = plan.parameters.get(called_name(node), [])
-    given = map(ast.unparse, node.args if isinstance(node, ast.Call) else ())
+    given = [ast.unparse(each) for each in getattr(node, "args", ())] if isinstance(node, ast.Call) else []
     has_order = bool(names) and not any(map(str.__eq__, names, given))  # else an argument has its parameter's name
     has_order |= called_name(node) in vars(bullet_world_reasoning)
+    has_order &= sum(each[0].isidentifier() for each in given) > 1  # others are literals
     for cost, doubtful, pattern, news in _PARSED:
         found: dict[str, str] = {}
         if _matches(getattr(pattern, "value", None) if isinstance(pattern, ast.Expr) else pattern, node, found):
-            is_key = plan.literals.get(found.get("A", "")) == "dict" and isinstance(node, ast.Subscript)
+            is_key = isinstance(node, ast.Subscript) and plan.literals.get(found["A"]) == "dict"
+            is_key |= isinstance(getattr(node, "slice", None), ast.BinOp)  # its numbers are shifted already
             for at, new in enumerate(news if not is_key and ("F" not in found or has_order) else ()):
                 made = ast.parse(re.sub(r"\b[A-Z]\b", lambda each: f"({found[each[0]]})", new)).body[0]  # noqa: B023
                 value, text = getattr(made, "value", None), ast.unparse(made)
@@ -336,7 +345,7 @@ def _matches(pattern: object, node: object, found: dict[str, str]) -> bool:
     if isinstance(pattern, ast.Name) and pattern.id.isupper() and isinstance(node, ast.expr):
         is_same = found.setdefault(pattern.id, ast.unparse(node)) == ast.unparse(node)
         is_same = is_same and (pattern.id != "H" or _SIZE.search(ast.unparse(node)) is not None)
-        excluded = (ast.Constant, ast.Slice, ast.Starred)[pattern.id != "X" :]
+        excluded = (ast.BinOp,) if pattern.id == "H" else (ast.Constant, ast.Slice, ast.Starred)[pattern.id != "X" :]
         return is_same and not isinstance(node, excluded) and (pattern.id not in "KL" or isinstance(node, ast.Constant))
     if isinstance(pattern, list) and isinstance(node, list):
         return len(pattern) == len(node) and all(map(_matches, pattern, node, repeat(found)))
@@ -381,6 +390,20 @@ def _python(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:  # noqa: C901,
         case ast.While(ast.Compare(left, [ast.Lt() | ast.LtE()], [right]), [*_, ast.AugAssign(value=step) as last]):
             if ast.unparse(last.target) == ast.unparse(left):  # sums aren't exact
                 yield instead(right, f"{ast.unparse(right)} - {ast.unparse(step)} / 2", 0.2)
+        case ast.Name(ctx=ast.Load()) | ast.Subscript(ctx=ast.Load()) if called_name(around) not in _CONVERTING:
+            is_field = "csv" in plan.defined and isinstance(getattr(getattr(node, "slice", None), "value", None), str)
+            name = re.escape(text.partition("[")[0])
+            if is_field or re.search(_PARTS.format(name), plan.text, re.MULTILINE):
+                cost = 0.15 if isinstance(around, ast.Lambda | ast.Compare | ast.BinOp | _KEEPING) else 0.3
+                news = f"float({text})", f"int({text})", f"{text}.strip()", f"{text}.lower()"
+                yield from (instead(node, new, cost + 0.01 * at) for at, new in enumerate(news))
+    forms = set[str]().union(*(plan.forms[role] for role in plan.roles[node] if not isinstance(node, ast.Call)))
+    yield from (instead(node, f"{form}({text})", 0.15) for form in sorted(forms))
+
+
+def _blocks(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield branches instead of plain code in a block, performed designators, and containers that aren't shared."""
+    match node:
         case ast.With(items=[ast.withitem(ast.Name("par" | "seq" | "pursue" | "try_all") as block, name)]):
             called = ast.unparse(name) if name else "block"
             for call in (each.value for each in node.body if isinstance(each, ast.Expr)):
@@ -388,14 +411,15 @@ def _python(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:  # noqa: C901,
                     new = f"{called}({', '.join(map(ast.unparse, (call.func, *call.args, *call.keywords)))})"
                     parts = ((call, new), *(() if name else ((block, f"{block.id} as block"),)))
                     yield Change(f"{new} instead of {ast.unparse(call)}", 0.2, parts)
-        case ast.Name(ctx=ast.Load()) | ast.Subscript(ctx=ast.Load()) if called_name(around) not in _CONVERTING:
-            is_field = "csv" in plan.defined and isinstance(getattr(getattr(node, "slice", None), "value", None), str)
-            name = re.escape(text.partition("[")[0])
-            if is_field or re.search(_PARTS.format(name), plan.text, re.MULTILINE):
-                cost = 0.15 if isinstance(around, ast.Lambda | ast.Compare | ast.BinOp | _KEEPING) else 0.3
-                yield from (instead(node, f"{each}({text})", cost) for each in ("float", "int"))
-    forms = set[str]().union(*(plan.forms[role] for role in plan.roles[node] if not isinstance(node, ast.Call)))
-    yield from (instead(node, f"{form}({text})", 0.15) for form in sorted(forms))
+        case ast.Expr(ast.Call(ast.Name(name)) as call):
+            if re.search(rf"from pycram\.\w+_designators import .*\b{name}\b", plan.text):
+                yield instead(call, f"perform({ast.unparse(call)})", 0.1)
+        case ast.FunctionDef(name="__init__", body=[first, *_]):
+            for each in plan.block(node):
+                if isinstance(each, ast.Assign) and isinstance(each.value, _MUTABLE):
+                    new, start = f"self.{ast.unparse(each)}\n{' ' * first.col_offset}", plan.span(first, first)[0]
+                    line = plan.offset(each.lineno), plan.offset((each.end_lineno or 0) + 1)
+                    yield Change(f"{ast.unparse(each)} for each object", 0.15, ((line, ""), ((start, start), new)))
 
 
 def _slots(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -483,7 +507,7 @@ def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
 _OPERATORS: Final = (
     *(_number, _frame, _angle, _aliasing, _calls, _structure, _undefined, _copied, _never_held),
     *(_default, _late, _shadowing, _branches, _handling, _spare_world, _lost_update, _near_names, forgotten_call),
-    *(_results, _sorting, _rules, _python, _slots, _unused),
+    *(_results, _sorting, _rules, _python, _blocks, _slots, _unused),
 )
 
 

@@ -282,6 +282,26 @@ MISTAKES = {
         "def f(a):\n    if a:\n        x = 1\n    else:\n        x = 2\n        return x\n",
         "def f(a):\n    if a:\n        x = 1\n    else:\n        x = 2\n    return x\n",
     ),
+    "shared by a class": (
+        "class Tray:\n    jobs = []\n    def __init__(self, x):\n        self.x = x\n",
+        "class Tray:\n    def __init__(self, x):\n        self.jobs = []\n        self.x = x\n",
+    ),
+    "other case": ("a, b = line.split()\nx[a] = 1\n", "a, b = line.split()\nx[a.lower()] = 1\n"),
+    "narrow handler": (
+        "from pycram.failures import PlaceFailed, PlanFailure\ntry:\n    go()\nexcept PlaceFailed:\n    print()\n",
+        "from pycram.failures import PlaceFailed, PlanFailure\ntry:\n    go()\nexcept PlanFailure:\n    print()\n",
+    ),
+    "row and column": ("x, y = a // n, a // n\n", "x, y = (a // n, a % n)\n"),
+    "alike in a list": ("x = [int(a / 2), int(b / 2)]\n", "x = [int(a // 2), int(b // 2)]\n"),
+    "counted after the loop": (
+        "y = 0\nfor a in b:\n    go(y)\ny += 1\n",
+        "y = 0\nfor a in b:\n    go(y)\n    y += 1\n",
+    ),
+    "not performed": (
+        "from pycram.motion_designators import moving\nmoving(target=x)\n",
+        "from pycram.motion_designators import moving\nperform(moving(target=x))\n",
+    ),
+    "lost list": ("x.get(a, []).append(b)\n", "x.setdefault(a, []).append(b)\n"),
     "no pick-up": (
         "from pycram import pick_up, place\nperform(go(1))\nperform(place(object=cup, target=x))\n",
         "from pycram import pick_up, place\nperform(pick_up(object=cup))\nperform(go(1))\nperform(place(object=cup, target=x))\n",
