@@ -22,7 +22,6 @@ from replay.compare import Difference, difference
 from replay.errors import NoSuchName, NoSuchStep
 from replay.explain.causes import decides, find, lacks_step
 from replay.explain.causes.case import Cause, FailureCase, bodies_in, objects_in
-from replay.explain.causes.raised import Written
 from replay.explain.causes.trials import Proof
 from replay.history.flow import Flow
 from replay.history.source import Line, ParsedException
@@ -50,13 +49,10 @@ _FIRST, _LAST = 5, 20  # number of first and of last attempts that have the robo
 _LISTED: Final = 3  # maximum number of first choices, and of last choices, that are listed
 _MAX_IMAGINED: Final = 6
 _MAX_PLACES: Final = 5  # maximum number of last queries for places that are listed
-_MAX_SOURCES: Final = 8
+_MAX_SOURCES: Final = 6
 _MAX_CAUSES: Final = 3  # maximum number of causes whose lines are followed
-_OUTER: Final = 0.5  # rank of a caller's line after the called line
-_DECIDED: Final = -1.5  # rank of a line that made a cause which decides
-_OTHER: Final = 1.5  # rank of a line that made another cause
-_SKIPPED: Final = 0.0  # rank of a line that performs a motion and never ran, if a check failed
-_CHECKED: Final = 3.0  # rank of a line that only checks a value that another line made
+_OUTER: Final = 0.9  # rank of a caller's line after the called line
+_DECIDED: Final = -1.0  # rank of a line that made a cause which decides
 _MOVED: Final = 0.001  # objects that moved less since a query count as unmoved, m
 
 
@@ -198,17 +194,16 @@ def _sources(why: Why) -> Iterator[Line]:
     if case is None:
         return
     traced = [
-        (_DECIDED if decides(case, cause) else _OTHER, causing_tasks(case.log, case.log[step]).call_stack)
+        (_DECIDED * decides(case, cause), causing_tasks(case.log, case.log[step]).call_stack)
         for cause in why.causes[:_MAX_CAUSES]
         for step in cause.steps
         if step < why.step
     ]
     lacks = lacks_step(case, why.causes)
     if stack and (lacks or why.task is None or why.failure is None or why.failure.type == "PropertyViolated"):
-        traced += [(_SKIPPED, (line,)) for line in case.skipped(stack[-1].file)]
+        traced += [(0.0, (line,)) for line in case.skipped(stack[-1].file)]
     starts: dict[str, dict[int, float]] = {}
-    own = _CHECKED if any(isinstance(cause, Written) and decides(case, cause) for cause in why.causes) else 0.0
-    for rank, lines in sorted([(own, tuple(stack)), *traced], key=lambda each: each[0]):
+    for rank, lines in sorted([(0.0, tuple(stack)), *traced], key=lambda each: each[0]):
         for depth, line in enumerate(reversed(lines)):
             starts.setdefault(line.file, {}).setdefault(line.number, rank + _OUTER * depth)
     failed = None if lacks or not stack else stack[-1]

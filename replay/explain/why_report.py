@@ -17,7 +17,7 @@ from replay.explain.causes.trials import TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.good_run import GoodRun
 from replay.explain.why import ChangesSince, InvolvedBody, TriedAction, Why, facing
-from replay.history.flow import is_strong, oddities
+from replay.history.flow import oddities
 from replay.history.source import Line
 from replay.report import phrases, report
 from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of
@@ -160,21 +160,19 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = (), good: GoodRun |
     ]
     yield from _headline(why)
     forked = bool(why.causes) and why.causes[0].kind == "fork"  # the failure doesn't come from values of the plan
-    origin = [*section("Where the values come from", origins)]
-    yield from () if forked else origin
+    suspects = [*section("Where the values come from", origins)]
+    if why.failure is not None:
+        suspects = suspects or [*section("Lines that may have caused it", _sources(why))]
+    yield from () if forked else suspects
     yield from section("Unfinished at the end of the recording", _unfinished(why.unfinished))
     yield from section("Unfinished, or finished in a lost record", _unfinished(why.endless))
     if why.failure is None:
         yield from section("Why", causes)
         return
-    sources = [] if origins else [*section("Lines that may have caused it", _sources(why))]
-    slips = sources and not forked and is_strong(_slip(why, why.sources[0]))
-    yield from sources if slips else ()
     yield from section("Why" if len(why.causes) < 2 else "Why: causes on record", causes or [_NO_CAUSE])
-    yield from origin if forked else ()
+    yield from suspects if forked else ()
     if good is not None:
         yield from section(f"Compared with {good.file}, where the plan succeeded", good.lines())
-    yield from () if slips else sources
     yield from section("Where in the plan", _where(why))
     threads = (
         f"also failed: thread {record.thread}, at step {record.seq}: {phrases.failure(record.failure)}"

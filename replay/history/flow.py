@@ -15,17 +15,18 @@ from heapq import heappop, heappush
 from typing import Any, Final, TypeAlias
 
 from recorder.plan_lines import called_name, last_name, stored, syntax_nodes
+from replay.history.line_forms import line_ranks, own_nodes
 
 _FUNCTIONS: Final = ast.FunctionDef | ast.AsyncFunctionDef
 _DECLARING: Final = _FUNCTIONS | ast.ClassDef | ast.Import | ast.ImportFrom
 _LEAVING: Final = ast.Continue | ast.Break | ast.Return | ast.Raise
 _CHANGING: Final = ("pop", "popleft", "remove", "clear", "append", "add", "extend", "insert", "update", "setdefault")
 _STORING: Final = (*_CHANGING, "set_value")
-_STEP: Final = 0.75  # increase of the rank from a line to a line whose values flow into it
-_PASSED: Final = 2.0  # increase of the rank of a line without numbers of its own
-_LOADING: Final = 3.0  # increase of the rank of a line that loads an object
+_STEP: Final = 0.01  # increase of the rank from a line to a line whose values flow into it
+_CONDITION: Final = 1.1  # increase of the rank from a line to a condition, or to a statement before it
+_START: Final = -1.6  # rank of a line that was given, and once more if it has numbers
+_FAILED: Final = 0.7  # rank of the line that failed
 _BEFORE: Final = 2  # maximum number of statements before a line that are considered
-_LAST: Final = 100.0  # increase of the rank of the line that failed
 _ODD: Final = 20.0  # decrease of the rank of a line that looks like a slip
 _MOST: Final = 100  # maximum number of lines that are followed
 _TRIVIAL: Final = (0, 1)  # numbers that are hardly ever mistyped
@@ -41,6 +42,7 @@ class Flow:
         self._conditions: dict[int, set[int]] = defaultdict(set)  # lines of conditions, by line of statement
         self._before: dict[int, list[int]] = {}  # for each statement's line, the lines of the statements just before it
         self._odd = {line for line, words in oddities(text).items() if is_strong(words)}
+        self._forms = line_ranks(text)
         for node in syntax_nodes(text)[:1]:
             self._visit(node, "", ())
 
@@ -75,7 +77,7 @@ class Flow:
 
         Args:
             starts: lines with their ranks.
-            failed: the line that failed; it comes last, unless it has numbers of its own.
+            failed: the line that failed.
         """
         ranks: dict[int, float] = {}
         waiting = sorted((rank, line) for line, rank in starts.items())
@@ -89,29 +91,23 @@ class Flow:
             )
             if found is None or (_is_idle(found[0]) and line not in starts):
                 continue
-            statement = found[0]  # a mistake is improbable if it only passes values on, or loads an object
-            constants = [node.value for node in _own(statement) if isinstance(node, ast.Constant)]
-            numbers = [each for each in constants if isinstance(each, int | float)]
-            computes = any(isinstance(node, ast.BinOp | ast.Compare) for node in _own(statement))
-            own = 1.0 if computes or any(each not in _TRIVIAL for each in numbers) else 0.5 * bool(constants)
-            names = {called_name(node) for node in _own(statement)}
-            parks = "park" in constants or "park" in names
-            weight = _PASSED * (1 - own + parks) + _LOADING * bool(names & {"Object", "BulletWorld"})
-            ranks[line] = rank + weight + _LAST * (line == failed and weight > 0)
+            numbers = any(_number(node) not in (None, *_TRIVIAL) for node in own_nodes(found[0]))
+            given = _START * (1 + numbers) if line in starts else 0.0
+            ranks[line] = rank + self._forms.get(line, 0.0) + given + _FAILED * (line == failed)
             for source in self._sources(*found):
                 if source not in ranks:
                     heappush(waiting, (rank + _STEP, source))
             before = self._before.get(found[0].lineno, ()) if line in starts else ()
             for condition in (*self._conditions[found[0].lineno], *before):
-                heappush(waiting, (rank + 2 * _STEP, condition))
+                heappush(waiting, (rank + _CONDITION, condition))
         functions = {function for each, function in self._statements if each.lineno in ranks}
         others = {each.lineno for each, function in self._statements if function in functions} - {*ranks}
-        ranks |= dict.fromkeys(self._odd & others, 2 * _STEP)
+        ranks |= dict.fromkeys(self._odd & others, 0.0)
         ranks |= {line: ranks[line] - _ODD for line in self._odd & ranks.keys()}
         return sorted(ranks, key=lambda line: ranks[line])
 
     def _sources(self, statement: ast.stmt, function: str) -> Iterator[int]:
-        for node in _own(statement):
+        for node in own_nodes(statement):
             loaded = isinstance(node, ast.Name | ast.Attribute) and isinstance(node.ctx, ast.Load)
             for name in (_named(node), f"{_named(node)}[]") if loaded else ():
                 yield from self._made.get((function, name), self._made.get(("", name), ()))
@@ -124,13 +120,6 @@ def _guards(block: Sequence[ast.stmt]) -> dict[ast.AST, tuple[int, ...]]:
     return {each: tuple(guard.lineno for guard in leaving if guard.lineno < each.lineno) for each in block}
 
 
-def _own(statement: ast.stmt) -> Iterator[ast.AST]:
-    """Yield the nodes of a statement, but not the statements in it."""
-    for each in ast.iter_child_nodes(statement):
-        if not isinstance(each, ast.stmt):
-            yield from (node for node in ast.walk(each) if not isinstance(node, ast.stmt))
-
-
 def _is_idle(statement: ast.stmt) -> bool:
     """Return whether no value flows out of a statement: a docstring, a print, or an assertion that held."""
     alone = statement.value if isinstance(statement, ast.Expr) else statement
@@ -139,7 +128,7 @@ def _is_idle(statement: ast.stmt) -> bool:
 
 def _stored(statement: ast.stmt) -> Iterator[str]:
     """Yield the names that a statement makes or changes; ``.x`` stands for an attribute, ``x[]`` for the items of x."""
-    for node in _own(statement):
+    for node in own_nodes(statement):
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _STORING:
             yield f"{_named(node.func.value)}[]"
         elif isinstance(node, ast.Name | ast.Attribute | ast.Subscript) and isinstance(node.ctx, ast.Store):

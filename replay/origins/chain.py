@@ -26,7 +26,11 @@ _MAX_FACTS: Final = 400  # maximum number of facts about a value
 _MAX_SEARCHED: Final = 64  # maximum number of evaluations of an expression that are searched
 _MAX_BEFORE: Final = 2  # maximum number of statements before a call that are listed
 _TAKING: Final = ("pop", "popitem", "popleft", "setdefault")  # methods that change a container and also return an item
-_TRIVIAL: Final = (0, 1, None)  # numbers that are hardly ever mistyped
+#: Ranks of facts by their kind, which add to those of their lines: see :mod:`replay.history.line_forms`.
+_KINDS: Final = {"call": -1.6, "value": 1.2, "returned": -1.0, "condition": -1.0}
+_WRITTEN: Final = -1.2  # for calls with texts, and once more for calls with numbers
+_ITERATOR: Final = -0.9
+_ITERATORS: Final = ("'<generator", "<zip", "<map", "<filter")
 _SCOPES: Final = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
 _IN_LINE: Final = ("<listcomp>", "<setcomp>", "<dictcomp>", "<genexpr>")
 _EXITS: Final = ast.Return | ast.Break | ast.Continue
@@ -113,14 +117,12 @@ class Tracer:
         text = self._notes.texts[file][line - 1].strip() if line else ""
         self._count += 1
         words, number = ("", None) if value is None else (shown(value.copy), _numbers_in(value.copy))
-        own = [each for each in _own_nodes(node) if isinstance(each, ast.Constant | ast.operator)]
-        numbers = any(not isinstance(getattr(each, "value", 0), str | None) for each in own)
-        weight = 0.5 * bool(own)
-        if numbers:
-            weight = 1.0 if any(getattr(each, "value", 2) not in _TRIVIAL for each in own) else 0.75
-        named = (each.name for each in self._parents(node) if isinstance(each, FUNCTIONS) and hasattr(each, "name"))
-        function = next(named, "")
-        return Origin(kind, name, words, number, file, line, text, step, weight, body, remark, tuple(parts), function)
+        rank = self._notes.ranks[file].get(line, 0.0) + _KINDS.get(kind, 0.0) + _ITERATOR * words.startswith(_ITERATORS)
+        if kind == "call":
+            own = [each for each in _own_nodes(node) if isinstance(each, ast.Constant | ast.operator)]
+            numbers = any(not isinstance(getattr(each, "value", 0), str | None) for each in own)
+            rank += _WRITTEN * (bool(own) + numbers)
+        return Origin(kind, name, words, number, file, line, text, step, rank, body, remark, tuple(parts))
 
     # --- where a run was ------------------------------------------------------------------------------------------
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 import ast
 import builtins
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib.machinery import SourceFileLoader
 from types import AsyncGeneratorType, CodeType, CoroutineType, FrameType, GeneratorType, TracebackType
 from typing import Any, Final
+
+from replay.history.line_forms import line_ranks
 
 #: Functions that read the frame of their caller.
 _OF_FRAMES: Final = frozenset({"super", "locals", "globals", "vars", "eval", "exec", "dir", "breakpoint"})
@@ -83,6 +85,7 @@ class ValueNotes:
         self.nodes: list[tuple[str, ast.AST]] = []  # file and node by number; these trees are as written
         self.trees: dict[str, ast.Module] = {}  # by file
         self.texts: dict[str, list[str]] = {}  # lines by file
+        self.ranks: dict[str, Mapping[int, float]] = {}  # ranks of lines by file
         self.codes: list[CodeType] = []  # code, by number of the frame
         self.step = -1  # the last recorded step of the run
         self._is_plan = is_plan
@@ -123,7 +126,7 @@ class ValueNotes:
             numbers[id(node)] = len(self.nodes)
             self.nodes.append((file, clean))
         text = source if isinstance(source, str) else source.decode("utf-8", "replace")
-        self.trees[file], self.texts[file] = written, text.splitlines()
+        self.trees[file], self.texts[file], self.ranks[file] = written, text.splitlines(), line_ranks(text)
         noted: ast.Module = _Noting(numbers).visit(tree)
         return ast.fix_missing_locations(noted)
 

@@ -12,19 +12,13 @@ from replay.history.source import Line
 from replay.report import phrases
 
 _MAX_ROWS: Final = 12  # largest number of lines of the plan that are shown
-_EARLIER: Final = 1.5  # rank of calls before the failed one; if they decided, they come before it
-_LATER: Final = 0.2  # added for each call before it
-_SUSPECT: Final = 3.0  # by how much a remark or a guess raises a line
-_SLIP: Final = 20.0  # by how much a likely slip raises a line
-_CHECKED: Final = 3.0  # rank of a line that only checks a value that another line made
-_PASSING: Final = 2.5  # by how much a line without numbers comes after a line with numbers
-_CHANGING: Final = 1.0  # by how much a line that changes a container comes before others
-_LOADING: Final = 2.0  # by how much a line that loads an object comes after others
-_CONTROL: Final = ("for ", "with ", "while ", "if ", "elif ", "return ")
-_CONTROLLING: Final = 0.5  # by how much a line that controls the flow comes before others
-_PARKING: Final = 2.0  # by how much a line that parks arms comes after others
-_FURTHER: Final = {"condition": 1.5, "before": 1.0}  # added to the rank of such a part
-_LAST: Final = 100.0  # added to the rank of the failed call, unless it has numbers
+_DECIDED: Final = -1.3  # rank of the calls that decided
+_EARLIER: Final = 1.6  # rank of other calls before the failed one
+_FAILED: Final = 0.6  # added to the rank of the failed call, or if a step is missing before it:
+_LACKS: Final = -2.2
+_REMARKED: Final = -1.4  # for a remark
+_GUESSED: Final = -6.0
+_SLIP: Final = -20.0  # for a likely slip
 _HARMLESS: Final = ("", "hides", "line", "lines")  # first words of remarks that don't raise a line
 _WORDS: Final = {"default": " by default", "read": ", read after step {}", "answer": ", answered at step {}"}
 
@@ -44,7 +38,7 @@ class Origin:
     line: int
     text: str  # text of the line that made the value
     step: int  # the last recorded step before it; -1 if unknown
-    own: float  # how much of its own the line has: 1 for numbers, 0.5 for texts, 0 if it only passes values on
+    rank: float  # how improbable it is that its line has the mistake
     body: str  # name of the object that was read
     remark: str  # what is unusual about the value, in words
     parts: tuple[Origin, ...]  # the values from which it was made
@@ -54,6 +48,11 @@ class Origin:
     def place(self) -> tuple[str, int]:
         """The file and the number of the line."""
         return self.file, self.line
+
+    @property
+    def is_remarkable(self) -> bool:
+        """Whether something is unusual about the value."""
+        return self.remark.partition(" ")[0] not in _HARMLESS or bool(self.moved)
 
     @classmethod
     def of(cls, data: dict[str, Any], moved: tuple[str, str]) -> Origin:
@@ -89,7 +88,6 @@ class Origins:
     guesses: tuple[PossibleMistake, ...] = ()
     notes: tuple[str, ...] = ()  # why the facts may be incomplete
     lacks_step: bool = False  # whether a step before the failed call is missing, so the call's own line counts
-    checked: bool = False  # whether the failed line checks a value, and the call that wrote the value is known
 
     def lines_of(self, name: str) -> list[int]:
         """Return the numbers of the lines of a file that made the values, the most probable first."""
@@ -105,26 +103,25 @@ class Origins:
         return [each.number for each in self._facts() if isinstance(each.number, list)]
 
     def _facts(self) -> Iterator[Origin]:
-        return (each for call in (self.failed, *self.earlier) if call is not None for _, each in _walk(call, 0.0))
+        return (each for call in (self.failed, *self.earlier) if call is not None for each in _walk(call))
 
     def _ranked(self) -> tuple[list[tuple[str, int]], dict[tuple[str, int], list[Origin]]]:
         """Return the places of lines, the most probable first, and the facts about each line."""
-        ranks: dict[tuple[str, int], float] = {}
+        guessed = {each.place: _SLIP if each.source else _GUESSED for each in self.guesses if each.likely}
+        ranks = {each.place: 0.0 for each in self.guesses if each.source and each.likely}
         facts: dict[tuple[str, int], list[Origin]] = defaultdict(list)
-        guessed = {each.place: _SLIP if each.source else _SUSPECT for each in self.guesses if each.likely}
-        ranks |= {each.place: 0.0 for each in self.guesses if each.source and each.likely}
         for number, call in enumerate((self.failed, *self.earlier)):
-            start = _EARLIER if number > self.decided else -_EARLIER if number else _CHECKED * self.checked
+            start = _EARLIER if number > self.decided else _DECIDED if number else 0.0
             known = set(facts)
-            decided = 0 < number <= self.decided
-            for rank, each in _walk(call, start + _LATER * number, decided=decided) if call is not None else ():
+            for each in _walk(call) if call is not None else ():
                 place = each.place
                 if place not in known:  # an earlier call had other values at this place
                     facts[place].append(each)
-                raised = (each.file != self.program) - guessed.get(place, 0.0)
-                if each is self.failed:
-                    raised += -_SUSPECT if self.lacks_step else _LAST * (each.own < 1 or self.checked)
-                ranks[place] = min(ranks.get(place, rank + raised), rank + raised)
+                rank = start + each.rank + _REMARKED * each.is_remarkable + (each.file != self.program)
+                if self.failed is not None and place == self.failed.place:
+                    rank += _LACKS if self.lacks_step else _FAILED
+                ranks[place] = min(ranks.get(place, rank), rank)
+        ranks |= {place: ranks[place] + raised for place, raised in guessed.items() if place in ranks}
         return sorted(ranks, key=lambda place: ranks[place]), facts
 
     def lines(self) -> Iterator[str]:
@@ -147,18 +144,11 @@ class Origins:
         yield from (f"note: {each}" for each in self.notes)
 
 
-def _walk(origin: Origin, rank: float, *, decided: bool = False) -> Iterator[tuple[float, Origin]]:
-    """Yield the facts with their ranks: those far from the failure, or that only pass values on, come last."""
-    strange = origin.remark.partition(" ")[0] not in _HARMLESS or _returns_stale(origin)
-    own = rank - _SUSPECT * (strange or bool(origin.moved)) + _LOADING * ("Object(" in origin.text)
-    own += _PARKING * ('"park"' in origin.text) - _CONTROLLING * origin.text.startswith(_CONTROL)
-    if origin.kind == "change":
-        own -= _CHANGING
-    elif not strange and (not decided or origin.name.endswith((".settle", ".simulate"))):
-        own += _PASSING * (1.0 - origin.own)
-    yield own, origin
+def _walk(origin: Origin) -> Iterator[Origin]:
+    """Yield the facts, those nearest to the failure first."""
+    yield origin
     for part in origin.parts:
-        yield from _walk(part, rank + 0.5 + origin.own / 2 + _FURTHER.get(part.kind, 0.0))
+        yield from _walk(part)
 
 
 def _returns_stale(origin: Origin) -> bool:

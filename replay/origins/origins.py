@@ -22,7 +22,6 @@ from recorder.records import Mutation, Plain
 from replay.explain.causes import decides, lacks_step
 from replay.explain.causes.case import Cause, hands, joints_of
 from replay.explain.causes.out_of_reach import ObstructingBody
-from replay.explain.causes.raised import Written
 from replay.file.record_reader import RecordReader
 from replay.history.blame import Blame, blame, commanded
 from replay.history.flow import is_strong, oddities
@@ -75,9 +74,8 @@ def origins(log: RecordReader, why: Why, *, recorded_source: bool = False) -> Or
         notes.append("the plan differs from its recording at step {step}: {text}".format(**answer["difference"]))
     calls = tuple(earlier.values())
     mistakes = (*guesses(why, failed), *slips(PlanSource(log), (each for each in (failed, *calls) if each is not None)))
-    checked = bool(read) or any(isinstance(each, Written) for each in why.causes)
     lacks = why.case is not None and lacks_step(why.case, why.causes)
-    return Origins(failed, calls, str(process.program), decided, mistakes, tuple(notes), lacks, checked)
+    return Origins(failed, calls, str(process.program), decided, mistakes, tuple(notes), lacks)
 
 
 def _noted(process: PlanProcess, steps: list[int]) -> dict[str, Any]:
