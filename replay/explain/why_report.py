@@ -17,7 +17,7 @@ from replay.explain.causes.trials import TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.good_run import GoodRun
 from replay.explain.why import ChangesSince, InvolvedBody, TriedAction, Why, facing
-from replay.history.flow import oddities
+from replay.history.oddities import oddities
 from replay.history.source import Line
 from replay.report import phrases, report
 from replay.report.question import BadQuestion, Name, QueryCall, Term, question_of

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from pycram.world.object import Object
 from pycram.world.world import BulletWorld
+from recorder.plan_lines import called_name
 from recorder.records.tracebacks import result_or
 from recorder.tracing.call_stack import described
 from replay.origins.noting import FUNCTIONS, Held, Note, ValueNotes, bound_names
@@ -261,7 +262,8 @@ class Tracer:
         held = None if "__name__" in ast.unparse(test) else self.value(test, place)
         if held is not None and not self._is_known(self._numbers[id(test)], str(place.frame)):
             parts = self._inputs(test, place)
-            yield self._fact("condition", test, ast.unparse(test), held, self._notes.step, parts)
+            odd = self._odd(ast.UnaryOp(ast.Not(), test), place) or self._oddity(test, place)
+            yield self._fact("condition", test, ast.unparse(test), held, self._notes.step, parts, remark=odd)
 
     def _is_known(self, number: int, name: str) -> bool:
         known = (number, name) in self._seen or self._count >= _MAX_FACTS
@@ -381,14 +383,21 @@ class Tracer:
         elif isinstance(node, ast.Assign):
             source = _matching(node.targets[0], node.value, name)
         made = () if source is None else self._inputs(source, before)
-        remark = remark or self._rounding(source, before)
+        remark = self._oddity(source, before) or remark
         yield self._fact(kind, located, name, held, note.step, joined(parts, made), remark=remark)
 
     def _remark(self, name: str, note: Note, place: Evaluation) -> str:
         node, code = self._node(note), self._notes.codes[note.frame]
         reader = self._notes.codes[place.frame].co_name
-        if isinstance(node, ast.For) and note.frame != place.frame and reader not in _IN_LINE:
-            return "as the loop left it"
+        if isinstance(node, ast.For):
+            runs = [each.time for each in self._of_node[note.number] if each.frame == note.frame]
+            held = self.value(node.iter, Evaluation(note.frame, runs[0]))
+            changes = [] if held is None else self._changes[id(held.ref)]
+            late = next((each for each in changes if runs[0] < each.time < runs[-1]), None)
+            if late is not None:
+                return f"{ast.unparse(node.iter)} changes while the loop runs, at line {self._node(late).lineno}"
+            if note.frame != place.frame and reader not in _IN_LINE:
+                return "as the loop left it"
         if isinstance(node, ast.Assign):
             function = node.value.func if isinstance(node.value, ast.Call) else None
             called = function.value if isinstance(function, ast.Attribute) else None
@@ -413,14 +422,37 @@ class Tracer:
         reads = (each for each in ast.walk(loop) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Load))
         return any(each.number != note.number for each in binds) and all(each.id != name for each in reads)
 
-    def _rounding(self, source: ast.AST | None, place: Evaluation) -> str:
-        for each in ast.walk(source) if source is not None else ():
-            if isinstance(each, ast.BinOp) and isinstance(each.op, ast.FloorDiv):
-                values = [self.value(side, place) for side in (each.left, each.right)]
-                numbers = [_numbers_in(held.copy) for held in values if held is not None]
-                if len(numbers) == 2 and None not in numbers and numbers[1] and numbers[0] % numbers[1]:
-                    return f"{ast.unparse(each)} rounds {shown(numbers[0] / numbers[1])} down"
+    def _oddity(self, source: ast.AST | None, place: Evaluation) -> str:
+        """Return what is unusual about the values in an expression, in words; "" for nothing."""
+        found = (self._odd(each, place) for each in (ast.walk(source) if source is not None else ()))
+        return next(filter(None, found), "")
+
+    def _odd(self, node: ast.AST, place: Evaluation) -> str:
+        text = ast.unparse(node)
+        match node:
+            case ast.BinOp(op=ast.FloorDiv()):
+                one, other = self._number(node.left, place), self._number(node.right, place)
+                if one is not None and other and one % other:
+                    return f"{text} rounds {shown(one / other)} down"
+            case ast.Call(func=ast.Name(id="int"), args=[part]):
+                number = self._number(part, place)
+                if number is not None and number < 0 and number % 1:
+                    return f"{text} rounds {shown(number)} up"
+            case ast.BoolOp(op=ast.Or(), values=[part, *_]) | ast.UnaryOp(op=ast.Not(), operand=part):
+                if self._number(part, place) == 0:
+                    return f"{ast.unparse(part)} is 0, which counts as missing here"
+            case ast.Call() if called_name(node) in ("sorted", "sort", "min", "max"):
+                keys = [each.value.body for each in node.keywords if isinstance(each.value, ast.Lambda)]
+                notes = (note for key in keys for note in self._of_node[self._numbers[id(key)]] if note.result)
+                values = [note.result.copy for note in notes if note.result is not None]
+                if _holds(lambda: sorted(values) != sorted(values, key=float), otherwise=False):
+                    return f"{ast.unparse(keys[0])} is text, not a number: {min(values)!r} comes before {max(values)!r}"
         return ""
+
+    def _number(self, node: ast.AST, place: Evaluation) -> float | None:
+        held = self.value(node, place)
+        number = None if held is None else _numbers_in(held.copy)
+        return None if isinstance(number, list) else number
 
     def _argument(self, name: str, note: Note, held: Held, changes: list[Origin]) -> Facts:
         node, call = self._node(note), note.parent
@@ -456,7 +488,8 @@ class Tracer:
             at = Evaluation(note.frame, note.time)
             inner = self._arguments(node, at, receiver=False) if called else self._inputs(node.value, at)
             target = node.func.value if called else getattr(node, "target", None) or node.targets[0]
-            yield self._fact("change", node, ast.unparse(target), None, note.step, inner)
+            inner, odd = joined(inner, self._conditions(node, at)), self._oddity(node, at)
+            yield self._fact("change", node, ast.unparse(target), None, note.step, inner, remark=odd)
 
     def _arguments(self, node: ast.Call, place: Evaluation, *, receiver: bool = True) -> Facts:
         for each in (*node.args, *node.keywords):
@@ -479,7 +512,8 @@ class Tracer:
                 made = self._node(returned)
                 made = made.body if isinstance(made, ast.Lambda) else made.value
                 parts = joined(self._inputs(made, place), self._conditions(self._node(returned), place))
-                yield self._fact("returned", self._node(returned), name, note.result, note.last_step, parts)
+                odd = self._oddity(made, place)
+                yield self._fact("returned", self._node(returned), name, note.result, note.last_step, parts, remark=odd)
             return
         inner = self._arguments(node, Evaluation(note.frame, note.time))
         if isinstance(owner, Object) and note.result is not None and _numbers_in(note.result.copy) is not None:

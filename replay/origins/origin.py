@@ -18,6 +18,7 @@ _FAILED: Final = 0.6  # added to the rank of the failed call, or if a step is mi
 _LACKS: Final = -2.2
 _REMARKED: Final = -1.4  # for a remark
 _GUESSED: Final = -6.0
+_ODD: Final = (" rounds ", " counts as ", " is text", " changes while ")  # words in remarks that count as a guess
 _SLIP: Final = -20.0  # for a likely slip
 _HARMLESS: Final = ("", "hides", "line", "lines")  # first words of remarks that don't raise a line
 _WORDS: Final = {"default": " by default", "read": ", read after step {}", "answer": ", answered at step {}"}
@@ -118,6 +119,7 @@ class Origins:
                 if place not in known:  # an earlier call had other values at this place
                     facts[place].append(each)
                 rank = start + each.rank + _REMARKED * each.is_remarkable + (each.file != self.program)
+                rank += _GUESSED * any(words in each.remark for words in _ODD)
                 if self.failed is not None and place == self.failed.place:
                     rank += _LACKS if self.lacks_step else _FAILED
                 ranks[place] = min(ranks.get(place, rank), rank)

@@ -24,7 +24,7 @@ from replay.explain.causes.case import Cause, hands, joints_of
 from replay.explain.causes.out_of_reach import ObstructingBody
 from replay.file.record_reader import RecordReader
 from replay.history.blame import Blame, blame, commanded
-from replay.history.flow import is_strong, oddities
+from replay.history.oddities import is_strong, oddities
 from replay.history.source import PlanSource
 from replay.origins.origin import Origin, Origins, PossibleMistake
 from replay.report import phrases

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from replay.history.flow import Flow, is_strong, oddities
+from replay.history.flow import Flow
+from replay.history.oddities import is_strong, oddities
 
 CASES = [
     ("rows = [[0, 1]] * 3\nprint(rows)", "rows = [[0, 1] for _ in range(3)]\nprint(rows)", 1, "one and the same"),
