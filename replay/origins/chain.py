@@ -373,7 +373,7 @@ class Tracer:
             kind, source = "item", node.iter
             written = {value: self.value(value, before) for _, value in self._written(node.iter, before)[0]}
             elements = [each for each, value in written.items() if value and _same(value.copy, held.copy)]
-            if len(elements) == 1:
+            if len(elements) == 1 and " changes while " not in remark:
                 located = source = elements[0]
         elif isinstance(node, ast.With | ast.AsyncWith):
             source = node.items[0].context_expr

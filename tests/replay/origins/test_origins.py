@@ -130,6 +130,34 @@ PLANS = {
         """,
         "arm: as the loop left it",
     ),
+    "a zero that counts as missing": (
+        """
+        def height(given):
+            return given or 40  # here
+        perform(moving(target=[0.2, 0, height(0.0)]))
+        """,
+        "given is 0, which counts as missing here",
+    ),
+    "numbers that are sorted as text": (
+        """
+        rows = [{"x": "9"}, {"x": "10"}]
+        rows.sort(key=lambda row: row["x"])  # here
+        perform(moving(target=[float(rows[1]["x"]), 0, 0, 0]))
+        """,
+        "row['x'] is text, not a number: '10' comes before '9'",
+    ),
+    "a list that changes while a loop runs": (
+        """
+        places = [0.1, 0.2, 30.0, 0.3]
+        def done(place):
+            places.remove(place)
+        for place in places:  # here
+            done(place)
+            last = place
+        perform(moving(target=[last, 0, 0, 0]))
+        """,
+        "places changes while the loop runs, at line",
+    ),
     "a division that rounds down": (
         """
         def share(length, parts):
