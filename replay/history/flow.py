@@ -20,8 +20,9 @@ _LEAVING: Final = ast.Continue | ast.Break | ast.Return | ast.Raise
 _STORING: Final = (*CHANGING, "set_value")
 _STEP: Final = 0.01  # increase of the rank from a line to a line whose values flow into it
 _CONDITION: Final = 1.1  # increase of the rank from a line to a condition, or to a statement before it
-_START: Final = -1.6  # rank of a line that was given, and once more if it has numbers
-_FAILED: Final = 0.7  # rank of the line that failed
+_START: Final = -1.5  # rank of a line that was given
+_COMPUTING: Final = -1.9  # added if such a line has numbers or operators
+_FAILED: Final = 1.0  # added for the line that failed
 _BEFORE: Final = 2  # maximum number of statements before a line that are considered
 _ODD: Final = 20.0  # decrease of the rank of a line that looks like a slip
 _MOST: Final = 100  # maximum number of lines that are followed
@@ -87,8 +88,11 @@ class Flow:
             )
             if found is None or (_is_idle(found[0]) and line not in starts):
                 continue
-            numbers = any(written_number(node) not in (None, *_TRIVIAL) for node in own_nodes(found[0]))
-            given = _START * (1 + numbers) if line in starts else 0.0
+            computes = any(
+                isinstance(node, ast.BinOp | ast.USub) or written_number(node) not in (None, *_TRIVIAL)
+                for node in own_nodes(found[0])
+            )
+            given = _START + _COMPUTING * computes if line in starts else 0.0
             ranks[line] = rank + self._forms.get(line, 0.0) + given + _FAILED * (line == failed)
             for source in self._sources(*found):
                 if source not in ranks:
