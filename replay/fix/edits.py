@@ -99,14 +99,15 @@ class Editor:
             (place, new), *others = each.parts
             if isinstance(place, ast.expr) and not isinstance(place, ast.Constant) and not others:
                 old, around = ast.unparse(place), self.plan.parents[place]
-                is_rule = isinstance(around, ast.Tuple | ast.List) and each.kind[:1] != "_" and each.cost <= _IDIOM
+                is_rule = isinstance(around, ast.Tuple | ast.List) and each.kind[:1] != "_"
                 where = around if is_rule else self.plan.scope(place) if old in new else place.lineno
                 alike[where, each.kind, *((old, new) if not is_rule else ())].append((found[node], each))
         for twins in (each for each in alike.values() if len(each) > 1):
             parts = tuple(part for _, each in twins for part in each.parts)
             for own, each in twins:
-                own[own.index(each)] = each._replace(cost=each.cost + _ODD, chance=True)
-                own.append(each._replace(cost=each.cost - _ODD, parts=parts, what=f"{each.what}, {len(twins)} times"))
+                odd = _ODD * (each.cost <= _IDIOM or each.kind[:1] == "_")  # items may have different operators
+                own[own.index(each)] = each._replace(cost=each.cost + odd, chance=bool(odd) or each.chance)
+                own.append(each._replace(cost=each.cost - odd, parts=parts, what=f"{each.what}, {len(twins)} times"))
         return found
 
     def insertions(self, line: int) -> Iterator[Edit]:
@@ -177,7 +178,9 @@ class Editor:
             undefined = any(loads(one, stored(other)) and not isinstance(other, ast.For) for one, other in needed)
             evades = any(map(self._is_check, crossed)) or (to > at and not plan.goals.isdisjoint(crossed))
             if 0 <= to < len(block) and not undefined and not evades:
-                cost = 0.3 if to + 1 in uses[:1] and reads and any(map(plan.acts, crossed[1:])) else 0.7
+                is_early = reads and to + 1 in uses[:1] and any(map(plan.acts, crossed[1:]))
+                is_late = reads and to == at - 1 and plan.acts(block[to])
+                cost = 0.3 if is_early else 0.45 if is_late else 0.7
                 yield self._moved(statement, block[to], cost, f"line {block[to].lineno}", after=to > at)
         between = block[at + 1 : uses[0]] if uses else []
         stays = getattr(statement, "value", None) in plan.scene or any(map(self._is_check, between))

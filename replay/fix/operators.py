@@ -79,8 +79,8 @@ _RULES: Final = """
 0.55?; A in B | A not in B; A is B | A is not B; A is not B | A is B; A <= B | A >= B; A >= B | A <= B; A == B | A != B
 0.55?; A != B | A == B; A < B | A > B; A > B | A < B
 0.58; A == B | A is B | abs(A - B) < 0.001; break | continue; A is B | A == B; A in B | A == B; A < B | A <= B
-0.58; A > B | A >= B; A <= B | A < B
-0.65; A and B and C | A or B or C; A or B or C | A and B and C; A and B | A or B; A or B | A and B; A >= B | A > B
+0.58; A > B | A >= B; A <= B | A < B; A >= B | A > B
+0.65; A and B and C | A or B or C; A or B or C | A and B and C; A and B | A or B | A | B; A or B | A and B | A | B
 0.65?; A.append(B) | A.insert(0, B); A / B | A * B | A // B; A // B | A / B | A % B; A - X | (A - X) / 2; A % B | A // B
 0.65?; A.pop() | A.pop(0); A.pop(0) | A.pop(); A - X | X - A; A + B | A - B; A - B | A + B; A * B | A / B
 """
@@ -437,7 +437,9 @@ def _slots(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         fields = set[str]().union(*(each for each in plan.classes if node.attr in each))
         is_key = getattr(plan.parents[node], "key", None) is node  # objects with equal keys replace each other
         for at, name in enumerate(sorted(fields - {node.attr})):
-            yield instead(node, f"{ast.unparse(node.value)}.{name}", (0.2 if is_key else 0.5) + 0.05 * at)
+            chance = _AXIS.fullmatch(name) is not None and _AXIS.fullmatch(node.attr) is not None
+            new = f"{ast.unparse(node.value)}.{name}"
+            yield instead(node, new, (0.2 if is_key else 0.5) + 0.05 * at, chance=chance)
 
 
 def _unused(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:

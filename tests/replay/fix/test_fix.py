@@ -301,6 +301,11 @@ MISTAKES = {
         "from pycram.motion_designators import moving\nmoving(target=x)\n",
         "from pycram.motion_designators import moving\nperform(moving(target=x))\n",
     ),
+    "defaults last": ("x = {**job, **usual}\n", "x = {**usual, **job}\n"),
+    "read after a change": (
+        "perform(a)\nx = cup.get_position()\ngo(x)\n",
+        "x = cup.get_position()\nperform(a)\ngo(x)\n",
+    ),
     "lost list": ("x.get(a, []).append(b)\n", "x.setdefault(a, []).append(b)\n"),
     "no pick-up": (
         "from pycram import pick_up, place\nperform(go(1))\nperform(place(object=cup, target=x))\n",
@@ -444,6 +449,16 @@ with BulletWorld() as world:
 @pytest.mark.slow
 def test_an_object_that_is_taken_again_neednt_stay_at_its_target(tmp_path: Path) -> None:
     assert reaches_goal(recorded(tmp_path, TWICE), [])
+
+
+def test_equal_expressions_change_together_before_one_of_them() -> None:
+    edits = {each.text: each for each in Editor("x = f(0, sin(a), b, cos(a))\ny = [p - q, r - s]\n").structural()}
+    both, one = "x = f(0, sin(a / 2), b, cos(a / 2))\n", "x = f(0, sin(a / 2), b, cos(a))\n"
+    found = {each.text.splitlines(keepends=True)[0]: each for each in edits.values()}
+    assert both in found
+    assert one not in found  # only the success of the run would support it
+    turned = {each.text: each.chance for each in Editor("y = [p - q, r - s]\n").edits(1) if "q - p" in each.text}
+    assert turned == {"y = [q - p, r - s]\n": True, "y = [q - p, s - r]\n": True}
 
 
 def test_unlikely_edits_are_left_out_or_come_late() -> None:
