@@ -45,8 +45,8 @@ _SIMILAR: Final = (
 #: Of these, names that stand for the opposite: only the success of the run supports their exchange.
 _OPPOSITE: Final = {"any", "all", "min", "max", "sin", "cos", "pop", "popleft", "par", "sorted", "falling", "rising"}
 _MEANT: Final = {name: row.split() for row in _SIMILAR.split(", ") for name in row.split()}
-#: Each row: a cost, and patterns with what is meant instead. K and L are constants, X is none, H is a size, other
-#: letters are any expressions.
+#: Each row: a cost, and patterns with what is meant instead. K and L are constants, X is none, H is a size, N isn't a
+#: truth value, other letters are any expressions.
 #: "?" marks exchanges after which a wrong value may happen to be right: only the success of the run supports them.
 _RULES: Final = """
 0.15; groupby(A, key=B) | groupby(sorted(A, key=B), key=B); groupby(A, B) | groupby(sorted(A, key=B), B)
@@ -61,9 +61,9 @@ _RULES: Final = """
 0.15; int(A / B) | int(A // B)
 0.3; range(X) | range(1, X) | range(X + 1) | range(X - 1); range(X, A) | range(X - 1, A) | range(X, A + 1)
 0.3; atan2(A, B) | atan2(B, A) | 2 * atan2(A, B); range(1, A) | range(A) | range(1, A + 1); range(1, A + 1) | range(A)
-0.3; math.degrees(A) | math.radians(A); A[K] - B[K] | (A[K] - B[K]) / 2; A or B | B if A is None else A
+0.3; math.degrees(A) | math.radians(A); A[K] - B[K] | (A[K] - B[K]) / 2; N or B | B if N is None else N
 0.3; A // (B - K) | A / (B - K); dict(A, **B) | {**B, **A}; A.attach(B) | B.attach(A); {**A, **B} | {**B, **A}
-0.3; range(A + 1) | range(A); range(A - 1) | range(A); degrees(A) | radians(A); not A | A is None
+0.3; range(A + 1) | range(A); range(A - 1) | range(A); degrees(A) | radians(A); not N | N is None
 0.3?; A * 0.001 | A * 0.01; math.radians(A) | A; A / 1000 | A / 100; A / 100 | A / 1000; radians(A) | A; degrees(A) | A
 0.35; A.set_value(K) | A.set_value(A.get_value() + K); (A - B) // C | (A - B) / C; A + B / C | (A + B) / C
 0.35; A - B / C | (A - B) / C; A + B * C | (A + B) * C; A - B * C | (A - B) * C; A / B + C | A / (B + C)
@@ -80,8 +80,9 @@ _RULES: Final = """
 0.55?; A != B | A == B; A < B | A > B; A > B | A < B
 0.58; A == B | A is B | abs(A - B) < 0.001; break | continue; A is B | A == B; A in B | A == B; A < B | A <= B
 0.58; A > B | A >= B; A <= B | A < B; A >= B | A > B
-0.65; A and B and C | A or B or C; A or B or C | A and B and C; A and B | A or B | A | B; A or B | A and B | A | B
+0.65; A and B and C | A or B or C; A or B or C | A and B and C; A and B | A or B; A or B | A and B
 0.65?; A.append(B) | A.insert(0, B); A / B | A * B | A // B; A // B | A / B | A % B; A - X | (A - X) / 2; A % B | A // B
+0.65?; A and B | A | B; A or B | A | B
 0.65?; A.pop() | A.pop(0); A.pop(0) | A.pop(); A - X | X - A; A + B | A - B; A - B | A + B; A * B | A / B
 """
 _PARSED: Final = [
@@ -345,7 +346,7 @@ def _matches(pattern: object, node: object, found: dict[str, str]) -> bool:
     if isinstance(pattern, ast.Name) and pattern.id.isupper() and isinstance(node, ast.expr):
         is_same = found.setdefault(pattern.id, ast.unparse(node)) == ast.unparse(node)
         is_same = is_same and (pattern.id != "H" or _SIZE.search(ast.unparse(node)) is not None)
-        excluded = (ast.BinOp,) if pattern.id == "H" else (ast.Constant, ast.Slice, ast.Starred)[pattern.id != "X" :]
+        excluded = _VALUES if pattern.id in "HN" else (ast.Constant, ast.Slice, ast.Starred)[pattern.id != "X" :]
         return is_same and not isinstance(node, excluded) and (pattern.id not in "KL" or isinstance(node, ast.Constant))
     if isinstance(pattern, list) and isinstance(node, list):
         return len(pattern) == len(node) and all(map(_matches, pattern, node, repeat(found)))
