@@ -149,11 +149,13 @@ class Why:
 
     @property
     def warning(self) -> Query | None:
-        """The plan's last query that was answered by no, if its bodies have not changed since."""
+        """The plan's last query about bodies of the failure that was answered by no, if they haven't changed since."""
         # id of the process module in which the failure began
         within = self.task.id if self.task is not None and self.task.kind == "process-module" else None
-        still_true = (relevant.query for relevant in reversed(self.queries) if relevant.holds)
-        return next((query for query in still_true if query.answer_json == "false" and query.task != within), None)
+        named = {self.world.robot if self.world is not None else "", *(self.case.mentioned if self.case else ())}
+        no = (each.query for each in reversed(self.queries) if each.holds and each.query.answer_json == "false")
+        about = ((each, set(objects_in(list(argument_values(each.arguments).values())))) for each in no)
+        return next((query for query, bodies in about if query.task != within and bodies <= named), None)
 
 
 def why(log: RecordReader, step: int | None = None) -> Why:

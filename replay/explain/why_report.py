@@ -274,7 +274,8 @@ def _where(why: Why) -> Iterator[str]:
         shown.add((line.file, line.number))
         yield from _line(line, why)
     for error in why.exceptions:
-        fresh = [line for line in error.lines if (line.file, line.number) not in shown]
+        every = {(line.file, line.number): line for line in error.lines}  # a comprehension may have its own frame
+        fresh = [line for place, line in every.items() if place not in shown]
         if shown and fresh:
             yield f"which raised {error.type}:"
         for line in fresh:
@@ -325,8 +326,7 @@ def _tasks(why: Why) -> Iterator[str]:
 
 def _attempts(why: Why) -> Iterator[str]:
     if why.other_failures:
-        tasks = "tasks" if why.other_failures > 1 else "task"
-        yield f"{why.other_failures} other {tasks} failed before (see `pycram-replay tree`)"
+        yield f"{why.other_failures} earlier failure{'s' * (why.other_failures > 1)} (see `pycram-replay tree`)"
     if why.forgotten:
         yield f"{why.forgotten} earlier failures are left out, as there are too many"
     if len(why.attempts) < 2:
@@ -390,7 +390,7 @@ def _since(since: ChangesSince) -> Iterator[str]:
     changes = list(difference_lines(since.difference)) if since.difference.notable or since.difference.added else []
     name = f"{phrases.node(task)} succeeded at step {task.last_step}"
     if not changes:
-        yield f"{name}; the world hasn't changed since."
+        yield f"{name}; nothing has moved since."
         return
     yield f"{name}; changes since:"
     yield from (f"  {line}" for line in changes[:_MAX_LINES])

@@ -1,7 +1,7 @@
-"""Test the causes of a failure: each fork takes a cause away, and a control run has no changes.
+"""Test the causes of a failure: each fork takes a cause away.
 
 If a fork without the cause fails in the same way, the fork refutes the cause. If the fork succeeds, or fails later in
-another way, the fork confirms the cause. The verdicts hold only if the control run repeats the whole recording.
+another way, the fork confirms the cause. A control run without changes must repeat the recording up to the failure.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from recorder.records import Failure, Mutation, Run, Task, argument_values, form
 from replay.compare import is_worded_alike, signature
 from replay.errors import ReplayError
 from replay.explain.causes.case import pairs_of
-from replay.explain.causes.trials import CONFIRMED, REFUTED, UNTESTED, Proof, Trial, TriedTrial
+from replay.explain.causes.raised import Raised, is_mistake
+from replay.explain.causes.trials import CONFIRMED, IN_CODE, REFUTED, UNTESTED, Proof, Trial, TriedTrial
 from replay.file.record_reader import RecordReader
 from replay.history.source import Line, PlanSource, parse_traceback
 from replay.history.tasks import uncaught_failure
@@ -38,7 +39,7 @@ _MAX_TRIALS: Final = 3  # maximum number of forks for one cause
 _SECONDS: Final = (30.0, 10.0)  # maximum duration of a fork: in s, and as a multiple of the original run
 _WORD: Final = re.compile(r"[^\W\d]\w*")
 _End: TypeAlias = "tuple[str, Line | None]"  # signature and innermost line of a plan's failure
-_RANK: Final = (CONFIRMED, UNTESTED, REFUTED)
+_RANK: Final = (CONFIRMED, IN_CODE, UNTESTED, REFUTED)
 
 
 def prove(
@@ -82,21 +83,21 @@ def prove(
             for found, trial in wanted:
                 found.append(known[trial])
         result = control.result()
-        untested = [
-            "the limit of forks was reached" if each else cause.untestable
-            for each, cause in zip(trials, why.causes, strict=True)
+        proofs = [
+            Proof(IN_CODE, "no verdict: a fork changes the world, and not the plan's code")
+            if isinstance(cause, Raised) and not (each or cause.own) and is_mistake(cause.type)
+            else _proof(found, "the limit of forks was reached" if each else cause.untestable, result, why.step)
+            for found, each, cause in zip(tried, trials, why.causes, strict=True)
         ]
-        proofs = [_proof(*each, result) for each in zip(tried, untested, strict=True)]
         ranked = sorted(zip(why.causes, proofs, strict=True), key=lambda each: _RANK.index(each[1].verdict))
         causes, proven = zip(*ranked, strict=True) if ranked else ((), ())
         return replace(why, causes=causes, proofs=proven), result
 
 
-def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing) -> Proof:
-    """Return the verdict of a cause's forks. If any fork confirms the cause, the cause is confirmed."""
-    if not control.identical:
-        difference = control.difference.text if control.difference is not None else ""
-        untested = f"without changes, the plan doesn't repeat its recording: {difference}"
+def _proof(tried: Sequence[TriedTrial], untested: str, control: Retracing, failed: int) -> Proof:
+    """Return the verdict of a cause's forks, if the control run repeats the recording up to the failed step."""
+    if control.difference is not None and control.difference.step <= failed:
+        untested = f"without changes, the plan doesn't repeat its recording: {control.difference.text}"
         return Proof(UNTESTED, f"not tested: {untested}", tuple(replace(each, verdict=UNTESTED) for each in tried))
     every = all(each.verdict == REFUTED for each in tried)
     weighty = [each for each in tried if each.verdict != REFUTED or every or each.trial.decisive]
@@ -214,7 +215,7 @@ class Prover:
         later = later and not (trial.succeeds or (touched[0] & touched[1] and failure.type == self._failure.type))
         further = "gets further, and " * later
         text = f"the same failure occurs: {said}" if same else f"{name} {further}fails in another way: {said}"
-        return REFUTED if same and not trial.partial else CONFIRMED if later else UNTESTED, text
+        return (REFUTED if not trial.partial else UNTESTED) if same else CONFIRMED if later else UNTESTED, text
 
     def _compared(self, failure: Failure, end: _End | None, *, same: bool, later: bool) -> tuple[str, str]:
         """Return the verdict on a change that wrote a checked value. The former value may fail the check as well.

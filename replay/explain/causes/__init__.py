@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from recorder import geometry
 from replay.explain.causes.case import about
-from replay.explain.causes.changed import (
-    ForkedChange,
-    Gone,
-    HandState,
-    Misbelief,
-    NoGravity,
-    NoLonger,
-    OtherWorld,
-)
+from replay.explain.causes.changed import ForkedChange, Gone, HandState, Misbelief, NoGravity, NoLonger, OtherWorld
 from replay.explain.causes.lacked import ClosedContainer, RefusedRequest, Swallowed
 from replay.explain.causes.out_of_reach import TOO_FAR, NoCandidate, ObstructingBody, UnreachedTarget
 from replay.explain.causes.physics import Physics
@@ -27,23 +19,9 @@ if TYPE_CHECKING:
 
 #: All kinds. Causes of earlier kinds are shown first.
 KINDS: Final[tuple[type[Cause], ...]] = (
-    ForkedChange,
-    OtherWorld,
-    ClosedContainer,
-    NoGravity,
-    Swallowed,
-    RefusedRequest,
-    Written,
-    Physics,
-    NoLonger,
-    Misbelief,
-    Timeout,
-    Gone,
-    Raised,
-    HandState,
-    ObstructingBody,
-    UnreachedTarget,
-    NoCandidate,
+    *(ForkedChange, OtherWorld, ClosedContainer, NoGravity, Swallowed, RefusedRequest, Written, Physics),
+    *(NoLonger, Misbelief, Timeout, Gone, Raised, HandState),
+    *(ObstructingBody, UnreachedTarget, NoCandidate),
 )
 _DECIDING: Final = (
     *("other-world", "closed", "gravity", "swallowed-failure", "refused"),

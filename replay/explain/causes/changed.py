@@ -144,7 +144,7 @@ class Misbelief(Cause):
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials in which the object is where the robot believed it to be."""
-        yield from trials.placed(case, self.body, self.position)
+        yield trials.arranged(case, {self.body: (self.position, "where it was believed")})
         if self.change is not None:
             yield from trials.put_back(case, self.change)
 

@@ -163,7 +163,7 @@ class RefusedRequest(Cause):
         position = given.get("position")
         numbers = [each for each in position if isinstance(each, int | float)] if isinstance(position, list) else []
         if self.precondition == "moved" and len(numbers) == 3:  # others are not finite
-            yield from trials.placed(case, self.subject, numbers, self.asked.seq)
+            yield trials.arranged(case, {self.subject: (numbers, "")}, self.asked.seq)
         elif self.precondition == "joint-moved":
             body, positions = next(objects_in(given.get("object")), ""), given.get("positions")
             asked = [*(positions.values() if isinstance(positions, dict) else ()), position]
@@ -218,7 +218,7 @@ class ClosedContainer(Cause):
             yield ClosedContainer((case.step,), found[1], opening, "", named[0] if len(named) == 1 else None)
             return
         for name in _perhaps_enclosed(case):
-            for owner, joint in (each for each in closed if _lies_in(case, name, *each)):
+            for owner, joint in (each for each in closed if lies_in(case, name, *each)):
                 moved = case.state.urdf(case.world.bodies[owner]).joints[joint]
                 if moved.type == "prismatic" and case.world.carrier(name) is None:  # nothing lies in a door
                     yield ClosedContainer((case.step,), link_text(owner, moved.child), opening, name, (owner, joint))
@@ -256,7 +256,7 @@ def _effect(case: FailureCase, precondition: str, subject: str, arm: str, failed
     elif precondition == "at-pose" and isinstance(target, list) and case.robot is not None:
         turn = given.get("orientation")
         pose = [*target, *(turn if isinstance(turn, list) else case.robot.orientation)]
-        yield from trials.placed(case, case.robot.name, [float(str(each)) for each in pose])
+        yield trials.arranged(case, {case.robot.name: ([float(str(each)) for each in pose], "")})
     elif precondition == "posture" and isinstance(given.get(f"{arm}-arm"), list):
         for joint, value in zip(joints_of(case.robot, arm), given[f"{arm}-arm"], strict=False):  # type: ignore[arg-type]
             yield from trials.joint_at(case, case.robot.name if case.robot else "", joint, float(str(value)))
@@ -366,7 +366,7 @@ def _closed(case: FailureCase) -> Iterator[Lacking]:
     for task in case.motions("accessing") if names else ():
         given = values(task)
         owner, joint = _accessed_joint(case, given)
-        if task.failed and any(_lies_in(case, name, owner, joint) for name in names):
+        if task.failed and any(lies_in(case, name, owner, joint) for name in names):
 
             def fits(other: Node, accessed: tuple[str, str] = (owner, joint)) -> bool:
                 return _accessed_joint(case, values(other)) == accessed
@@ -388,7 +388,7 @@ def _perhaps_enclosed(case: FailureCase) -> list[str]:
     return _wanted(case) if case.failure.type in _SHUT_IN else []
 
 
-def _lies_in(case: FailureCase, name: str, owner: str, joint: str) -> bool:
+def lies_in(case: FailureCase, name: str, owner: str, joint: str) -> bool:
     """Return whether an object is inside the boxes of the links that a joint moves."""
     assets = case.state.assets
     if case.world is None or assets is None or owner not in case.world.bodies or not joint:
@@ -672,7 +672,7 @@ def _refused_joints(
         relevant = {joint for part in (*parts, *touching) for joint in joints_of(case.robot, part)}
         names = names & relevant if case.motion is not None else set()
     elif subject not in case.mentioned:
-        names = {joint for joint in names for name in _perhaps_enclosed(case) if _lies_in(case, name, subject, joint)}
+        names = {joint for joint in names for name in _perhaps_enclosed(case) if lies_in(case, name, subject, joint)}
     if names:
         yield "joint-moved", f"{', '.join(sorted(names))} of {subject}"
 

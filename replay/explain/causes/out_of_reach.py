@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, argument_values
@@ -12,7 +13,7 @@ from recorder.records.text import link_text, rejection_lines
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, joints_of, since
 from replay.explain.causes.changed import Misbelief, NoLonger
-from replay.explain.causes.lacked import Swallowed
+from replay.explain.causes.lacked import Swallowed, lies_in
 from replay.explain.causes.physics import Physics
 from replay.history.tasks import choices
 from replay.report import phrases
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from replay.explain.causes.trials import Trial
 
 TOO_FAR: Final = 1.2  # distance from the robot's base at which no arm reaches anything, m
+_MET: Final = re.compile(r"(?P<link>\S+) would touch (?P<body_link>\S+) of (?P<body>\S+)$")  # in NoPlace's message
 _DEEPER: Final = (Physics, NoLonger, Misbelief, Swallowed)  # these causes explain the causes in this module
 
 
@@ -41,7 +43,8 @@ class ObstructingBody(Cause):
         """Yield the bodies that the robot or a held object would have touched, and the bodies that hid an object."""
         if case.world is None:
             return
-        for pair in case.pairs:
+        obstacles = _MET.finditer(case.failure.message) if case.failure.type == "NoPlace" else ()
+        for pair in (*case.pairs, *(each.groupdict() for each in obstacles)):
             body, link = pair.get("body", ""), pair.get("body_link", "")
             if body in case.world.bodies and body != case.world.robot:
                 yield _obstacle(case, body, link, pair.get("link") or pair.get("mover", ""))
@@ -57,12 +60,17 @@ class ObstructingBody(Cause):
                     yield _obstacle(case, name, "", "")
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials in which the body isn't in the way."""
+        """Yield the trials in which the body isn't in the way, or the drawer with the hidden object is open."""
         if self.change is not None and self.change.how != "load":
             yield from trials.put_back(case, self.change)
         yield from trials.away(case, self.body)
         for joint in case.joints_to(self.body, self.link)[:1] if self.change is None else ():
             yield from trials.opened(case, self.body, joint)
+        owner = None if case.world is None or self.mover else case.world.bodies[self.body]
+        for joint in owner.joints if owner is not None and owner.fixed_base else ():
+            if any(lies_in(case, name, self.body, joint) for name in case.mentioned):  # a drawer hides what lies in it
+                for end in trials.ends(case, self.body, joint)[:1]:
+                    yield from trials.joint_at(case, self.body, joint, end)
 
     def _words(self) -> Iterator[str]:
         what = link_text(self.body, self.link)
@@ -127,7 +135,7 @@ class NoCandidate(Cause):
     """All candidates, such as grasps or postures, were rejected."""
 
     kind = "no-candidate"
-    untestable = "no object that a fork can move blocks the candidates"
+    untestable = "no change of a fork gives the motion other candidates"
     asked: Query  # the choice, with its candidates and the reasons why they were rejected
     count: int  # number of candidates
 
@@ -163,9 +171,10 @@ class NoCandidate(Cause):
         goal = case.data.get("target")
         misses = (argument_values(each.data).get("distance") for each in self.asked.candidates)
         known = [each for each in misses if isinstance(each, int | float)]
+        if not touched and not known and case.motion is not None and case.motion.name == "place":
+            yield from trials.given_back(case)
         if isinstance(goal, list) and known:
-            nearer = trials.nearer(case, [float(str(each)) for each in goal], min(known))
-            yield from (replace(each, partial=bool(touched)) for each in nearer)
+            yield from trials.nearer(case, [float(str(each)) for each in goal], min(known))
 
     def _words(self) -> Iterator[str]:
         rejected = "its only candidate" if self.count == 1 else f"all {self.count} candidates"

@@ -81,11 +81,14 @@ class Physics(Cause):
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials without those changes that let the object move, and with the object at its earlier place."""
+        if self.moved_at >= case.began:  # a fork can't change the world within the failed motion
+            for name in case.mentioned:
+                yield from trials.away(case, name) if name not in case.subjects else ()
+            return
         for change in self.lets:
             yield from trials.put_back(case, change)
-        if self.moved_at < case.began:
-            for trial in trials.restored(case, [self.body], self.since, case.began):
-                yield replace(trial, decisive=not self.lets)  # an earlier change may already have tilted the object
+        for trial in trials.restored(case, [self.body], self.since, case.began):
+            yield replace(trial, decisive=not self.lets)  # an earlier change may already have tilted the object
 
     def _words(self) -> Iterator[str]:
         size = f"by {phrases.length(self.fall if self.how == 'fell' else self.distance)}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import builtins
 import copy
+import math
 import operator
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,6 +26,7 @@ from replay.history.blame import Blame, blame, commanded
 from replay.history.source import Line
 from replay.report import phrases
 from replay.report.question import written
+from replay.state.state import World
 
 _MAX_ANSWERS: Final = 3
 _SEARCHED: Final = 1_000  # number of changes of fluents that are searched
@@ -48,7 +50,7 @@ class Raised(Cause):
     """The plan's own code raised the failure, or has a mistake that Python or PyCRAM rejected."""
 
     kind = "raised"
-    untestable = "the plan's own code would have to change"
+    untestable = "nothing that a fork can change is known to decide this line"
     type: str  # type of the exception
     line: Line  # the plan's line
     own: bool  # whether the line is a ``raise`` or ``assert``, rather than a mistake
@@ -73,13 +75,17 @@ class Raised(Cause):
             return
         line = lines[-1] if error.own else case.line(lines) or lines[-1]
         own = error.own and _is_raise(line)
-        judged = (*_failed_before(case), *answers(case), *_watched(case)) if own else ()
+        judged: list[Query | Task | Fluent] = [*_failed_before(case), *answers(case)] if own else []
+        if own and case.task is not None and case.task.kind == "whenever":  # the last change of a followed fluent
+            searched = islice(case.log.backwards(case.step, Fluent), _SEARCHED)
+            judged += islice((each for each in searched if each.name in case.task.name), 1)
         steps = case.steps(*(each.seq for each in (*judged, *_refusals(case))))
-        yield Raised(steps, case.failure.type, line, own, case.task, judged)
+        yield Raised(steps, case.failure.type, line, own, case.task, tuple(judged))
 
     def is_explained(self, found: Sequence[Cause]) -> bool:
-        """Return whether a known change wrote the value of the plan's check."""
-        return self.own and not self.answers and any(each.kind == "written" for each in found)
+        """Return whether the change of the checked value, or the obstacle of the failed call, is known."""
+        deeper = "written" if self.own and not self.answers else "in-the-way" if self.type == "NoPlace" else ""
+        return any(each.kind == deeper for each in found)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with other answers, longer waits, or another arm, or without a refused call."""
@@ -166,14 +172,6 @@ def _failed_before(case: FailureCase) -> Iterator[Task]:
         yield last.finished
 
 
-def _watched(case: FailureCase) -> Iterator[Fluent]:
-    """Yield the last change of a fluent of a failed ``whenever``."""
-    if case.task is None or case.task.kind != "whenever":
-        return
-    searched = islice(case.log.backwards(case.step, Fluent), _SEARCHED)
-    yield from islice((record for record in searched if record.name in case.task.name), 1)
-
-
 def answers(case: FailureCase) -> Iterator[Query | Task]:
     """Yield the last queries and waits of the same task before the failure, in order."""
     inside = {0} if case.task is None else {case.task.id}
@@ -200,7 +198,9 @@ _READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("
     ("get_position_and_orientation", "get_AABB", "get_joint_position", "get_joint_positions"), ()
 )
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
-_ASIDE: Final = (0.01, 1.0, -1.0)  # by so much trials change a compared coordinate or angle, m or rad
+_IN_SPACE: Final = ("", "turn", *_AXES)  # the parts that aren't joints
+_TURNS: Final = (math.pi / 2, -math.pi / 2, math.pi)  # angles by which trials turn a body, rad
+_ASIDE: Final = (1.0, -1.0)  # by so much trials change a coordinate, m
 _DEPTH: Final = 3  # definitions of names that are followed
 _MUTATIONS: Final = 200  # maximum number of changes in which moves of other objects are searched
 #: An expression of a check, the wanted part of its value, the number of definitions to follow, and the assignments.
@@ -233,7 +233,7 @@ class Written(Cause):
             change = case.blamed(last)
             if change.task is None or change.task.kind not in ("motion", HANDLER):
                 change = replace(change, line=case.line_of(last.record))
-            is_joint = part not in ("", "turn", *_AXES)
+            is_joint = part not in _IN_SPACE
             others = tuple(_others(case, change.step)) if last.how == "load" and not is_joint else ()
             now = case.world.bodies.get(name) if case.world is not None and last.how == "load" else None
             pose = last.after if now is None else now.joints.get(part) if is_joint else now.pose  # it has settled since
@@ -244,36 +244,32 @@ class Written(Cause):
         yield from sorted(found, key=lambda each: -each.change.step)
 
     def trials(self, case: FailureCase) -> Iterator[Trial]:
-        """Yield the trials without the change, with the former pose, and with another value.
+        """Yield the trials without the change, with the body where the plan wants it, and with other values."""
+        if self.change.how == "command" and self.change.task is None and not self.change.joint:
+            skip = f"set_position(object={written(self.body)})=skip"
+            yield Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,), compares=True)
+        if case.world is not None and self.body in case.world.bodies and case.data.get("step") != self.change.step:
+            yield from (replace(each, compares=True) for each in self._moved(case, case.world))
 
-        A loading only has the last of them, because the plan needs the object.
-        """
-        if self.change.how != "load":
-            if self.change.how == "command" and self.change.task is None and not self.change.joint:
-                skip = f"set_position(object={written(self.body)})=skip"
-                yield self._comparing(Trial(self.change.step - 1, f"{self.body} isn't moved", answers=(skip,)))
-            if case.data.get("step") == self.change.step:
-                return  # the change itself violated a property
-            yield from map(self._comparing, trials.put_back(case, self.change))
-        body = None if case.world is None else case.world.bodies.get(self.body)
-        if self.part in ("", "turn", *_AXES) and body is not None:
-            axis = _AXES.index(self.part) if self.part in _AXES else 0
-            known = [_value(ast.Name(name), values) for values in (_variables(case),) for name in values]
-            points = [each for each in known if isinstance(each, list | tuple) and len(each) == len(_AXES)]
-            misses = [point[axis] - body.position[axis] for point in points if isinstance(point[axis], int | float)]
-            wanted = [each for each in misses if self.part in _AXES and abs(each) > _WROTE]  # perhaps the plan's goal
-            shown = re.search(r"\d", case.failure.message) is not None  # a small difference shows only in numbers
-            for aside in (*wanted, *_ASIDE[not shown :]):
-                turn = aside * (self.part not in _AXES)  # no other change wrote the value before the check
-                place = [at + aside * (each == axis) for each, at in enumerate(body.position)]
-                yield from map(self._comparing, trials.placed(case, self.body, place, turn=turn))
-        elif body is not None:
-            for end in trials.ends(case, self.body, self.part):
-                yield from map(self._comparing, trials.joint_at(case, self.body, self.part, end))
-
-    @staticmethod
-    def _comparing(trial: Trial) -> Trial:
-        return replace(trial, compares=True)
+    def _moved(self, case: FailureCase, world: World) -> Iterator[Trial]:
+        body, named = world.bodies[self.body], [each for each, part in compared(case) if part == self.part]
+        together = dict.fromkeys([self.body, *(each for each in named if {self.body, each} <= {*case.mentioned})])
+        if self.part in ("", *_AXES):
+            places = {each: trials.wanted(case, each) for each in together}
+            for number in range(len(places[self.body])):
+                yield trials.arranged(case, {each: at[number] for each, at in places.items() if number < len(at)})
+        carried = self.change.task is not None and self.change.task.kind == "motion" and self.part in _IN_SPACE
+        yield from trials.put_back(case, self.change) if self.change.how != "load" and not carried else ()
+        for aside in _ASIDE if self.part in _AXES else ():
+            moved = [aside * (axis == self.part) for axis in _AXES]
+            poses = {each: tuple(map(operator.add, world.bodies[each].position, moved)) for each in together}
+            yield trials.arranged(case, {each: (at, "") for each, at in poses.items()})
+        for angle in _TURNS if self.part in ("", "turn") else ():
+            turning = (0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, angle)
+            pose = (*body.position, *geometry.multiply(turning, body.pose)[1])
+            yield trials.arranged(case, {self.body: (pose, f"turned by {math.degrees(angle):.0f} degrees")})
+        for end in trials.ends(case, self.body, self.part) if self.part not in _IN_SPACE else ():
+            yield from trials.joint_at(case, self.body, self.part, end)
 
     def _words(self) -> Iterator[str]:
         if self.value is not None:
@@ -288,7 +284,7 @@ class Written(Cause):
 def _writer(case: FailureCase, name: str, part: str) -> Blame | None:
     """Return the last change of a part of a pose that is more than settling; None for an unknown body."""
     step = case.data.get("step")
-    target = name if part in ("", "turn", *_AXES) else f"{name}.{part}"
+    target = name if part in _IN_SPACE else f"{name}.{part}"
     last = case.blame(target)
     if isinstance(step, int) and 0 <= step < case.step and last is not None:
         last = blame(case.log, target, step, last.world)
@@ -338,10 +334,16 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
         return
     line, values = error.lines[-1], _variables(case)
     robot = case.world.robot if case.world is not None else ""
-    for owner, part in _reads(syntax_nodes(case.source.text(line.file)), line, values):
+    nodes = syntax_nodes(case.source.text(line.file))
+    for owner, part in _reads(nodes, line, values):
         named = [robot] if isinstance(owner, ast.Attribute) and owner.attr == "robot" else _objects(owner, values)
-        if len(named) != 1 and part:
+        if len(named) != 1:
             named = [name for name in case.mentioned if name in named] or list(case.mentioned)
+        if not named:
+            used = (each for each in nodes if isinstance(each, ast.Name | ast.Constant) and each.lineno == line.number)
+            words = {str(_value(each, values)) for each in used}
+            said = [name for name, body in bodies.items() if {name, body.type} & words]
+            named = [name for name in said if trials.wanted(case, name, before=False)] or said  # first, those astray
         joints = [name for name in named if name in bodies and part in bodies[name].joints]
         named = joints or [name for name in named if name == robot or case.free_body(name) is not None]
         if part or len(named) == 1:
@@ -381,7 +383,7 @@ def _reads(nodes: Sequence[ast.AST], line: Line, values: Mapping[str, str]) -> I
             elif isinstance(each, ast.Call):
                 called = [*_results(functions, each)] if depth else []
                 waiting += ((end, wanted or _item(node, each), depth - 1, inner) for end, inner in called)
-                yield from ((given, "") for given in each.args if isinstance(given, ast.Name) and not called)
+                yield from ((given, "") for given in each.args if not called and _objects(given, values))
             elif isinstance(each, ast.Name) and (each.id, _item(node, each)) not in seen and depth:
                 seen.add((each.id, _item(node, each)))
                 for given, part in [*filter(None, (_given(other, each.id) for other in made))][-1:]:
@@ -395,7 +397,7 @@ def _parts(node: ast.AST, call: ast.Call, wanted: str | None, values: Mapping[st
         given = [_value(each, values) for each in (*call.args, *(each.value for each in call.keywords))]
         keys = (_value(each.slice, values) for each in ast.walk(node) if isinstance(each, ast.Subscript))
         return [each for each in given or [wanted, *keys] if isinstance(each, str)]
-    found = wanted if wanted in ("", "turn", *_AXES) else _item(node, call, _READS[name])
+    found = wanted if wanted in _IN_SPACE else _item(node, call, _READS[name])
     return [found if found is not None else "turn" if name == "get_orientation" else ""]
 
 

@@ -11,14 +11,19 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from itertools import islice
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from recorder import geometry
+from recorder.plan_lines import called_name, syntax_nodes
 from recorder.records import Mutation, Query, Refusal, Task, argument_values
 from recorder.tasks import Node
 from replay.errors import NoSuchStep
+from replay.explain.causes.case import objects_in
 from replay.history.blame import commanded
+from replay.history.source import Line
 from replay.report import phrases
 from replay.report.question import QueryCall, question_of, written
 from replay.state.fold import last_open_step, state_at
@@ -31,6 +36,9 @@ _MOVED: Final = 1e-6  # change in rad or m above which a joint has moved
 _FAR: Final = 30.0  # distance in m to which an obstacle is moved away
 _BEFORE: Final = 0.65  # distance in m between robot and target at which arms work well
 _ROOM: Final = 0.1  # distance in m by which the robot moves nearer, plus the distance that the arm lacked
+_NEAR: Final = 0.05  # nearer positions are the same, m
+_MOVES: Final = 20  # number of changes of a body that are searched
+_MOVING: Final = ("attach_body", "move_body", "reset")
 _LONGER: Final = 10.0  # factor for the limits of waits
 OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 NONE: Final = "none"
@@ -39,6 +47,7 @@ COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
 JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # the name of a fluent that follows a joint
 _BEYOND: Final = 0.01  # difference between the new number and the bound: this amount, or this share of the bound
 _WITHOUT_RESULT: Final = ("attach", "detach", "detach_all", "remove")  # calls without a result, in addition to setters
+Place: TypeAlias = "tuple[Sequence[float], str]"  # a position or pose, and its origin as text
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +81,13 @@ class Proof:
     """The verdict on a cause."""
 
     #: "confirmed" (without the cause, there is no failure, or another one later), "refuted" (without the cause, the
-    #: same failure occurs), or "untested" (no fork decides)
+    #: same failure occurs), "untested" (no fork decides), or "code" (forks change the world, and not the plan's code)
     verdict: str
     text: str  # text of the verdict
     forks: tuple[TriedTrial, ...] = ()
 
 
-CONFIRMED, REFUTED, UNTESTED = "confirmed", "refuted", "untested"
+CONFIRMED, REFUTED, UNTESTED, IN_CODE = "confirmed", "refuted", "untested", "code"
 
 
 def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
@@ -87,6 +96,10 @@ def put_back(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
 
 
 def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
+    step = change.step
+    if change.task is not None and change.task.kind == "motion":  # a fork can't change the world within the motion
+        later = (each for each in case.log.records(Task, step, case.began) if each.task == change.task.task)
+        step = next((each.seq for each in later if each.phase == Task.FINISHED), step)
     start = (change.task.seq if change.task is not None else change.step) - 1
     before = _body(case, change.body, start)
     name = written(change.body)
@@ -94,20 +107,20 @@ def _undone(case: FailureCase, change: CausingChange) -> Iterator[Trial]:
         yield Trial(change.step - 1, f"{change.body} isn't removed", answers=(f"remove(body={name})=skip",))
     elif change.how == "gravity":
         world = state_at(case.log, change.step - 1).worlds[case.log[change.step].world]
-        yield _set(case, change.step, "gravity is as before", {"gravity": world.gravity})
+        yield _set(case, step, "gravity is as before", {"gravity": world.gravity})
     elif change.how in ("attached", "detached"):
         arm = case.holder(change.body, change.step - 1)
         held = f"the {arm} gripper still holds {change.body}" if arm else f"nothing holds {change.body}"
         if " " not in arm:
-            yield _set(case, change.step, held, {f"{name}.hand": arm or NONE})
+            yield _set(case, step, held, {f"{name}.hand": arm or NONE})
     elif change.how == "load" or before is None:
-        yield from away(case, change.body, change.step)
-    else:
+        yield from away(case, change.body, step)
+    elif case.holder(change.body, start) == case.holder(change.body, step):  # else, a hand held it in the air before
         text = f"{change.joint} of {change.body}" if change.joint else change.mover or change.body
         record, names = case.log[change.step], [change.body]
-        if isinstance(record, Mutation):  # the body of the command carries others along
+        if isinstance(record, Mutation) and change.how not in ("reset", "restored"):  # a command carries others along
             names = [commanded(record), change.body, *(each.body for each in record.effect.bodies)]
-        yield from restored(case, names, start, change.step, f"{text} is put back")
+        yield from restored(case, names, start, step, f"{text} is put back")
 
 
 def restored(case: FailureCase, names: Sequence[str], then: int, step: int, words: str = "") -> Iterator[Trial]:
@@ -132,19 +145,55 @@ def downwards(case: FailureCase, step: int) -> Iterator[Trial]:
     yield _set(case, step, "gravity points down", {"gravity": (0.0, 0.0, -9.81)})
 
 
-def placed(
-    case: FailureCase, body: str, position: Sequence[float], step: int | None = None, turn: float = 0.0
-) -> Iterator[Trial]:
-    """Yield the trial with a body at a position; by default, it is moved there just before the failure.
+def arranged(case: FailureCase, places: Mapping[str, Place], step: int | None = None) -> Trial:
+    """Return the trial with bodies at positions or poses; by default, they are moved there just before the failure."""
+    words = (f"{each} is at {phrases.vector(at[:3])}{of and f' ({of})'}" for each, (at, of) in places.items())
+    released: dict[str, object] = {f"{written(each)}.hand": NONE for each in places if case.holder(each)}
+    moved = {f"{written(each)}.position": at for each, (at, _) in places.items()}
+    return _set(case, step, " and ".join(words), released | moved)
 
-    ``turn`` is the angle in rad by which the body is also turned about the vertical.
-    """
-    words, pose = f"{body} is at {phrases.vector(position)}", [*position]
-    if turn and case.world is not None:
-        words += f", turned by {turn:g} rad"
-        turning = (0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, turn)
-        pose += geometry.multiply(turning, (position, case.world.bodies[body].orientation))[1]
-    yield _set(case, step, words, {f"{written(body)}.position": pose})
+
+def wanted(case: FailureCase, name: str, *, before: bool = True) -> list[Place]:
+    """Return the positions that tables of the plan name for a body, then its earlier positions."""
+    found: list[Place] = []
+    if case.world is not None:
+        body, earlier = case.world.bodies[name], [*_earlier(case, name)]
+        named = [each for each in _tabled(case, body) if each[0][-1]]  # the floor is for robots
+        for number, (at, origin) in enumerate(named + earlier * before):
+            place = (*at, *body.position[len(at) :])  # perhaps without a height
+            start = earlier[-1:] if number < len(named) else ()  # tables also name the place at the start
+            known = (body.position, *(each for each, _ in (*found, *start)))
+            if all(math.dist(place[:2], each[:2]) > _NEAR or abs(place[2] - each[2]) > 2 * _NEAR for each in known):
+                found.append((place, origin))
+    return found
+
+
+def _tabled(case: FailureCase, body: Body) -> list[Place]:
+    """Return the points beside a body's name, or else its type, in dictionaries, rows and calls of the plan."""
+    found, rows = list[Place](), list[tuple[str, Sequence[ast.expr | None]]]()
+    for file in case.source.files:
+        for node in syntax_nodes(case.source.text(file)):
+            if isinstance(node, ast.Dict):
+                rows += [(file, each) for each in (*zip(node.keys, node.values, strict=True), node.values)]
+            elif isinstance(node, ast.Tuple | ast.List | ast.Call) and called_name(node) != "Object":
+                rows.append((file, node.args if isinstance(node, ast.Call) else node.elts))
+    for name in (body.name, body.type):
+        beside = [each for each in rows if not found and name in [getattr(part, "value", 0) for part in each[1]]]
+        parts = [(file, part) for file, row in beside for each in row[::-1] if each for part in ast.walk(each)]
+        for file, part in parts:
+            with suppress(ValueError, TypeError, SyntaxError):
+                at = ast.literal_eval(part) if isinstance(part, ast.Tuple | ast.List) else ()
+                if len(at) in (2, 3) and all(isinstance(each, int | float) for each in at):
+                    found.append((at, f"its place at {phrases.place(Line(file, getattr(part, 'lineno', 0)))}"))
+    return found
+
+
+def _earlier(case: FailureCase, name: str) -> Iterator[Place]:
+    """Yield the positions of a body before it was taken, moved or restored, the latest first."""
+    for record in islice(case.log.backwards(case.step, Mutation, naming=name), _MOVES):
+        body, step = _body(case, name, record.seq - 1), record.seq - 1
+        if record.WhichOneof("command") in _MOVING and body is not None and not case.holder(name, step):
+            yield body.position, f"its place at step {step}"
 
 
 def away(case: FailureCase, body: str, step: int | None = None) -> Iterator[Trial]:
@@ -213,7 +262,7 @@ def nearer(case: FailureCase, target: Sequence[float], miss: float) -> Iterator[
         ahead = distance - left
         pose = (x + ahead * math.cos(heading), y + ahead * math.sin(heading), z, *turn)
         trial = _set(case, None, words, {f"{written(name)}.position": pose})
-        yield replace(trial, decisive=left == _BEFORE, succeeds=True)
+        yield replace(trial, partial=True, succeeds=True)  # the target may also be too high, or too low
 
 
 def other_answer(query: Query) -> Iterator[Trial]:
@@ -240,8 +289,19 @@ def seen(case: FailureCase, task: Node) -> Iterator[Trial]:
 def replaced(case: FailureCase, slot: str, value: str) -> Iterator[Trial]:
     """Yield the trial in which a slot of the failed motion has another value."""
     if case.motion is not None:
-        answer = f"{case.motion.name}.{slot}(...)={written(value)}"
+        answer = f"{case.motion.name}.{slot}(...)={value if value.startswith('[') else written(value)}"
         yield Trial(_before(case), f"{case.motion.name} has the slot {slot}={value}", answers=(answer,))
+
+
+def given_back(case: FailureCase) -> Iterator[Trial]:
+    """Yield the trial in which the robot puts an object back from where it took it."""
+    name, robot = next(iter(case.subjects), ""), case.robot.name if case.robot is not None else ""
+    for taken in [each for each in case.motions("pick-up") if name in objects_in(each.parameters)][:1]:
+        stood, lay = (_body(case, each, taken.started.seq) for each in (robot, name))
+        for trial in replaced(case, "target", phrases.vector(lay.position)) if lay is not None else ():
+            pose = {f"{written(robot)}.position": (*stood.position, *stood.orientation)} if stood is not None else {}
+            words = f"{name} is put back from where it was taken,"
+            yield replace(_set(case, None, words, pose), answers=trial.answers, succeeds=True)
 
 
 def longer(started: Task, seconds: object) -> Iterator[Trial]:
@@ -298,8 +358,10 @@ def _set(case: FailureCase, step: int | None, words: str, values: Mapping[str, o
 
 
 def _before(case: FailureCase) -> int:
-    """Return the step at which the failed motion began; otherwise the step before the failure, with open worlds."""
-    return case.began if case.motion is not None else last_open_step(case.log, case.began - 1)
+    """Return the step at which the failed motion began; otherwise the last change or task before the failure."""
+    earlier = case.log.backwards(last_open_step(case.log, case.began - 1), (Mutation, Task))
+    last = (each.seq for each in earlier if not isinstance(each, Task) or each.phase == Task.FINISHED)
+    return case.began if case.motion is not None else next(last, 0)
 
 
 def _body(case: FailureCase, name: str, step: int) -> Body | None:

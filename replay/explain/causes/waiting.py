@@ -106,14 +106,13 @@ class PendingTask:
         """Yield why the task waited: fluents with their values and setters, or running motions."""
         if self.task.kind == "wait":
             values = ", ".join(f"{name} = {phrases.value(value)}" for name, value in self.values.items())
-            steps = phrases.names([str(step) for step in self.changed])
-            changed = f"; it was set at steps {steps}" if self.changed else ""
+            changed = f"; it last changed at step {self.changed[-1]}" if self.changed else ""
             since = f"waited since step {self.task.started.seq}{phrases.at(self.line)}"
             yield f"{self.task.name}: {values}{changed}  [{since}]"
             yield from [self.excluded] if self.excluded else []
             yield from map(str, self.fulfillers)
-            if not (self.fulfillers or self.changed):
-                leaves = " or ".join(self.values) or self.task.name
+            leaves = " or ".join(name for name in self.values or (self.task.name,) if not _FOLLOWS.match(name))
+            if leaves and not (self.fulfillers or self.changed):
                 yield f"no record shows a setter of {leaves}, and no line of the plan's source sets a fluent by name"
         elif self.holders:
             holders = [f"{phrases.node(task)} (since step {task.started.seq})" for task in self.holders]
@@ -145,6 +144,7 @@ class Timeout(Cause):
     """A part of the plan missed its deadline."""
 
     kind = "timeout"
+    untestable = "no value that a fork can set ends the wait"
     seconds: float  # the limit in s; 0 in a deadlock
     clock: str  # clock of the limit: "wall" or "simulated"; "" in a deadlock
     pending: tuple[PendingTask, ...]  # the pending tasks at the deadline
@@ -185,10 +185,12 @@ class Timeout(Cause):
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with a longer limit, and with other values of the awaited fluents."""
         limited = case.task if case.task is not None and case.task.kind == "timeout" else self.pending[0].task
-        yield from trials.longer(limited.started, self.seconds)  # a deadlock has no limit
+        if not self.pending or not all(each.excluded for each in self.pending):  # else, more time doesn't help
+            yield from trials.longer(limited.started, self.seconds)  # a deadlock has no limit
         for each in self.pending:
-            if each.task.kind == "wait":
-                yield from trials.fulfilled(each.task.started, each.values)
+            if each.task.kind == "wait" and not each.excluded:
+                for trial in trials.fulfilled(each.task.started, each.values):
+                    yield replace(trial, partial=len(self.pending) > 1)
 
     def _words(self) -> Iterator[str]:
         simulated = " of simulated time" if self.clock == _SIMULATED_TIME else ""

@@ -47,6 +47,24 @@ def test_an_outdated_answer_is_marked(tmp_path: Path) -> None:
         assert main(["why", str(log.path)]) == 0
 
 
+def take_one_of_two(file: Path) -> None:
+    with recorder.record(file), BulletWorld():
+        Object("floor", "environment", "plane.urdf")
+        ball, cup = (Object(each, each, "apple.stl", [x, 0, 1]) for x, each in enumerate(("ball", "cup")))
+        btr.supporting(cup, ball)
+        with span("motion", "take", {"object": ball}):
+            raise PlanFailure("it can't be taken")
+
+
+def test_an_answer_about_another_object_is_no_warning(tmp_path: Path) -> None:
+    with pytest.raises(PlanFailure):
+        take_one_of_two(tmp_path / "x.mcap")
+    with replay.open(tmp_path / "x.mcap") as log:
+        why = log.why()
+        assert [relevant.query.answer_json for relevant in why.queries] == ["false"]
+        assert why.warning is None
+
+
 def take_after(file: Path, change: str) -> None:
     """A ball is asked about; then something becomes of it, or of its world; then it can't be taken."""
     with recorder.record(file):

@@ -46,7 +46,7 @@ PLANS = {
     "an obstacle was put there": (
         TABLE
         + 'perform(type="pick-up", object=milk, arm="left")\npot = Object("pot", "pot", "pot.stl", [6, 0, 0.1])\n'
-        + 'pot.set_position([1.4, 0.7, 0.95])\nperform(type="place", object=milk, target=[1.4, 0.7, 0.96], arm="left")\n',
+        + 'pot.set_position([1.35, 1.1, 0.95])\nperform(type="place", object=milk, target=[1.35, 1.1, 0.96], arm="left")\n',
         ("in-the-way", "confirmed"),
     ),
     "a failure was swallowed": (
@@ -87,7 +87,31 @@ with timeout(0.5, simulated=True):
         + 'perform(type="pick-up", object=spoon, arm="right")\n',
         ("closed", "confirmed"),
     ),
-    "the plan has a mistake": ("milk = None\nmilk.set_position([0, 0, 1])\n", ("raised", "untested")),
+    "the object isn't where the plan's table wants it": (
+        """\
+GOALS = {"cup": [1, 0, 0.05]}
+cup = Object("cup", "cup", "cup.stl", [3, 0, 0.05])
+cup.set_position([4, 0, 0.05])
+x = cup.get_position()[0]
+print(x)
+assert 0.9 < x < 1.1, "it is somewhere else"
+""",
+        ("written", "confirmed"),
+    ),
+    "the drawer is hardly open": (
+        TABLE
+        + 'spoon = Object("spoon", "spoon", "spoon.stl", [1.4, 0.89, 0.72])\nworld.settle()\nrobot.set_position([0.4, 0.7, 0])\n'
+        + 'joint = "sink_area_left_upper_drawer_main_joint"\nworld.get_object("kitchen").set_joint_position(joint, 0.035)\n'
+        + 'perform(type="looking", object=spoon)\nperform(type="detecting", object_type="spoon")\n',
+        ("in-the-way", "confirmed"),
+    ),
+    "there is no support": (
+        TABLE
+        + 'perform(type="pick-up", object=milk, arm="left")\nrobot.set_position([0.5, 0.9, 0])\n'
+        + 'perform(type="place", object=milk, target=[1.0, 0.9, 0.96], arm="left")\n',
+        ("no-candidate", "confirmed"),
+    ),
+    "the plan has a mistake": ("milk = None\nmilk.set_position([0, 0, 1])\n", ("raised", "code")),
 }
 
 
