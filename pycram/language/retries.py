@@ -72,7 +72,7 @@ class FailureHandling:
         """Add a recovery for a type of failures; return this handling.
 
         Before the next attempt, the first recovery that matches the failure is called. A recovery may return parameters
-        for that attempt. An error of the recovery ends the handling.
+        for that attempt: in a loop, only parameters that the handling has. An error of the recovery ends the handling.
 
         Raises:
             BadArgument: ``kind`` isn't a type of failures, or the recovery isn't a function.
@@ -108,7 +108,10 @@ class FailureHandling:
 
     def __iter__(self) -> Iterator[Attempt]:
         """Yield an attempt for a ``with`` statement, until an attempt succeeds."""
-        attempts = Attempts(self)
+        yield from self._attempts({*self.parameters})
+
+    def _attempts(self, names: set[str]) -> Iterator[Attempt]:
+        attempts = Attempts(self, names)
         try:
             while not attempts.over:
                 attempt = attempts.following()
@@ -124,7 +127,7 @@ class FailureHandling:
         The parameters of an attempt override keyword arguments.
         """
         result: Result = None
-        for attempt in self:
+        for attempt in self._attempts(set()):  # a recovery may change arguments of the call
             with attempt:
                 result = run(action, *args, **{**kwargs, **attempt.parameters})
         return result
@@ -155,6 +158,11 @@ def _failure_type(kind: type[PlanFailure]) -> type[PlanFailure]:
     if not (isinstance(kind, type) and issubclass(kind, PlanFailure)):
         raise BadArgument("kind", kind, "a type of plan failures; other errors aren't retried")
     return kind
+
+
+def _check_names(changed: Parameters, names: set[str]) -> None:
+    if names and not {*changed} <= names:
+        raise BadArgument("changed parameters", changed, f"only {', '.join(sorted(names))}, which the handling has")
 
 
 def retry(**changed: object) -> NoReturn:
@@ -215,8 +223,9 @@ class Attempt(Scope["Attempt"]):
 class Attempts:
     """The attempts of one loop over a failure handling."""
 
-    def __init__(self, handling: FailureHandling) -> None:
+    def __init__(self, handling: FailureHandling, names: set[str]) -> None:
         self.over = False
+        self._names = names  # names of parameters that an attempt may change; empty for all names
         self._handling = handling
         self._parameters = handling.parameters
         self._failures: list[BaseException] = []
@@ -254,6 +263,7 @@ class Attempts:
             try:
                 with self.entered():
                     changed = self._handling.recover(last) if changed is None else changed
+                    _check_names(changed, self._names)
             except BaseException as recovery_error:  # noqa: BLE001  raised below
                 final = chained(recovery_error, [final])
             else:

@@ -163,6 +163,19 @@ def test_only_the_named_failures_and_never_bugs_are_retried() -> None:
         failure_handling(1).on(PlanFailure, {"arm": "left"})
 
 
+@pytest.mark.parametrize("retries", [True, False])
+def test_a_changed_parameter_must_be_one_of_the_handling(retries: bool) -> None:
+    attempts = []
+    with pytest.raises(BadArgument, match=r"\{'arms': 'right'\}.*only arm, place"):
+        for attempt in failure_handling(2, arm="left", place=0).on(PlanFailure, lambda _: {"arms": "right"}):
+            with attempt:
+                attempts.append(attempt["arm"])
+                if retries:
+                    retry(arms="right")
+                raise Unreachable("left", [0, 0, 0])
+    assert attempts == ["left"]
+
+
 def test_misused_failure_handlings_are_refused() -> None:
     with pytest.raises(UsageError, match="for attempt in failure_handling"), failure_handling(5):
         pass
