@@ -131,21 +131,21 @@ def _frame(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         yield instead(node, new, 0.4, f"{new}: {ast.unparse(node)} seen from {base}", asks=True, chance=True)
 
 
-def _spare_world(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield the plan without a second world that it doesn't use: the newest world is the current one."""
+def _assigned(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield a value that is added or copied, and the plan without an unused world: the newest world is current."""
     match node:
         case ast.Assign([ast.Name(name)], ast.Call(ast.Name("BulletWorld"))) if name in plan.unused:
             place = plan.offset(node.lineno), plan.offset((node.end_lineno or node.lineno) + 1)
             if len(plan.names["BulletWorld"]) > 1:
                 yield Change(f"without the unused world {name}", 0.2, ((place, ""),))
-
-
-def _lost_update(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield a value that is added to the earlier value."""
-    match node:
-        case ast.Assign([ast.Name(name)], value) if plan.in_loop(node):
+        case ast.Assign([ast.Name(name)], ast.Constant() | ast.Call() as value) if plan.in_loop(node):
             if written_number(value) or (name in plan.literals and isinstance(value, ast.Call)):
                 yield instead(node, f"{name} += {ast.unparse(value)}", 0.3)
+        case ast.Assign(value=value) | ast.Return(value) if isinstance(value, ast.Name | ast.Subscript | ast.Attribute):
+            if any(isinstance(each, ast.Name) and each.id in plan.literals for each in ast.walk(value)):
+                text = ast.unparse(value)
+                new = f"{plan.literals[text]}({text})" if text in plan.literals else f"{text}.copy()"
+                yield instead(value, new, 0.5)
 
 
 def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -159,16 +159,6 @@ def _angle(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         if (named or turned) and called_name(parent) not in ("radians", "degrees"):
             function = next((each for each, name in _RADIANS.items() if name in plan.defined), "0.0174533 * ")
             yield instead(node, f"{function}({ast.unparse(node)})", 0.35)
-
-
-def _aliasing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield a copy of a container instead of a second name."""
-    match node:
-        case ast.Assign(value=value) | ast.Return(value) if isinstance(value, ast.Name | ast.Subscript | ast.Attribute):
-            if any(isinstance(each, ast.Name) and each.id in plan.literals for each in ast.walk(value)):
-                text = ast.unparse(value)
-                new = f"{plan.literals[text]}({text})" if text in plan.literals else f"{text}.copy()"
-                yield instead(value, new, 0.5)
 
 
 def _default(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -215,16 +205,6 @@ def _shadowing(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
             inside = (each for each in ast.walk(node) if each in names and isinstance(each, ast.Name))
             parts = tuple((each, f"{name}_2") for each in inside)
             yield Change(f"{name}_2 instead of {name} in the loop of line {node.lineno}", 0.3, parts)
-
-
-def _branches(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield the branches of a condition in the other order."""
-    match node:
-        case ast.If(test, [*body], [ast.If(second, [*others]) as other]) if other.col_offset == node.col_offset:
-            ends = (test, test), (second, second), (body[0], body[-1]), (others[0], others[-1])
-            new = (plan.segment(*ends[at]) for at in (1, 0, 3, 2))
-            parts = tuple(zip((plan.span(*each) for each in ends), new, strict=True))
-            yield Change(f"the condition of line {other.lineno} before that of line {node.lineno}", 0.3, parts)
 
 
 def _handling(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -464,6 +444,11 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 swaps, new = at >= len(turned), ast.unparse(type(node)(order, ast.Load()))
                 by_chance = swaps and isinstance(node.ctx, ast.Load)
                 yield instead(node, new, 0.42 if swaps else 0.35 + 0.1 * at, asks=True, chance=by_chance)
+        case ast.If(test, [*body], [ast.If(second, [*others]) as other]) if other.col_offset == node.col_offset:
+            ends = (test, test), (second, second), (body[0], body[-1]), (others[0], others[-1])
+            news = (plan.segment(*ends[at]) for at in (1, 0, 3, 2))
+            parts = tuple(zip((plan.span(*each) for each in ends), news, strict=True))
+            yield Change(f"the condition of line {other.lineno} before that of line {node.lineno}", 0.3, parts)
     is_test = getattr(plan.parents.get(node), "test", None) is node
     if is_test and not isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp):
         yield instead(node, f"not ({ast.unparse(node)})", 0.56)
@@ -508,8 +493,8 @@ def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
 
 
 _OPERATORS: Final = (
-    *(_number, _frame, _angle, _aliasing, _calls, _structure, _undefined, _copied, _never_held),
-    *(_default, _late, _shadowing, _branches, _handling, _spare_world, _lost_update, _near_names, forgotten_call),
+    *(_number, _frame, _angle, _assigned, _calls, _structure, _undefined, _copied, _never_held),
+    *(_default, _late, _shadowing, _handling, _near_names, forgotten_call),
     *(_results, _sorting, _rules, _python, _blocks, _slots, _unused),
 )
 
