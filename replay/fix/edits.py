@@ -86,9 +86,12 @@ class Editor:
     def structural(self) -> Iterator[Edit]:
         """Yield the likeliest edits of the whole plan that change how values are computed, not the values."""
         for node in self.plan.nodes:
-            found = [*self.changes[node]]
-            found += self._moves(node) if isinstance(node, ast.stmt) and node not in self.plan.goals else ()
-            likely = (each for each in found if each.cost <= _STRUCTURAL and not each.asks and not each.chance)
+            moves = self._moves(node) if isinstance(node, ast.stmt) and node not in self.plan.goals else ()
+            likely = (
+                each
+                for each in (*self.changes[node], *moves)
+                if each.cost <= _STRUCTURAL and not each.asks and not each.chance
+            )
             yield from (self._edit(each, node.lineno) for each in likely)  # type: ignore[attr-defined]
 
     def _changes(self) -> dict[ast.AST, list[Change]]:

@@ -418,8 +418,7 @@ def _slots(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         fields = set[str]().union(*(each for each in plan.classes if node.attr in each))
         is_key = getattr(plan.parents[node], "key", None) is node  # objects with equal keys replace each other
         for at, name in enumerate(sorted(fields - {node.attr})):
-            chance = _AXIS.fullmatch(name) is not None and _AXIS.fullmatch(node.attr) is not None
-            new = f"{ast.unparse(node.value)}.{name}"
+            new, chance = f"{ast.unparse(node.value)}.{name}", all(map(_AXIS.fullmatch, (name, node.attr)))
             yield instead(node, new, (0.2 if is_key else 0.5) + 0.05 * at, chance=chance)
 
 
@@ -455,13 +454,6 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
         yield instead(node, f"{ast.unparse(node)} is not None", 0.4)
 
 
-def _undefined(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield objects instead of an undefined name."""
-    if isinstance(node, ast.Name) and node not in plan.called and node.id not in plan.known.union(*plan.local.values()):
-        for at, name in enumerate(sorted(plan.names["Object"] - plan.fixed)):
-            yield instead(node, name, 0.2 + 0.01 * at)
-
-
 def _never_held(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield pick-ups of an object that is placed, but never picked up; the latest first."""
     if called_name(node) == "place" and isinstance(node, ast.Call) and "pick_up" in plan.defined:
@@ -476,8 +468,11 @@ def _never_held(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
             yield Change(f"{new.strip()} before line {each.lineno}", 0.3 + 0.02 * at, ((place, new),))
 
 
-def _copied(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield an object without a use instead of one that stands twice in a list; the later one is likelier wrong."""
+def _objects(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
+    """Yield objects instead of an undefined name, and an unused object instead of the later copy in a list."""
+    if isinstance(node, ast.Name) and node not in plan.called and node.id not in plan.known.union(*plan.local.values()):
+        for at, name in enumerate(sorted(plan.names["Object"] - plan.fixed)):
+            yield instead(node, name, 0.2 + 0.01 * at)
     texts = [getattr(each, "value", each) for each in getattr(node, "elts", ())]
     for at, text in [*enumerate(texts)][::-1]:
         for name in sorted(plan.forgotten) if isinstance(text, str) and texts.count(text) > 1 else ():
@@ -493,7 +488,7 @@ def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
 
 
 _OPERATORS: Final = (
-    *(_number, _frame, _angle, _assigned, _calls, _structure, _undefined, _copied, _never_held),
+    *(_number, _frame, _angle, _assigned, _calls, _structure, _objects, _never_held),
     *(_default, _late, _shadowing, _handling, _near_names, forgotten_call),
     *(_results, _sorting, _rules, _python, _blocks, _slots, _unused),
 )
